@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters: each in one frozen dataclass field with default, unit, bounds and meaning.
+
+Command line, nodes and documentation read the same fields, so their defaults cannot differ.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from otf_core.errors import ConfigError
+
+
+def parameter(
+    default: Any,
+    meaning: str,
+    unit: str = '',
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare one dataclass field with its meaning, unit and closed bounds."""
+    metadata = {'meaning': meaning, 'unit': unit, 'low': low, 'high': high, 'choices': choices}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class ParameterInfo:
+    """One parameter: name, default, meaning, unit, bounds (None: unbounded), choices."""
+
+    name: str
+    default: Any
+    meaning: str
+    unit: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+
+    def check(self, value: Any) -> Any:
+        """Return the value in the type of the default; ConfigError if it does not fit."""
+        kind = type(self.default)
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            raise ConfigError(f'{self.name}: expected {kind.__name__}, got {value!r}')
+        if kind is float and not math.isfinite(value):
+            raise ConfigError(f'{self.name}: {value} is not finite')
+        if self.low is not None and value < self.low or self.high is not None and value > self.high:
+            raise ConfigError(
+                f'{self.name}: {value:g} is out of range [{self.low}, {self.high}] {self.unit}'
+            )
+        if self.choices and value not in self.choices:
+            raise ConfigError(f'{self.name}: {value!r}; possible: {", ".join(self.choices)}')
+        return value
+
+
+class Parameters:
+    """Base of the parameter dataclasses: checks every field when built."""
+
+    @classmethod
+    def infos(cls) -> Iterator[ParameterInfo]:
+        """Yield what is known of every parameter."""
+        for f in dataclasses.fields(cls):  # type: ignore[arg-type]  # subclasses are dataclasses
+            yield ParameterInfo(f.name, f.default, **f.metadata)
+
+    def __post_init__(self) -> None:
+        """Check types, bounds and choices."""
+        for info in self.infos():
+            object.__setattr__(self, info.name, info.check(getattr(self, info.name)))
+
+
+@dataclass(frozen=True)
+class CalibrationConfig(Parameters):
+    """How samples become error tables."""
+
+    corner_exclusion: float = parameter(
+        0.008, 'path length left out at both ends of every leg: acceleration, rounding', 'm', 0, 0.2
+    )
+    piece_length: float = parameter(
+        0.008, 'samples are averaged over path pieces of about this length', 'm', 1e-4, 0.1
+    )
+    standstill_speed: float = parameter(
+        0.002, 'below this speed the target counts as standing still', 'm/s', 1e-5, 0.1
+    )
+    match_tolerance: float = parameter(
+        0.002, 'largest distance of measured corners and lines from the nominal path', 'm',
+        1e-5, 0.05,
+    )  # fmt: skip
+    alignment_stop: float = parameter(
+        1e-9, 'fine alignment ends when the pose moves the points by less', 'm', 1e-12, 1e-5
+    )
+    max_iterations: int = parameter(
+        20, 'limit of the iterations of alignment and of solution', '', 1, 200
+    )
+    outlier_limit: float = parameter(
+        8.0, 'samples further from their piece than this many robust standard deviations '
+        'are left out', '', 3, 100,
+    )  # fmt: skip
+    unidentifiable_above: float = parameter(
+        1e-4, 'a combination of errors more uncertain than this counts as not identifiable',
+        'm or rad', 1e-7, 1.0,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PlannerConfig(Parameters):
+    """The nominal path: which lines and diagonals, how often, how fast."""
+
+    passes: int = parameter(
+        2, 'laps of the path; every second one runs backwards', '', 1, 20
+    )
+    feed: float = parameter(0.25, 'feed of the first lap', 'm/s', 1e-4, 5.0)
+    feed_ratio: float = parameter(
+        0.67, 'feed of every second lap, as a ratio to the first', '', 0.1, 1.0
+    )
+    corner_dwell: float = parameter(0.2, 'standstill at every corner point', 's', 0, 60)
+    end_dwell: float = parameter(3.0, 'standstill at the start and the end point', 's', 0, 600)
+    margin: float = parameter(0.0, 'distance kept from the ends of the axis ranges', 'm', 0, 1)
+    levels: int = parameter(3, 'planes per axis direction in which diagonals lie', '', 2, 9)
+
+
+@dataclass(frozen=True)
+class SimulationConfig(Parameters):
+    """The simulated cell: truth machine, drive, tracker. All random numbers hang on the seed."""
+
+    seed: int = parameter(1, 'seed of all random numbers of the cell', '', 0, 2**31 - 1)
+    rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
+    acceleration: float = parameter(2.0, 'acceleration of the drives', 'm/s^2', 0.01, 100)
+    error_size: float = parameter(
+        2e-5, 'mean volumetric error of the truth machine, where no tables are given', 'm', 0, 1e-2
+    )
+    correlated_share: float = parameter(
+        0.5, 'share of the noise variance that is correlated in time', '', 0, 1
+    )
+    correlation_time: float = parameter(
+        0.3, 'correlation time of that share (first-order Gauss-Markov)', 's', 1e-3, 100
+    )
+    clock_drift: float = parameter(
+        1.8e-5, 'rate error of the tracker clock against true time', '', -1e-3, 1e-3
+    )

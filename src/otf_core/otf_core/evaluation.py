@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Volumetric comparison: regular lattice, error fields without rigid motion, mean length."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.machine import Machine
+
+Array = NDArray[np.float64]
+
+
+def lattice(machine: Machine, count: int = 7) -> Array:
+    """Regular lattice of count points per axis over the ranges, shape (count**3, 3), m."""
+    ends = zip(machine.lower, machine.upper, strict=True)
+    grids = np.meshgrid(*(np.linspace(a, b, count) for a, b in ends), indexing='ij')
+    return np.stack([g.ravel() for g in grids], axis=1)
+
+
+def rigid_columns(q: Array) -> Array:
+    """Displacement per unit of three translations and three small rotations, shape (n, 3, 6)."""
+    columns = np.zeros((len(q), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    for k in range(3):
+        columns[:, :, 3 + k] = np.cross(np.eye(3)[k], q)
+    return columns
+
+
+def without_rigid_motion(field: Array, q: Array) -> Array:
+    """Take the best-fitting small rigid motion out of an error field.
+
+    No calibration can know it: it belongs to the choice of the machine frame.
+
+    Parameters
+    ----------
+    field : ndarray, shape (n, 3), m
+    q : ndarray, shape (n, 3), m
+        Where the field is given.
+
+    Returns
+    -------
+    ndarray, shape (n, 3), m
+    """
+    columns = rigid_columns(q).reshape(-1, 6)
+    motion = np.linalg.lstsq(columns, field.reshape(-1), rcond=None)[0]
+    return np.asarray(field - (columns @ motion).reshape(-1, 3))
+
+
+def mean_length(field: Array) -> float:
+    """Mean length of the vectors of a field (n, 3): the mean absolute error (MAE), m."""
+    return float(np.linalg.norm(field, axis=1).mean())

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CDR encoding of the two message types a bag carries: PointStamped in bulk, Path one by one.
+
+A message begins with 00 01 (little endian) or 00 00 (big endian) and two option bytes; alignment
+counts from byte 4. PointStamped is int32 sec, uint32 nanosec, string frame_id, three float64: with
+L characters and a NUL the header ends 13 + L bytes after byte 4, so (-(13 + L)) mod 8 bytes of
+padding come before x. Checked against rosbags 0.11 (serde/cdr.py).
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import InputError
+
+SECOND_NS = 1_000_000_000
+MAX_TRAILING = 3
+"""Bytes a serializer may add after the last field."""
+MIN_POSE_SIZE = 69
+"""Bytes a PoseStamped takes at least: stamp 8, empty frame_id 5, seven float64 56."""
+
+Bytes = NDArray[np.uint8]
+Index = NDArray[np.int64]
+
+
+def gather(buffer: Bytes, at: Index, width: int) -> NDArray[np.void]:
+    """Copy ``width`` bytes from every position in ``at``; shape (n,), items of raw bytes.
+
+    The caller has made sure that ``at + width`` stays inside the buffer.
+    """
+    if not at.size:
+        return np.empty(0, f'V{width}')
+    count = buffer.size - width + 1
+    windows = np.ndarray((count,), f'V{width}', buffer, strides=(1,))
+    return np.asarray(windows[at])
+
+
+def point_dtype(frame: str, order: str) -> np.dtype[np.void]:
+    """Layout of a PointStamped with this frame_id; ``order`` is ``<`` or ``>``."""
+    length = len(frame.encode())
+    xyz_at = 4 + 13 + length + (-(13 + length)) % 8
+    fields = {
+        'encapsulation': ('>u2', 0),
+        'sec': (f'{order}i4', 4),
+        'nanosec': (f'{order}u4', 8),
+        'length': (f'{order}u4', 12),
+        'frame': (f'S{length + 1}', 16),
+        'xyz': (f'({3},){order}f8', xyz_at),
+    }
+    return np.dtype(
+        {
+            'names': list(fields),
+            'formats': [form for form, _ in fields.values()],
+            'offsets': [offset for _, offset in fields.values()],
+            'itemsize': xyz_at + 24,
+        }
+    )
+
+
+def decode_points(
+    buffer: Bytes, start: Index, size: Index, frame: str, first: int = 0
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Decode many PointStamped messages at once.
+
+    Parameters
+    ----------
+    buffer : ndarray of uint8
+        Holds all messages.
+    start, size : ndarray of int64, shape (n,)
+        Where each message begins and how many bytes it has; inside the buffer.
+    frame : str
+        The frame_id every message must have.
+    first : int
+        Number of the first message, for error texts.
+
+    Returns
+    -------
+    stamp_ns : ndarray of int64, shape (n,), ns
+    xyz : ndarray of float64, shape (n, 3), m
+
+    Raises
+    ------
+    InputError
+        Names the first message that is no PointStamped, has another frame or a broken stamp.
+    """
+    need = point_dtype(frame, '<').itemsize
+    bad = (size < need) | (size > need + MAX_TRAILING)
+    if bad.any():
+        _refuse(buffer, start, size, frame, first, bad)
+    rows = gather(buffer, start, need)
+    code = rows.view(point_dtype(frame, '<'))['encapsulation']
+    stamp_ns, xyz = np.empty(start.size, np.int64), np.empty((start.size, 3))
+    bad = code > 1
+    for value, order in ((1, '<'), (0, '>')):
+        chosen = code == value
+        part = (rows if chosen.all() else rows[chosen]).view(point_dtype(frame, order))
+        if part.size:
+            stamp_ns[chosen] = part['sec'].astype(np.int64) * SECOND_NS + part['nanosec']
+            xyz[chosen] = part['xyz']
+            bad[chosen] |= part['length'] != part.dtype['frame'].itemsize
+            bad[chosen] |= part['frame'] != frame.encode()
+            bad[chosen] |= part['nanosec'] >= SECOND_NS
+    if bad.any():
+        _refuse(buffer, start, size, frame, first, bad)
+    return stamp_ns, xyz
+
+
+def _refuse(
+    buffer: Bytes, start: Index, size: Index, frame: str, first: int, bad: NDArray[np.bool_]
+) -> None:
+    """Raise InputError that says what is wrong with the first bad PointStamped."""
+    i = int(np.flatnonzero(bad)[0])
+    # a point needs few bytes: do not copy what a damaged length may claim
+    data = bytes(buffer[start[i] : start[i] + min(int(size[i]), 4096)])
+    try:
+        reader = CdrReader(data)
+        _, nanosec = reader.numbers('iI')
+        found = reader.text()
+        reader.numbers('3d')
+        reader.finish()
+    except ValueError as error:
+        raise InputError(f'message {first + i} is no PointStamped in CDR ({error})') from None
+    if found != frame:
+        raise InputError(frame_text(f'message {first + i}', found, frame))
+    raise InputError(f'message {first + i}: header.stamp has nanosec {nanosec}, above 999999999')
+
+
+def frame_text(what: str, found: str, expected: str) -> str:
+    """Return the message for a frame_id that is not the one the interface fixes."""
+    shown = f"'{found}'" if found else 'empty'
+    return (
+        f"{what}: frame_id is {shown}, expected '{expected}'; "
+        f'publish in that frame or rewrite the bag'
+    )
+
+
+class CdrReader:
+    """Cursor over one message; every failure is a ValueError that says what is wrong."""
+
+    def __init__(self, data: bytes) -> None:
+        if data[:2] not in (b'\x00\x00', b'\x00\x01'):
+            raise ValueError(f'it begins with {data[:4].hex(" ") or "nothing"}')
+        self._data = data
+        self._order = '<' if data[1] else '>'
+        self._at = 4
+
+    def numbers(self, form: str) -> tuple[float, ...]:
+        """Read numbers of one size given as struct letters, e.g. ``iI`` or ``3d``."""
+        width = struct.calcsize('<' + form[-1])
+        self._at += -(self._at - 4) % width
+        try:
+            values = struct.unpack_from(self._order + form, self._data, self._at)
+        except struct.error:
+            raise ValueError(f'it ends early, after {len(self._data)} bytes') from None
+        self._at += struct.calcsize('<' + form)
+        return values
+
+    def text(self) -> str:
+        """Read a string."""
+        length = int(self.numbers('I')[0])
+        raw = self._data[self._at : self._at + length]
+        if length < 1 or len(raw) < length or raw[-1]:
+            raise ValueError(f'a string of {length} bytes is not terminated')
+        self._at += length
+        return raw[:-1].decode()
+
+    def finish(self) -> None:
+        """Check that nothing but padding follows."""
+        rest = len(self._data) - self._at
+        if rest > MAX_TRAILING:
+            raise ValueError(f'{rest} bytes follow its last field')
+
+
+def decode_path(data: bytes, frame: str) -> NDArray[np.float64]:
+    """Decode one nav_msgs/msg/Path to its positions, shape (n, 3), m.
+
+    Raises
+    ------
+    InputError
+        If it is no Path, or the Path or a pose has another frame_id (a pose may leave it empty).
+    """
+    points = []
+    try:
+        reader = CdrReader(data)
+        reader.numbers('iI')
+        found = reader.text()
+        if found != frame:
+            raise InputError(frame_text('message', found, frame))
+        count = int(reader.numbers('I')[0])
+        if count * MIN_POSE_SIZE > len(data):
+            raise ValueError(f'{count} poses do not fit into {len(data)} bytes')
+        for i in range(count):
+            reader.numbers('iI')
+            found = reader.text()
+            if found not in ('', frame):
+                raise InputError(frame_text(f'pose {i}', found, frame))
+            points.append(reader.numbers('7d')[:3])
+        reader.finish()
+    except ValueError as error:
+        raise InputError(f'message is no nav_msgs/msg/Path in CDR ({error})') from None
+    return np.array(points, dtype=np.float64).reshape(-1, 3)
+
+
+def encode_points(
+    stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64], frame: str
+) -> NDArray[np.void]:
+    """Encode PointStamped messages, little endian; shape (n,), one item per message."""
+    rows = np.zeros(stamp_ns.size, point_dtype(frame, '<'))
+    rows['encapsulation'] = 1
+    rows['sec'], rows['nanosec'] = np.divmod(stamp_ns, SECOND_NS)
+    rows['length'] = rows.dtype['frame'].itemsize
+    rows['frame'] = frame.encode()
+    rows['xyz'] = xyz
+    return rows
+
+
+def encode_path(points: NDArray[np.float64], stamp_ns: int, frame: str) -> bytes:
+    """Encode a Path, little endian; every pose carries the stamp and frame of the path."""
+    name = frame.encode() + b'\0'
+    header = struct.pack('<iII', *divmod(stamp_ns, SECOND_NS), len(name)) + name
+    body = bytearray(header)
+    body += bytes(-len(body) % 4) + struct.pack('<I', len(points))
+    for point in points.tolist():
+        body += bytes(-len(body) % 4) + header
+        body += bytes(-len(body) % 8) + struct.pack('<7d', *point, 0.0, 0.0, 0.0, 1.0)
+    return b'\x00\x01\x00\x00' + bytes(body)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points in CSV: header ``x,y,z`` (further columns ignored), metres."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import ConfigError
+from otf_core.io.files import write_text
+
+
+def read_points_csv(path: str | Path) -> NDArray[np.float64]:
+    """Read points.
+
+    Returns
+    -------
+    ndarray, shape (n, 3), m
+
+    Raises
+    ------
+    ConfigError
+        Names file, line and column of what is wrong.
+    """
+    try:
+        with open(path, newline='', encoding='utf-8-sig') as file:
+            rows = list(csv.reader(file))
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
+    except (UnicodeDecodeError, csv.Error):
+        raise ConfigError(f'{path}: not a CSV text file') from None
+    header = [h.strip() for h in rows[0]] if rows else []
+    if not {'x', 'y', 'z'} <= set(header):
+        raise ConfigError(f'{path}: line 1: expected the header x,y,z, got {",".join(header)!r}')
+    places = [header.index(k) for k in 'xyz']
+    points = []
+    for number, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        try:
+            points.append([float(row[k]) for k in places])
+        except (ValueError, IndexError):
+            raise ConfigError(f'{path}: line {number}: expected three numbers, got {row}') from None
+        if not np.all(np.isfinite(points[-1])):
+            raise ConfigError(f'{path}: line {number}: not finite')
+    if not points:
+        raise ConfigError(f'{path}: holds no points')
+    return np.array(points)
+
+
+def write_csv(path: str | Path, header: str, columns: NDArray[np.float64]) -> None:
+    """Write numbers with full precision under a comma-separated header, whole or not at all."""
+    lines = [header] + [','.join(map(repr, row)) for row in columns.tolist()]
+    write_text(path, '\n'.join(lines) + '\n')

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that are either whole or not there: written beside the final name, then renamed."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from otf_core.errors import ConfigError
+
+
+def ensure_folder(folder: str | Path) -> Path:
+    """Make a folder with its parents; ConfigError if that is not possible."""
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f'{folder}: cannot be made a folder ({error.strerror})') from None
+    return folder
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary name beside ``path``; it takes the final name if the block succeeds."""
+    path = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f'.{path.stem}-', suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        os.chmod(name, 0o644)
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be written ({error.strerror})') from None
+    try:
+        yield Path(name)
+        os.replace(name, path)
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be written ({error.strerror})') from None
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    with whole_file(path) as partial:
+        partial.write_text(text, encoding='utf-8')

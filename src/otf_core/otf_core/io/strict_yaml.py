@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Strict YAML: duplicate, unknown, missing and mistyped keys are errors that name the key."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any, NoReturn
+
+import yaml
+
+from otf_core.errors import ConfigError
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader that reads 5e-07 as a number (YAML 1.2) and refuses duplicate keys."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if isinstance(key, Hashable) and key in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key '{key}' appears twice", key_node.start_mark
+                )
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$'),
+    list('-+.0123456789'),
+)
+
+
+def read_yaml(path: str | Path) -> Any:
+    """Return the content of one YAML file.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is no text or no YAML; says line and column.
+    """
+    try:
+        text = Path(path).read_text(encoding='utf-8')
+    except UnicodeDecodeError:
+        raise ConfigError(f'{path}: not a text file; expected YAML in UTF-8') from None
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
+    try:
+        return yaml.load(text, Loader=_Loader)  # noqa: S506 - subclass of SafeLoader
+    except yaml.YAMLError as error:
+        mark = getattr(error, 'problem_mark', None)
+        place = f' at line {mark.line + 1}, column {mark.column + 1}' if mark else ''
+        problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
+        raise ConfigError(f'{path}: not valid YAML{place}: {problem}') from None
+
+
+class Fields:
+    """The keys of one mapping, taken one by one; what is left over is unknown.
+
+    Parameters
+    ----------
+    data : object
+        Expected to be a mapping; anything else is a ConfigError.
+    where : str
+        File and key path, for messages.
+    """
+
+    def __init__(self, data: Any, where: str) -> None:
+        if not isinstance(data, Mapping):
+            kind = 'nothing' if data is None else type(data).__name__
+            raise ConfigError(f'{where}: expected a mapping of keys to values, got {kind}')
+        self._data = dict(data)
+        self._where = where
+        self._taken: list[str] = []
+
+    def fail(self, key: str, problem: str) -> NoReturn:
+        """Raise a ConfigError about one key."""
+        raise ConfigError(f'{self._where}: {key}: {problem}')
+
+    def has(self, key: str) -> bool:
+        """Tell whether an optional key is there."""
+        return key in self._data
+
+    def take(self, key: str) -> Any:
+        """Return the value of a key that must be there."""
+        self._taken.append(key)
+        if key not in self._data:
+            self.fail(key, 'missing')
+        return self._data.pop(key)
+
+    def text(self, key: str) -> str:
+        """Return a text that is not empty."""
+        value = self.take(key)
+        if not isinstance(value, str) or not value.strip():
+            self.fail(key, f'expected a text, got {value!r}')
+        return value
+
+    def mapping(self, key: str) -> Fields:
+        """Return the fields of a nested mapping."""
+        return Fields(self.take(key), f'{self._where}: {key}')
+
+    def number(
+        self, key: str, low: float, high: float, unit: str, *, closed: bool = False
+    ) -> float:
+        """Return a number in (low, high], or in [low, high] if closed."""
+        value = self._finite(key, self.take(key))
+        if not (low <= value if closed else low < value) or value > high:
+            bound = 'at least' if closed else 'above'
+            self.fail(key, f'{value:g} is out of range; must be {bound} {low:g} and at most '
+                           f'{high:g} {unit}')  # fmt: skip
+        return value
+
+    def vector(self, key: str, size: int) -> list[float]:
+        """Return a list of numbers of the given size."""
+        value = self.take(key)
+        if not isinstance(value, list) or len(value) != size:
+            self.fail(key, f'expected a list of {size} numbers, got {value!r}')
+        return [self._finite(key, v) for v in value]
+
+    def done(self) -> None:
+        """Refuse keys that nobody asked for."""
+        if self._data:
+            known = ', '.join(self._taken)
+            self.fail(str(next(iter(self._data))), f'unknown key; known here: {known}')
+
+    def _finite(self, key: str, value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            self.fail(key, f'expected a plain number in SI units, got {value!r}')
+        if not math.isfinite(value):
+            self.fail(key, f'{value} is not finite')
+        return float(value)

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two topics of a bag: name, message type, frame and quality of service."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic as other tools know it.
+
+    Attributes
+    ----------
+    name, type, frame : str
+    depth : int
+        Messages a publisher keeps for a reliable reader.
+    durability : str
+        ``transient_local`` where a late reader gets the last message.
+    """
+
+    name: str
+    type: str
+    frame: str
+    depth: int
+    durability: str
+
+
+POINT = Topic('/tracker/point', 'geometry_msgs/msg/PointStamped', 'tracker', 1000, 'volatile')
+PATH = Topic('/planner/path', 'nav_msgs/msg/Path', 'machine', 1, 'transient_local')

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracker samples as data: stamps of the tracker's own clock and points in its own frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import ShapeError
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Tracker samples in the order they were measured.
+
+    Attributes
+    ----------
+    stamp_ns : ndarray of int64, shape (n,), ns
+        Measurement time on the tracker's clock; any epoch.
+    xyz : ndarray of float64, shape (n, 3), m
+        Target position in the tracker frame; the beam starts at its origin.
+    """
+
+    stamp_ns: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Refuse arrays of other shapes."""
+        if self.xyz.shape != (self.stamp_ns.size, 3) or self.stamp_ns.ndim != 1:
+            raise ShapeError(
+                f'samples need stamps (n,) and points (n, 3); '
+                f'got {self.stamp_ns.shape} and {self.xyz.shape}'
+            )
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return int(self.stamp_ns.size)
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Seconds since the first sample, shape (n,)."""
+        return (self.stamp_ns - self.stamp_ns[:1]) * 1e-9
+
+    def part(self, start: int, stop: int) -> Samples:
+        """Return samples start to stop - 1 (views, no copy)."""
+        return Samples(self.stamp_ns[start:stop], self.xyz[start:stop])
+
+
+class SampleBuffer:
+    """Growing store of samples; appending costs constant time, 32 bytes a sample."""
+
+    def __init__(self, capacity: int = 65536) -> None:
+        self._stamp_ns = np.empty(capacity, np.int64)
+        self._xyz = np.empty((capacity, 3))
+        self._size = 0
+
+    def __len__(self) -> int:
+        """Return the number of samples held."""
+        return self._size
+
+    def append(self, stamp_ns: int, x: float, y: float, z: float) -> None:
+        """Add one sample: stamp in ns, position in m in the tracker frame."""
+        if self._size == self._stamp_ns.size:
+            self._stamp_ns = np.concatenate([self._stamp_ns, np.empty_like(self._stamp_ns)])
+            self._xyz = np.concatenate([self._xyz, np.empty_like(self._xyz)])
+        self._stamp_ns[self._size] = stamp_ns
+        self._xyz[self._size] = (x, y, z)
+        self._size += 1
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._size = 0
+
+    def snapshot(self, start: int = 0) -> Samples:
+        """Return a copy of the samples from index start on."""
+        return Samples(
+            self._stamp_ns[start : self._size].copy(), self._xyz[start : self._size].copy()
+        )

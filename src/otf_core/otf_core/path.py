@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nominal path: corner points in driving order, straight legs between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import InputError, ShapeError
+
+MIN_LEG = 1e-6
+"""m; shorter legs are repeated corner points, not motion."""
+
+
+@dataclass(frozen=True)
+class NominalPath:
+    """A polyline in the machine frame.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 3), m
+        Corner points in driving order; repeated points (dwells) are allowed.
+
+    Raises
+    ------
+    ShapeError
+        If points is not (n, 3).
+    InputError
+        If there are fewer than two different points or a coordinate is not finite.
+    """
+
+    points: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Check shape and content."""
+        if self.points.ndim != 2 or self.points.shape[1] != 3:
+            raise ShapeError(f'a path needs points of shape (n, 3), got {self.points.shape}')
+        if not np.all(np.isfinite(self.points)):
+            first = int(np.flatnonzero(~np.isfinite(self.points).all(axis=1))[0])
+            raise InputError(f'path: point {first} is not finite')
+        if len(self.points) < 2 or self.leg_lengths.max() <= MIN_LEG:
+            raise InputError(
+                f'path: {len(self.points)} points without any motion between them; '
+                f'a path needs at least two different corner points'
+            )
+
+    @cached_property
+    def leg_lengths(self) -> NDArray[np.float64]:
+        """Length of every leg, shape (n - 1,), m."""
+        return np.asarray(np.linalg.norm(np.diff(self.points, axis=0), axis=1))
+
+    @cached_property
+    def directions(self) -> NDArray[np.float64]:
+        """Unit travel direction of every leg, shape (n - 1, 3); zero for a repeated point."""
+        lengths = np.where(self.leg_lengths > MIN_LEG, self.leg_lengths, np.inf)
+        return np.asarray(np.diff(self.points, axis=0) / lengths[:, None])
+
+    @property
+    def length(self) -> float:
+        """Total length, m."""
+        return float(self.leg_lengths.sum())
+
+    def corners(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Merge repeated points and straight-through points.
+
+        Returns
+        -------
+        points : ndarray, shape (k, 3), m
+            Where the travel direction really changes, with start and end.
+        index : ndarray of int64, shape (k,)
+            Their indices in ``points`` of the path.
+        """
+        keep = [0]
+        for i in range(1, len(self.points)):
+            if np.linalg.norm(self.points[i] - self.points[keep[-1]]) > MIN_LEG:
+                keep.append(i)
+        kept = np.array(keep)
+        step = np.diff(self.points[kept], axis=0)
+        unit = step / np.linalg.norm(step, axis=1)[:, None]
+        turn = np.linalg.norm(np.diff(unit, axis=0), axis=1) > 1e-6
+        index = kept[np.concatenate([[True], turn, [True]])]
+        return self.points[index], index

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reduction of samples to path pieces (paper 2.3: 500 000 points to 4427 values).
+
+A piece never crosses a table node, so every error table is linear inside it and the mean of its
+samples loses nothing. Left out: corners, standstill and the moments around it, outliers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.alignment import Alignment
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
+from otf_core.matching import OFF_PATH
+from otf_core.observation import Samples
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SPEED_WINDOW = 0.04
+"""s; the speed of a sample is taken over this time."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Means over path pieces, in driving order.
+
+    Attributes
+    ----------
+    xyz : ndarray, shape (p, 3), m
+        Mean measured point in the tracker frame.
+    leg : ndarray of int64, shape (p,)
+        Leg of the path.
+    origin, direction : ndarray, shape (p, 3)
+        Start point (m) and unit direction of that leg, machine frame.
+    count : ndarray of int64, shape (p,)
+        Samples averaged.
+    time : ndarray, shape (p,), s
+        Mean time since the first sample of the recording.
+    duration : ndarray, shape (p,), s
+    speed : ndarray, shape (p,), m/s
+    used : int
+        Samples in all pieces.
+    outliers : int
+        Samples left out as outliers.
+    """
+
+    xyz: Array
+    leg: Index
+    origin: Array
+    direction: Array
+    count: Index
+    time: Array
+    duration: Array
+    speed: Array
+    used: int
+    outliers: int
+
+    def __len__(self) -> int:
+        """Return the number of pieces."""
+        return len(self.leg)
+
+
+def _boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
+    """Piece boundaries along one leg, m from its start: node crossings, then equal parts."""
+    step = corners[leg + 1] - corners[leg]
+    length = float(np.linalg.norm(step))
+    cuts = [np.array([0.0, length])]
+    for axis in range(3):
+        if abs(step[axis]) > 1e-9:
+            cuts.append((nodes[axis] - corners[leg, axis]) / step[axis] * length)
+    marks = np.unique(np.concatenate(cuts))
+    marks = marks[(marks >= 0) & (marks <= length)]
+    marks = marks[np.concatenate([[True], np.diff(marks) > 1e-6])]
+    parts = [
+        np.linspace(a, b, max(1, int(np.ceil((b - a) / size))), endpoint=False)
+        for a, b in zip(marks[:-1], marks[1:], strict=True)
+    ]
+    return np.concatenate([*parts, [length]])
+
+
+def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfig) -> Array:
+    """Speed of every sample along its leg, m/s; zero near standstill and leg changes."""
+    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    half = max(1, round(0.5 * SPEED_WINDOW / step))
+    speed = np.zeros(len(samples))
+    if len(samples) <= 2 * half:
+        return speed
+    span = (samples.stamp_ns[2 * half :] - samples.stamp_ns[: -2 * half]) * 1e-9
+    same = leg[2 * half :] == leg[: -2 * half]
+    advance = np.where(same, along[2 * half :] - along[: -2 * half], 0.0)
+    speed[half:-half] = np.abs(advance) / np.maximum(span, 1e-9)
+    still = np.flatnonzero(speed < config.standstill_speed)
+    reach = np.zeros(len(samples) + 1)
+    np.add.at(reach, np.maximum(still - half, 0), 1)
+    np.add.at(reach, np.minimum(still + half + 1, len(samples)), -1)
+    return np.where(np.cumsum(reach[:-1]) > 0, 0.0, speed)
+
+
+class _Means:
+    """Sums per piece of quantities of its samples."""
+
+    def __init__(self, piece: Index, total: int) -> None:
+        self._piece, self._total = piece, total
+        self.count = np.bincount(piece, minlength=total)
+
+    def mean(self, values: Array) -> Array:
+        """Mean per piece, shape (total,); 0 for an empty piece."""
+        sums = np.bincount(self._piece, values, self._total)
+        return np.asarray(sums / np.maximum(self.count, 1))
+
+    def detrended(self, values: Array, along: Array) -> Array:
+        """Values less the straight line through each piece, one per sample."""
+        along = along - self.mean(along)[self._piece]
+        values = values - self.mean(values)[self._piece]
+        slope = self.mean(values * along) / np.maximum(self.mean(along**2), 1e-18)
+        return np.asarray(values - slope[self._piece] * along)
+
+
+def _outliers(means: _Means, points: Array, along: Array, limit: float) -> NDArray[np.bool_]:
+    """Samples far from the straight line through their piece, by robust standard deviation."""
+    far = np.zeros(len(points), dtype=bool)
+    for axis in range(3):
+        rest = means.detrended(points[:, axis], along)
+        sigma = 1.4826 * float(np.median(np.abs(rest)))
+        if sigma > 0:
+            far |= np.abs(rest) > limit * sigma
+    return far
+
+
+def reduce_to_pieces(
+    samples: Samples, alignment: Alignment, nodes: tuple[Array, ...], config: CalibrationConfig
+) -> Pieces:
+    """Average samples over path pieces.
+
+    Parameters
+    ----------
+    samples : Samples
+    alignment : Alignment
+    nodes : three ndarrays, m
+        Table nodes of X, Y, Z; pieces end there.
+    config : CalibrationConfig
+
+    Raises
+    ------
+    InputError
+        If nothing is left.
+    """
+    corners = alignment.corners
+    step = np.diff(corners, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    unit = step / length[:, None]
+    leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
+    points = alignment.T_machine_tracker.apply(samples.xyz)
+    along = np.einsum('ij,ij->i', points - corners[leg], unit[leg])
+    speed = _moving(samples, along, alignment.leg, config)
+    margin = np.minimum(config.corner_exclusion, 0.25 * length[leg])
+    keep = (alignment.leg != OFF_PATH) & (speed > 0)
+    keep &= (along > margin) & (along < length[leg] - margin)
+    chosen = np.flatnonzero(keep)
+
+    marks = [_boundaries(corners, j, nodes, config.piece_length) for j in range(len(length))]
+    shift = np.concatenate([[0.0], np.cumsum(length + 1.0)])
+    bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
+    piece = np.searchsorted(bounds, shift[leg[chosen]] + along[chosen], side='right') - 1
+
+    means = _Means(piece, len(bounds))
+    offset = points[chosen] - along[chosen, None] * unit[leg[chosen]]
+    far = _outliers(means, offset, along[chosen], config.outlier_limit)
+    chosen, piece = chosen[~far], piece[~far]
+    if not len(chosen):
+        raise InputError('no sample is left on the lines of the path away from corners and stops')
+    return _collect(samples, chosen, piece, alignment, unit, speed, int(far.sum()))
+
+
+def _collect(
+    samples: Samples,
+    chosen: Index,
+    piece: Index,
+    alignment: Alignment,
+    unit: Array,
+    speed: Array,
+    outliers: int,
+) -> Pieces:
+    names, dense = np.unique(piece, return_inverse=True)
+    means = _Means(dense, len(names))
+    time = samples.time
+    rate = 1.0 / max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
+    first = np.zeros(len(names), dtype=np.int64)
+    first[dense[::-1]] = chosen[::-1]
+    leg = alignment.leg[first]
+    return Pieces(
+        xyz=np.stack([means.mean(samples.xyz[chosen, k]) for k in range(3)], axis=1),
+        leg=leg,
+        origin=alignment.corners[leg],
+        direction=unit[leg],
+        count=means.count,
+        time=means.mean(time[chosen]),
+        duration=means.count / rate,
+        speed=means.mean(speed[chosen]),
+        used=len(chosen),
+        outliers=outliers,
+    )

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files and the text of a calibration.
+
+``error_tables.json`` (INTERFACES layout), ``error_tables.csv`` (one row a node),
+``covariance.npz`` (full precision, for predictions), ``residuals.csv`` (one row a path piece),
+``summary.txt``.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.calibrate import GAUGE, CalibrationResult
+from otf_core.errors import ConfigError
+from otf_core.io.csv_points import write_csv
+from otf_core.io.files import ensure_folder, whole_file, write_text
+from otf_core.tables import MOTIONS, SQUARENESS, tables_to_dict, unit_of
+
+COVARIANCE_FILE = 'covariance.npz'
+TABLES_FILE = 'error_tables.json'
+
+
+def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
+    """Return a calibration as plain data in the layout of error_tables.json."""
+    data = tables_to_dict(result.tables)
+    pose = result.T_machine_tracker
+    data |= {
+        'alignment': {
+            'rotation': pose.rotation.tolist(),
+            'translation': pose.translation.tolist(),
+        },
+        'fit': asdict(result.fit),
+        'run_id': result.run_id,
+        'gauge': GAUGE,
+        'covariance': COVARIANCE_FILE,
+        'not_identifiable': list(result.not_identifiable),
+        'warnings': list(result.warnings),
+        'failed_gates': list(result.failed_gates),
+        'config': asdict(result.config),
+    }
+    return data
+
+
+def _tidy_rows(result: CalibrationResult) -> str:
+    lines = ['motion,axis,position,value,unit,u,identifiable']
+    for name in MOTIONS:
+        table = result.tables.motions[name]
+        flags = table.node_identifiable if table.node_identifiable is not None else ()
+        for row in zip(table.position, table.value, table.u, flags, strict=True):
+            position, value, u, seen = row
+            lines.append(
+                f'{name},{name[2]},{float(position)!r},{float(value)!r},{unit_of(name)},'
+                f'{float(u)!r},{str(bool(seen)).lower()}'
+            )
+    for name in SQUARENESS:
+        entry = result.tables.squareness[name]
+        seen = name not in result.not_identifiable
+        lines.append(f'{name},,,{entry.value!r},rad,{entry.u!r},{str(seen).lower()}')
+    return '\n'.join(lines) + '\n'
+
+
+def _residual_columns(result: CalibrationResult) -> NDArray[np.float64]:
+    pieces = result.pieces
+    return np.column_stack(
+        [
+            pieces.time,
+            pieces.leg,
+            pieces.count,
+            pieces.speed,
+            result.q,
+            result.axes[0],
+            result.axes[1],
+            result.deviation.T,
+            result.residual.T,
+        ]
+    )
+
+
+_RESIDUAL_HEADER = (
+    'time,leg,count,speed,x,y,z,a2x,a2y,a2z,a3x,a3y,a3z,deviation2,deviation3,residual2,residual3'
+)
+
+
+def write_calibration(result: CalibrationResult, folder: str | Path) -> list[Path]:
+    """Write all files of a calibration; error_tables.json last.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+    folder : str or Path
+        Made if missing; files of the same names are replaced.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be written.
+    """
+    folder = ensure_folder(folder)
+    with whole_file(folder / COVARIANCE_FILE) as partial:
+        np.savez(
+            partial,
+            run_id=result.run_id,
+            names=np.array([*SQUARENESS, *MOTIONS]),
+            covariance=result.covariance,
+        )
+    write_text(folder / 'error_tables.csv', _tidy_rows(result))
+    write_csv(folder / 'residuals.csv', _RESIDUAL_HEADER, _residual_columns(result))
+    write_text(folder / 'summary.txt', format_result(result) + '\n')
+    write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result), indent=1) + '\n')
+    names = (TABLES_FILE, 'error_tables.csv', COVARIANCE_FILE, 'residuals.csv', 'summary.txt')
+    return [folder / name for name in names]
+
+
+def load_covariance(tables_path: str | Path, extra: dict[str, Any], size: int) -> Any:
+    """Covariance that belongs to an error_tables.json, or None if it names none.
+
+    Raises
+    ------
+    ConfigError
+        If the named file is missing, unreadable or of another run.
+    """
+    name = extra.get('covariance')
+    if name is None:
+        return None
+    path = Path(tables_path).parent / str(name)
+    try:
+        with np.load(path) as data:
+            run_id, covariance = str(data['run_id']), data['covariance']
+    except (OSError, ValueError, KeyError):
+        raise ConfigError(
+            f"{path}: cannot be read; it belongs to {tables_path} (or remove its key 'covariance')"
+        ) from None
+    if run_id != extra.get('run_id') or covariance.shape != (size, size):
+        raise ConfigError(f'{path}: belongs to another run than {tables_path}')
+    return covariance
+
+
+def format_result(result: CalibrationResult) -> str:
+    """Return the text for a terminal: warnings first, then fit, squareness, tables."""
+    fit, machine = result.fit, result.tables.machine
+    lines = [f'WARNING {text}' for text in result.warnings]
+    lines += [f'FAILED {text}' for text in result.failed_gates]
+    lines += [
+        f'{machine.name}, chain {machine.chain}, run {result.run_id}',
+        f'samples {fit.samples}, used {fit.used} in {fit.pieces} path pieces; '
+        f'{fit.unknowns} unknowns, rank {fit.rank}; path driven {100 * fit.coverage:.1f} %',
+        f'mean distance from the path {1e6 * fit.path_mae_before:.2f} um, compensated '
+        f'{1e6 * fit.path_mae_after:.2f} um; residual rms {1e6 * fit.residual_rms:.2f} um',
+        '',
+        format_tables(result),
+    ]
+    return '\n'.join(lines)
+
+
+def format_tables(result: CalibrationResult) -> str:
+    """Return the error tables as text: span and standard uncertainty of every motion."""
+    lines = ['squareness  value (urad)  u, k = 1 (urad)']
+    for name in SQUARENESS:
+        entry = result.tables.squareness[name]
+        known = name not in result.not_identifiable
+        lines.append(
+            f'{name:<10}{1e6 * entry.value:>14.2f}{1e6 * entry.u:>17.2f}'
+            if known
+            else f'{name:<10}  not identifiable in these data'
+        )
+    lines += ['', 'motion  unit  nodes       min       max    mean u, k = 1']
+    for name in MOTIONS:
+        table = result.tables.motions[name]
+        unit = 'um' if unit_of(name) == 'm' else 'urad'
+        row = f'{name:<8}{unit:<6}{len(table.position):>5}'
+        if table.identifiable:
+            row += f'{1e6 * table.value.min():>10.2f}{1e6 * table.value.max():>10.2f}'
+            row += f'{1e6 * table.u.mean():>17.2f}'
+        else:
+            row += '   not identifiable in these data'
+        lines.append(row)
+    lines += ['', f'Gauge: {GAUGE}.']
+    return '\n'.join(lines)

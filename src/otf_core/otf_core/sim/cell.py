@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated run: truth machine with exact kinematics, drive, tracker with its own clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import SimulationConfig
+from otf_core.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.kinematics import displacement, exact_position
+from otf_core.machine import Machine
+from otf_core.observation import Samples
+from otf_core.planning import Plan
+from otf_core.sim.drive import Drive
+from otf_core.sim.tracker import measure, place_tracker
+from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness, unit_of
+
+Array = NDArray[np.float64]
+
+EPOCH_NS = 1_700_000_000_000_000_000
+"""ns; start of the simulated tracker clock, arbitrary."""
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """Samples of a run and the truth behind them.
+
+    Attributes
+    ----------
+    samples : Samples
+    truth : ErrorTables
+    rotation, place : ndarray, shape (3, 3) and (3,), m
+        Tracker point = rotation @ (machine point - place).
+    """
+
+    samples: Samples
+    truth: ErrorTables
+    rotation: Array
+    place: Array
+
+
+def table_nodes(machine: Machine, axis: str) -> Array:
+    """Nodes of the tables of one axis: equal steps of at most ``table_pitch``, shape (k,), m."""
+    a = machine.axes[axis]
+    steps = int(np.ceil((a.max - a.min) / a.table_pitch - 1e-9))
+    return np.linspace(a.min, a.max, steps + 1)
+
+
+def _random_curve(nodes: Array, rng: np.random.Generator) -> Array:
+    """Return a smooth random curve of unit size over the nodes: slope, bow, waves, roughness."""
+    x = (nodes - nodes[0]) / (nodes[-1] - nodes[0])
+    curve = rng.normal() * (x - 0.5) + 2 * rng.normal() * (x - 0.5) ** 2
+    for waves in (1, 2, 3):
+        curve += rng.normal() / waves * np.sin(2 * np.pi * (waves * x + rng.uniform()))
+    return np.asarray(curve + 0.1 * rng.standard_normal(nodes.size))
+
+
+def random_tables(machine: Machine, size: float, rng: np.random.Generator) -> ErrorTables:
+    """Draw error tables whose mean volumetric error on a lattice is ``size``.
+
+    Parameters
+    ----------
+    machine : Machine
+    size : float
+        m; mean length of the error vectors once the best rigid motion is taken out.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ErrorTables
+    """
+    motions = {}
+    for name in MOTIONS:
+        nodes = table_nodes(machine, name[2])
+        reach = 1.0 if unit_of(name) == 'm' else 1.0 / float(np.max(machine.upper - machine.lower))
+        value = reach * _random_curve(nodes, rng)
+        motions[name] = MotionTable(nodes, value, np.zeros_like(value))
+    squareness = {name: Squareness(float(rng.normal())) for name in SQUARENESS}
+    tables = ErrorTables(machine, motions, squareness)
+    points = lattice(machine)
+    now = mean_length(without_rigid_motion(displacement(tables, points), points))
+    return tables.scaled(size / now)
+
+
+def simulate(
+    machine: Machine, plan: Plan, config: SimulationConfig, tables: ErrorTables | None = None
+) -> SimulatedRun:
+    """Simulate a run of the plan.
+
+    Parameters
+    ----------
+    machine : Machine
+    plan : Plan
+    config : SimulationConfig
+    tables : ErrorTables, optional
+        Errors of the truth machine; drawn from the seed if not given.
+
+    Returns
+    -------
+    SimulatedRun
+    """
+    rngs = [np.random.default_rng([config.seed, part]) for part in range(4)]
+    truth = tables if tables is not None else random_tables(machine, config.error_size, rngs[0])
+    rotation, place = place_tracker(machine, rngs[1])
+    drive = Drive(plan, config.acceleration)
+    count = int(drive.duration * config.rate) + 1
+    time = np.arange(count) / config.rate
+    true_points = (exact_position(truth, drive.position(time)) - place) @ rotation.T
+    xyz = measure(true_points, machine, config, rngs[2])
+    stamp_ns = EPOCH_NS + np.rint(time * (1 + config.clock_drift) * 1e9).astype(np.int64)
+    return SimulatedRun(Samples(stamp_ns, xyz), truth, rotation, place)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The drive: programmed positions over time, trapezoidal speed, exact stop at every corner."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.planning import Plan
+
+Array = NDArray[np.float64]
+
+
+class Drive:
+    """Programmed motion of one plan.
+
+    Parameters
+    ----------
+    plan : Plan
+    acceleration : float
+        m/s^2, along the path.
+    """
+
+    def __init__(self, plan: Plan, acceleration: float) -> None:
+        length = plan.path.leg_lengths
+        self._plan = plan
+        self._acceleration = acceleration
+        self._peak = np.minimum(plan.feed, np.sqrt(length * acceleration))
+        moving = np.divide(length, self._peak, out=np.zeros_like(length), where=self._peak > 0)
+        moving += self._peak / acceleration
+        stops = np.cumsum(plan.dwell[:-1] + np.concatenate([[0.0], moving[:-1]]))
+        self._start = stops
+        self._moving = moving
+        self.duration = float(stops[-1] + moving[-1] + plan.dwell[-1])
+
+    def position(self, time: Array) -> Array:
+        """Programmed position.
+
+        Parameters
+        ----------
+        time : ndarray, shape (n,), s
+            Since the start of the first dwell.
+
+        Returns
+        -------
+        ndarray, shape (n, 3), m
+        """
+        leg = np.clip(np.searchsorted(self._start, time, side='right') - 1, 0, None)
+        elapsed = np.clip(time - self._start[leg], 0.0, self._moving[leg])
+        travelled = self._travelled(leg, elapsed)
+        path = self._plan.path
+        return np.asarray(path.points[leg] + travelled[:, None] * path.directions[leg])
+
+    def _travelled(self, leg: NDArray[np.intp], elapsed: Array) -> Array:
+        peak, acceleration = self._peak[leg], self._acceleration
+        ramp = peak / acceleration
+        left = self._moving[leg] - elapsed
+        length = self._plan.path.leg_lengths[leg]
+        return np.select(
+            [elapsed < ramp, left < ramp],
+            [0.5 * acceleration * elapsed**2, length - 0.5 * acceleration * left**2],
+            peak * (elapsed - 0.5 * ramp),
+        )

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated laser tracker: range and angle noise, white and correlated in time, own clock."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from otf_core.config import SimulationConfig
+from otf_core.machine import Machine
+
+Array = NDArray[np.float64]
+
+
+def coloured_noise(rng: np.random.Generator, n: int, config: SimulationConfig) -> Array:
+    """Noise of unit variance: white part plus first-order Gauss-Markov part.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    n : int
+    config : SimulationConfig
+        Share, correlation time and rate.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    share = config.correlated_share
+    decay = float(np.exp(-1.0 / (config.rate * config.correlation_time)))
+    drive = rng.standard_normal(n) * np.sqrt(1.0 - decay**2)
+    drive[0] = rng.standard_normal()
+    slow = lfilter([1.0], [1.0, -decay], drive)
+    return np.asarray(np.sqrt(1.0 - share) * rng.standard_normal(n) + np.sqrt(share) * slow)
+
+
+def beam_frame(xyz: Array) -> tuple[Array, Array, Array]:
+    """Range and the two unit vectors across the beam.
+
+    Parameters
+    ----------
+    xyz : ndarray, shape (n, 3), m
+        Points in the tracker frame.
+
+    Returns
+    -------
+    distance : ndarray, shape (n,), m
+    along_azimuth, along_elevation : ndarray, shape (n, 3)
+    """
+    distance = np.linalg.norm(xyz, axis=1)
+    level = np.hypot(xyz[:, 0], xyz[:, 1])
+    zero = np.zeros_like(level)
+    along_azimuth = np.stack([-xyz[:, 1], xyz[:, 0], zero], axis=1) / level[:, None]
+    return distance, along_azimuth, np.cross(xyz / distance[:, None], along_azimuth)
+
+
+def measure(xyz: Array, machine: Machine, config: SimulationConfig, rng: np.random.Generator) -> Array:
+    """Return noisy points for true points ``xyz`` (n, 3) in the tracker frame, m."""
+    distance, along_azimuth, along_elevation = beam_frame(xyz)
+    n = len(xyz)
+    along = machine.tracker.u_range * coloured_noise(rng, n, config)
+    across = [
+        machine.tracker.u_angle * distance * coloured_noise(rng, n, config) for _ in range(2)
+    ]
+    return np.asarray(
+        xyz
+        + xyz / distance[:, None] * along[:, None]
+        + along_azimuth * across[0][:, None]
+        + along_elevation * across[1][:, None]
+    )
+
+
+def place_tracker(machine: Machine, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Draw a place beside the working volume and any orientation.
+
+    Returns
+    -------
+    rotation : ndarray, shape (3, 3)
+        Takes machine coordinates (less the place) to tracker coordinates.
+    place : ndarray, shape (3,), m
+        Beam origin in the machine frame.
+    """
+    size = machine.upper - machine.lower
+    centre = 0.5 * (machine.lower + machine.upper)
+    side = rng.uniform(0, 2 * np.pi)
+    radius = 0.5 * np.hypot(size[0], size[1]) + rng.uniform(0.15, 0.35)
+    place = centre + np.array([radius * np.cos(side), radius * np.sin(side), 0.0])
+    place[2] += size[2] * rng.uniform(-0.6, 0.2)
+    return Rotation.random(random_state=rng).as_matrix(), place

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rank-revealing solution of the weighted system (paper 1.2.6, 1.2.7).
+
+The normal matrix is reduced motion by motion: a block of columns that the accepted ones leave
+without information is dropped and its motion reported as not identifiable. Single nodes that
+stay undetermined are interpolated from their neighbours by a vanishing smoothness condition and
+reported too. 'Undetermined' has a physical meaning: the data leave more than
+``unidentifiable_above`` (m, rad) uncertain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from otf_core.system import System
+from otf_core.unknowns import Unknowns
+
+Array = NDArray[np.float64]
+
+TIE_BREAK = 1e-2
+"""Weight of the smoothness condition, in units of 1 / unidentifiable_above^2."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Estimates of the full vector of unknowns.
+
+    Attributes
+    ----------
+    value : ndarray, shape (full,), m and rad
+    covariance : ndarray, shape (full, full)
+        For the noise assumed in the weights.
+    accepted : tuple of str
+        Blocks that were solved for; all others are zero.
+    determined : ndarray of bool, shape (full,)
+    unknowns : int
+        Free unknowns after the gauge.
+    rank : int
+        Independent combinations of them that the data determine.
+    residual : ndarray, shape (2, p), m
+        Deviation less model.
+    """
+
+    value: Array
+    covariance: Array
+    accepted: tuple[str, ...]
+    determined: NDArray[np.bool_]
+    unknowns: int
+    rank: int
+    residual: Array
+
+
+def normal_equations(system: System, unknowns: Unknowns, unit: float) -> tuple[Array, Array]:
+    """Normal matrix and right-hand side of the free unknowns in multiples of ``unit``."""
+    design = system.design @ unknowns.gauge
+    weighted = design.multiply(system.weight[:, None]).tocsr()
+    matrix = (weighted.T @ design).toarray() * unit**2
+    right = weighted.T @ system.deviation.reshape(-1) * unit
+    return matrix, right
+
+
+def _smoothness(unknowns: Unknowns) -> Array:
+    """Tie-breaker: squared second differences of the tables, and a trace of size."""
+    total = np.zeros((unknowns.full, unknowns.full))
+    for name, block in unknowns.blocks.items():
+        count = block.stop - block.start
+        if count > 2 and name != 'pose':
+            bend = np.diff(np.eye(count), 2, axis=0)
+            total[block, block] = bend.T @ bend
+    gauge = unknowns.gauge.toarray()
+    return np.asarray(gauge.T @ total @ gauge + 1e-2 * np.eye(unknowns.free))
+
+
+def identifiable_blocks(system: System, unknowns: Unknowns, limit: float) -> tuple[str, ...]:
+    """Blocks that add information to the ones before them.
+
+    Parameters
+    ----------
+    system : System
+        Built with ``nodal_lever``.
+    unknowns : Unknowns
+    limit : float
+        m and rad; ``unidentifiable_above``. In its units an eigenvalue of the normal matrix
+        below 1 means undetermined.
+    """
+    matrix, _ = normal_equations(system, unknowns, limit)
+    smooth = _smoothness(unknowns)
+    accepted: list[str] = []
+    factor = np.zeros((0, 0))
+    use = np.zeros(0, dtype=int)
+    for name, block in unknowns.free_blocks.items():
+        new = np.arange(block.start, block.stop)
+        if not new.size:
+            continue
+        cross = linalg.solve_triangular(factor, matrix[np.ix_(use, new)], lower=True)
+        left = matrix[np.ix_(new, new)] - cross.T @ cross
+        if np.mean(linalg.eigvalsh(left) > 1.0) < 0.5:
+            continue
+        corner = linalg.cholesky(left + TIE_BREAK * smooth[np.ix_(new, new)], lower=True)
+        grown = np.zeros((use.size + new.size,) * 2)
+        grown[: use.size, : use.size] = factor
+        grown[use.size :, : use.size] = cross.T
+        grown[use.size :, use.size :] = corner
+        factor, use = grown, np.concatenate([use, new])
+        accepted.append(name)
+    return tuple(accepted)
+
+
+def solve(
+    system: System, unknowns: Unknowns, limit: float, accepted: tuple[str, ...]
+) -> Solution:
+    """Solve the system in the gauge of ``unknowns``.
+
+    Parameters
+    ----------
+    system : System
+    unknowns : Unknowns
+    limit : float
+        m and rad; ``unidentifiable_above``.
+    accepted : tuple of str
+        Blocks to solve for.
+
+    Returns
+    -------
+    Solution
+    """
+    matrix, right = normal_equations(system, unknowns, limit)
+    smooth = _smoothness(unknowns)
+    use = np.concatenate(
+        [np.arange(unknowns.free_blocks[n].start, unknowns.free_blocks[n].stop) for n in accepted]
+    )
+    data = matrix[np.ix_(use, use)]
+    factor = linalg.cho_factor(data + TIE_BREAK * smooth[np.ix_(use, use)], lower=True)
+    free = np.zeros(unknowns.free)
+    free[use] = linalg.cho_solve(factor, right[use])
+    cover = np.zeros((unknowns.free, unknowns.free))
+    cover[np.ix_(use, use)] = linalg.cho_solve(factor, np.eye(use.size))
+    gauge = unknowns.gauge
+    value = gauge @ free * limit
+    covariance = gauge @ (gauge @ cover).T
+    determined = np.diag(covariance) <= 1.0
+    for name, block in unknowns.blocks.items():
+        determined[block] &= name in accepted
+    residual = system.deviation - (system.design @ value).reshape(2, -1)
+    rank = int(np.sum(linalg.eigvalsh(data) > 1.0))
+    return Solution(
+        value, covariance * limit**2, accepted, determined, unknowns.free, rank, residual
+    )

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""System of equations (paper 1.2.4, 1.2.5): two rows per piece, perpendicular to the path.
+
+Row i says: a_i . (R p + t - q) = a_i . e(q) - a_i . (dt + dr x (R p + t)), with the point q on the
+path, the error model e of ``kinematics`` and the pose correction dt, dr solved jointly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from otf_core.frames import RigidTransform
+from otf_core.kinematics import displacement, motion_influence, squareness_influence
+from otf_core.machine import AXES, Machine
+from otf_core.noise import NoiseModel, path_frame, perpendicular_variance
+from otf_core.pieces import Pieces
+from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.unknowns import Unknowns, interval
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class System:
+    """Weighted rows.
+
+    Attributes
+    ----------
+    q : ndarray, shape (p, 3), m
+        Nominal position of each piece on its leg.
+    axes : ndarray, shape (2, p, 3)
+        a2 and a3 of every piece.
+    deviation : ndarray, shape (2, p), m
+        Measured minus nominal along a2 and a3.
+    design : sparse array, shape (2 p, full)
+        Derivatives of the deviations; rows of a2 first, then of a3.
+    weight : ndarray, shape (2 p,), 1/m^2
+        Reciprocal variances.
+    """
+
+    q: Array
+    axes: Array
+    deviation: Array
+    design: sparse.csr_array
+    weight: Array
+
+
+def nominal_positions(
+    pieces: Pieces, points: Array, tables: ErrorTables | None, iterations: int = 3
+) -> Array:
+    """Point of the path that each measured point belongs to.
+
+    The nearest point is off by the error along the path; once tables are known, their
+    displacement is taken off first.
+
+    Parameters
+    ----------
+    pieces : Pieces
+    points : ndarray, shape (p, 3), m
+        Measured points in the machine frame.
+    tables : ErrorTables, optional
+
+    Returns
+    -------
+    ndarray, shape (p, 3), m
+    """
+    def nearest(position: Array) -> Array:
+        along = np.einsum('ij,ij->i', position - pieces.origin, pieces.direction)
+        return np.asarray(pieces.origin + along[:, None] * pieces.direction)
+
+    q = nearest(points)
+    for _ in range(iterations if tables is not None else 0):
+        assert tables is not None
+        q = nearest(points - displacement(tables, q))
+    return q
+
+
+def _design(
+    machine: Machine, unknowns: Unknowns, q: Array, points: Array, axes: Array, nodal_lever: bool
+) -> sparse.csr_array:
+    count = len(q)
+    row = np.arange(count)
+    rows, columns, values = [], [], []
+
+    def add(influence: Array, column: NDArray[np.int64], factor: Array | float) -> None:
+        for k in range(2):
+            rows.append(row + k * count)
+            columns.append(column)
+            values.append(np.einsum('ij,ij->i', axes[k], influence) * factor)
+
+    for k in range(3):
+        unit = np.broadcast_to(np.eye(3)[k], q.shape)
+        add(unit, np.full(count, k), -1.0)
+        add(np.cross(np.eye(3)[k], points), np.full(count, 3 + k), -1.0)
+    for name in SQUARENESS:
+        add(squareness_influence(name, q), np.full(count, unknowns.blocks[name].start), 1.0)
+    places = {a: interval(unknowns.nodes[a], q[:, k]) for k, a in enumerate(AXES)}
+    for name in MOTIONS:
+        nodes, axis = unknowns.nodes[name[2]], AXES.index(name[2])
+        index, fraction = places[name[2]]
+        start, lever_q = unknowns.blocks[name].start, q.copy()
+        for step, factor in enumerate((1.0 - fraction, fraction)[: len(nodes)]):
+            if nodal_lever:
+                lever_q[:, axis] = nodes[index + step]
+            add(motion_influence(machine, name, lever_q), start + index + step, factor)
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return sparse.csr_array(sparse.coo_array(entries, shape=(2 * count, unknowns.full)))
+
+
+def build_system(
+    machine: Machine,
+    pieces: Pieces,
+    pose: RigidTransform,
+    unknowns: Unknowns,
+    noise: NoiseModel,
+    tables: ErrorTables | None = None,
+    *,
+    nodal_lever: bool = False,
+) -> System:
+    """Set up the rows of all pieces.
+
+    Parameters
+    ----------
+    machine : Machine
+    pieces : Pieces
+    pose : RigidTransform
+        Tracker to machine, good to the errors sought.
+    unknowns : Unknowns
+    noise : NoiseModel
+    tables : ErrorTables, optional
+        Tables of the last iteration, for the positions along the path.
+    nodal_lever : bool
+        Take an axis' own travel in a lever arm at the nodes. A rotation that acts only through
+        it is then exactly a translation, as it is for continuous tables, instead of differing
+        by the bend of a product of two linear functions: for judging what is identifiable.
+
+    Returns
+    -------
+    System
+    """
+    points = pose.apply(pieces.xyz)
+    q = nominal_positions(pieces, points, tables)
+    distance = np.linalg.norm(pieces.xyz, axis=1)
+    beam = pose.rotate(pieces.xyz / distance[:, None])
+    axes = np.stack(path_frame(pieces.direction, beam))
+    variance = perpendicular_variance(noise, distance, beam, axes[0], axes[1])
+    variance *= noise.piece_factor(pieces.count)[:, None]
+    return System(
+        q=q,
+        axes=axes,
+        deviation=np.einsum('kij,ij->ki', axes, points - q),
+        design=_design(machine, unknowns, q, points, axes, nodal_lever),
+        weight=1.0 / variance.T.reshape(-1),
+    )

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unknowns of a calibration and their gauge.
+
+Unknowns are the pose correction (3 translations, 3 rotations), 3 squareness errors and the node
+values of 18 error motions. The gauge (docs/formulation.md): positioning and rotations are zero at
+the axis' zero position, else at its minimum; straightness is zero at both ends. Gauge conditions
+are met exactly, by leaving nodes out: ``full = gauge @ free``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from otf_core.machine import AXES, Machine
+from otf_core.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
+
+Array = NDArray[np.float64]
+
+POSE = 6
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Layout of the unknowns.
+
+    Attributes
+    ----------
+    nodes : mapping of axis to ndarray, m
+        Table nodes of each axis.
+    blocks : mapping of block name to slice
+        Place of 'pose', the squareness names and the motions in the full vector, in the order in
+        which dependent ones give way: pose, squareness, translations, rotations.
+    gauge : sparse array, shape (full, free)
+    free_blocks : mapping of block name to slice
+        The same blocks in the free vector.
+    """
+
+    nodes: dict[str, Array]
+    blocks: dict[str, slice]
+    gauge: sparse.csr_array
+    free_blocks: dict[str, slice]
+
+    @property
+    def full(self) -> int:
+        """Number of values in the full vector."""
+        return int(self.gauge.shape[0])
+
+    @property
+    def free(self) -> int:
+        """Number of values left by the gauge."""
+        return int(self.gauge.shape[1])
+
+
+def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
+    """Nodes over the part of each axis range that the data cover.
+
+    Parameters
+    ----------
+    machine : Machine
+    low, high : ndarray, shape (3,), m
+        Covered part of the axis ranges.
+
+    Returns
+    -------
+    mapping of axis to ndarray, m
+        The ends of the covered part and the regular nodes between; a regular node closer to an
+        end than a quarter of the spacing gives way to it.
+    """
+    nodes = {}
+    for k, axis in enumerate(AXES):
+        spec = machine.axes[axis]
+        steps = int(np.ceil((spec.max - spec.min) / spec.table_pitch - 1e-9))
+        grid = np.linspace(spec.min, spec.max, steps + 1)
+        pitch = float(grid[1] - grid[0])
+        inner = grid[(grid > low[k] + 0.25 * pitch) & (grid < high[k] - 0.25 * pitch)]
+        if high[k] - low[k] < 1e-6:
+            nodes[axis] = np.array([low[k]])
+        else:
+            nodes[axis] = np.concatenate([[low[k]], inner, [high[k]]])
+    return nodes
+
+
+def reference_weights(nodes: Array) -> tuple[int, float]:
+    """Interval and fraction of the reference position: zero, or the nearest covered position."""
+    if not nodes[0] <= 0.0 <= nodes[-1]:
+        return 0, 0.0
+    return interval(nodes, np.zeros(1))[0][0], float(interval(nodes, np.zeros(1))[1][0])
+
+
+def interval(nodes: Array, q: Array) -> tuple[NDArray[np.int64], Array]:
+    """Interval of each position and the fraction within it, clamped to the nodes.
+
+    Parameters
+    ----------
+    nodes : ndarray, shape (k,), m
+    q : ndarray, shape (n,), m
+
+    Returns
+    -------
+    index : ndarray of int64, shape (n,)
+    fraction : ndarray, shape (n,)
+        Between 0 and 1; the table is (1 - f) * value[index] + f * value[index + 1].
+    """
+    if len(nodes) == 1:
+        return np.zeros(len(q), dtype=np.int64), np.zeros(len(q))
+    index = np.clip(np.searchsorted(nodes, q, side='right') - 1, 0, len(nodes) - 2)
+    fraction = (q - nodes[index]) / (nodes[index + 1] - nodes[index])
+    return index, np.clip(fraction, 0.0, 1.0)
+
+
+def _motion_gauge(motion: str, nodes: Array) -> Array:
+    """Columns that span the node values allowed by the gauge, shape (nodes, free)."""
+    count = len(nodes)
+    basis = np.eye(count)
+    if count == 1:
+        return np.zeros((1, 0))
+    if is_straightness(motion):
+        return basis[:, 1:-1]
+    index, fraction = reference_weights(nodes)
+    if fraction <= 0.5:
+        dropped, other, ratio = index, index + 1, -fraction / (1.0 - fraction)
+    else:
+        dropped, other, ratio = index + 1, index, -(1.0 - fraction) / fraction
+    basis[dropped, other] = ratio
+    return np.delete(basis, dropped, axis=1)
+
+
+def layout(nodes: dict[str, Array]) -> Unknowns:
+    """Lay out the unknowns for given nodes."""
+    order = [m for m in MOTIONS if unit_of(m) == 'm'] + [m for m in MOTIONS if unit_of(m) == 'rad']
+    parts: list[tuple[str, Array]] = [('pose', np.eye(POSE))]
+    parts += [(name, np.eye(1)) for name in SQUARENESS]
+    parts += [(name, _motion_gauge(name, nodes[name[2]])) for name in order]
+    blocks, free_blocks = {}, {}
+    full = free = 0
+    for name, basis in parts:
+        blocks[name] = slice(full, full + basis.shape[0])
+        free_blocks[name] = slice(free, free + basis.shape[1])
+        full, free = full + basis.shape[0], free + basis.shape[1]
+    gauge = sparse.block_diag([basis for _, basis in parts], format='csr')
+    return Unknowns(nodes, blocks, sparse.csr_array(gauge), free_blocks)
