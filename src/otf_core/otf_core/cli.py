@@ -119,7 +119,7 @@ def _predict(arguments: argparse.Namespace) -> int:
     columns = np.hstack([points, prediction.error, prediction.u])
     write_csv(arguments.out, 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz', columns)
     if not prediction.correlated:
-        _note('otf: the tables name no covariance; u takes their nodes as independent')
+        _note('otf predict: the tables hold no covariance; u takes their nodes as independent')
     return 0
 
 

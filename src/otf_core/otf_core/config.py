@@ -97,7 +97,7 @@ class CalibrationConfig(Parameters):
         20, 'limit of the iterations of alignment and of solution', '', 1, 200
     )
     outlier_limit: float = parameter(
-        8.0, 'samples further from their piece than this many robust standard deviations '
+        8.0, 'samples further from the running median than this many robust deviations '
         'are left out', '', 3, 100,
     )  # fmt: skip
     unidentifiable_above: float = parameter(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from otf_core.alignment import Alignment
 from otf_core.config import CalibrationConfig
@@ -23,6 +24,11 @@ Index = NDArray[np.int64]
 
 SPEED_WINDOW = 0.04
 """s; the speed of a sample is taken over this time."""
+
+MEDIAN_HALF = 5
+"""samples on either side that a sample is compared with to tell an outlier."""
+RAYLEIGH_MEDIAN = 1.1774
+"""Median length of a vector of two independent normal components of unit variance."""
 
 
 @dataclass(frozen=True)
@@ -113,23 +119,29 @@ class _Means:
         sums = np.bincount(self._piece, values, self._total)
         return np.asarray(sums / np.maximum(self.count, 1))
 
-    def detrended(self, values: Array, along: Array) -> Array:
-        """Values less the straight line through each piece, one per sample."""
-        along = along - self.mean(along)[self._piece]
-        values = values - self.mean(values)[self._piece]
-        slope = self.mean(values * along) / np.maximum(self.mean(along**2), 1e-18)
-        return np.asarray(values - slope[self._piece] * along)
 
+def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
+    """Samples far from the running median of their leg, by robust standard deviation.
 
-def _outliers(means: _Means, points: Array, along: Array, limit: float) -> NDArray[np.bool_]:
-    """Samples far from the straight line through their piece, by robust standard deviation."""
-    far = np.zeros(len(points), dtype=bool)
-    for axis in range(3):
-        rest = means.detrended(points[:, axis], along)
-        sigma = 1.4826 * float(np.median(np.abs(rest)))
-        if sigma > 0:
-            far |= np.abs(rest) > limit * sigma
-    return far
+    The ends of a leg are continued by point reflection, which keeps the slope; the end sample,
+    about which it is reflected, is compared with the extrapolated median instead.
+    """
+    rest = np.zeros_like(offset)
+    bounds = np.concatenate([[0], np.flatnonzero(np.diff(leg)) + 1, [len(leg)]])
+    for low, high in zip(bounds[:-1], bounds[1:], strict=True):
+        if high - low <= MEDIAN_HALF:
+            rest[low:high] = offset[low:high] - np.median(offset[low:high], axis=0)
+            continue
+        part = offset[low:high]
+        reach = ((MEDIAN_HALF, MEDIAN_HALF), (0, 0))
+        padded = np.pad(part, reach, mode='reflect', reflect_type='odd')
+        smooth = median_filter(padded, size=(2 * MEDIAN_HALF + 1, 1))[MEDIAN_HALF:-MEDIAN_HALF]
+        rest[low:high] = part - smooth
+        rest[low] = part[0] - (2 * smooth[1] - smooth[2])
+        rest[high - 1] = part[-1] - (2 * smooth[-2] - smooth[-3])
+    distance = np.linalg.norm(rest, axis=1)
+    sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
+    return np.asarray(distance > limit * max(sigma, 1e-12))
 
 
 def reduce_to_pieces(
@@ -168,9 +180,8 @@ def reduce_to_pieces(
     bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
     piece = np.searchsorted(bounds, shift[leg[chosen]] + along[chosen], side='right') - 1
 
-    means = _Means(piece, len(bounds))
     offset = points[chosen] - along[chosen, None] * unit[leg[chosen]]
-    far = _outliers(means, offset, along[chosen], config.outlier_limit)
+    far = _outliers(offset, leg[chosen], config.outlier_limit)
     chosen, piece = chosen[~far], piece[~far]
     if not len(chosen):
         raise InputError('no sample is left on the lines of the path away from corners and stops')

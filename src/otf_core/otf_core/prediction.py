@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.kinematics import displacement
-from otf_core.results import load_covariance
+from otf_core.results import unpack_covariance
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, load_tables
 from otf_core.uncertainty import prediction_uncertainty
 
@@ -47,20 +47,20 @@ def predict(tables_path: str | Path, q: Array) -> Prediction:
     Parameters
     ----------
     tables_path : str or Path
-        Any gauge; a covariance file that it names is used.
+        Any gauge; the covariance it holds, if any, is used.
     q : ndarray, shape (n, 3), m
         Programmed axis positions.
 
     Raises
     ------
     ConfigError
-        If the tables or their covariance cannot be read.
+        If the tables cannot be read.
     """
     content = load_tables(tables_path)
     tables = content.tables
     nodes = {name: tables.motions[name].position for name in MOTIONS}
     size = len(SQUARENESS) + sum(len(v) for v in nodes.values())
-    covariance = load_covariance(tables_path, dict(content.extra), size)
+    covariance = unpack_covariance(content.extra.get('covariance'), size)
     known = covariance is not None
     if not known:
         covariance = _independent(tables)

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files and the text of a calibration.
 
-``error_tables.json`` (INTERFACES layout), ``error_tables.csv`` (one row a node),
-``covariance.npz`` (full precision, for predictions), ``residuals.csv`` (one row a path piece),
-``summary.txt``.
+``error_tables.json`` (INTERFACES layout; holds the covariance in full precision, so that a copy
+of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node),
+``residuals.csv`` (one row a path piece), ``summary.txt``.
 """
 
 from __future__ import annotations
 
+import base64
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,12 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.calibrate import GAUGE, CalibrationResult
-from otf_core.errors import ConfigError
 from otf_core.io.csv_points import write_csv
-from otf_core.io.files import ensure_folder, whole_file, write_text
+from otf_core.io.files import ensure_folder, write_text
 from otf_core.tables import MOTIONS, SQUARENESS, tables_to_dict, unit_of
 
-COVARIANCE_FILE = 'covariance.npz'
 TABLES_FILE = 'error_tables.json'
 
 
@@ -38,7 +38,7 @@ def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
         'fit': asdict(result.fit),
         'run_id': result.run_id,
         'gauge': GAUGE,
-        'covariance': COVARIANCE_FILE,
+        'covariance': pack_covariance(result.covariance),
         'not_identifiable': list(result.not_identifiable),
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
@@ -106,43 +106,39 @@ def write_calibration(result: CalibrationResult, folder: str | Path) -> list[Pat
         If the folder cannot be written.
     """
     folder = ensure_folder(folder)
-    with whole_file(folder / COVARIANCE_FILE) as partial:
-        np.savez(
-            partial,
-            run_id=result.run_id,
-            names=np.array([*SQUARENESS, *MOTIONS]),
-            covariance=result.covariance,
-        )
     write_text(folder / 'error_tables.csv', _tidy_rows(result))
     write_csv(folder / 'residuals.csv', _RESIDUAL_HEADER, _residual_columns(result))
     write_text(folder / 'summary.txt', format_result(result) + '\n')
     write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result), indent=1) + '\n')
-    names = (TABLES_FILE, 'error_tables.csv', COVARIANCE_FILE, 'residuals.csv', 'summary.txt')
+    names = (TABLES_FILE, 'error_tables.csv', 'residuals.csv', 'summary.txt')
     return [folder / name for name in names]
 
 
-def load_covariance(tables_path: str | Path, extra: dict[str, Any], size: int) -> Any:
-    """Covariance that belongs to an error_tables.json, or None if it names none.
+def pack_covariance(covariance: NDArray[np.float64]) -> dict[str, Any]:
+    """Return a covariance as plain data: lower triangle, row by row, exact to the last bit."""
+    lower = covariance[np.tril_indices(len(covariance))].astype('<f8')
+    return {
+        'order': 'C0Y, B0Z, A0Z, then the nodes of EXX, EYX, EZX, EAX, EBX, ECX, EXY ... ECZ',
+        'size': len(covariance),
+        'packing': 'lower triangle by rows, little-endian float64, base64',
+        'data': base64.b64encode(lower.tobytes()).decode('ascii'),
+    }
 
-    Raises
-    ------
-    ConfigError
-        If the named file is missing, unreadable or of another run.
+
+def unpack_covariance(packed: Any, size: int) -> NDArray[np.float64] | None:
+    """Return the covariance of an error_tables.json, shape (size, size).
+
+    None if it holds none, or one of another size because nodes were edited.
     """
-    name = extra.get('covariance')
-    if name is None:
+    if not isinstance(packed, Mapping) or packed.get('size') != size:
         return None
-    path = Path(tables_path).parent / str(name)
     try:
-        with np.load(path) as data:
-            run_id, covariance = str(data['run_id']), data['covariance']
-    except (OSError, ValueError, KeyError):
-        raise ConfigError(
-            f"{path}: cannot be read; it belongs to {tables_path} (or remove its key 'covariance')"
-        ) from None
-    if run_id != extra.get('run_id') or covariance.shape != (size, size):
-        raise ConfigError(f'{path}: belongs to another run than {tables_path}')
-    return covariance
+        lower = np.frombuffer(base64.b64decode(str(packed['data']), validate=True), '<f8')
+        covariance = np.zeros((size, size))
+        covariance[np.tril_indices(size)] = lower
+    except (KeyError, ValueError):
+        return None
+    return covariance + np.tril(covariance, -1).T
 
 
 def format_result(result: CalibrationResult) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from otf_core.machine import AXES, Machine
+from otf_core.machine import AXES, Axis, Machine
 from otf_core.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
 
 Array = NDArray[np.float64]
@@ -55,6 +55,19 @@ class Unknowns:
         return int(self.gauge.shape[1])
 
 
+def axis_nodes(axis: Axis) -> Array:
+    """Nodes of the whole axis: from the minimum in steps of ``table_pitch``, and the maximum.
+
+    Returns
+    -------
+    ndarray, shape (k,), m
+        The last interval is shorter where the range is no multiple of the pitch.
+    """
+    steps = int(np.ceil((axis.max - axis.min) / axis.table_pitch - 1e-9))
+    regular = axis.min + np.arange(steps) * axis.table_pitch
+    return np.asarray(np.append(regular, axis.max))
+
+
 def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
     """Nodes over the part of each axis range that the data cover.
 
@@ -73,10 +86,8 @@ def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
     nodes = {}
     for k, axis in enumerate(AXES):
         spec = machine.axes[axis]
-        steps = int(np.ceil((spec.max - spec.min) / spec.table_pitch - 1e-9))
-        grid = np.linspace(spec.min, spec.max, steps + 1)
-        pitch = float(grid[1] - grid[0])
-        inner = grid[(grid > low[k] + 0.25 * pitch) & (grid < high[k] - 0.25 * pitch)]
+        grid, margin = axis_nodes(spec), 0.25 * spec.table_pitch
+        inner = grid[(grid > low[k] + margin) & (grid < high[k] - margin)]
         if high[k] - low[k] < 1e-6:
             nodes[axis] = np.array([low[k]])
         else:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: exact round trips, agreement with rosbags, and one clear error for every unusable input."""
+"""Bags: exact round trips, agreement with rosbags, one clear error for every unusable input."""
 
 import itertools
 import logging
@@ -11,6 +11,11 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagWriter
+from rosbags.typesys import Stores, get_typestore
+
 from otf_core.errors import ConfigError, InputError
 from otf_core.io import mcap_messages
 from otf_core.io.bag import BagContent, read_bag, read_points, write_bag
@@ -18,10 +23,6 @@ from otf_core.io.cdr import decode_points, encode_path, encode_points, point_dty
 from otf_core.io.mcap_messages import McapMessages
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagWriter
-from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 POINT_TYPE, PATH_TYPE = 'geometry_msgs/msg/PointStamped', 'nav_msgs/msg/Path'
@@ -69,7 +70,9 @@ def path_cdr(points=CORNERS, frame='machine', pose_frame=None, little=True):
     poses = [
         kinds['geometry_msgs/msg/PoseStamped'](
             header(START, frame if pose_frame is None else pose_frame),
-            kinds['geometry_msgs/msg/Pose'](kinds['geometry_msgs/msg/Point'](*map(float, p)), turn),
+            kinds['geometry_msgs/msg/Pose'](
+                kinds['geometry_msgs/msg/Point'](*map(float, p)), turn
+            ),
         )
         for p in points
     ]
@@ -328,9 +331,7 @@ def test_foreign_topics_between_all_points_do_not_matter(tmp_path, compression, 
             messages.append(('/tf', TF_TYPE, message[2], b'\x05' * size))
         if rng.random() < 0.2:
             messages.append(('/log', 'a_msgs/msg/Log', message[2], point_cdr(1, (9, 9, 9))))
-    file = write_mcap(
-        tmp_path / 'a.mcap', messages, compression=compression, use_chunking=chunked
-    )
+    file = write_mcap(tmp_path / 'a.mcap', messages, compression=compression, use_chunking=chunked)
     assert_same(read_bag(file))
 
 
@@ -363,7 +364,7 @@ def test_trailing_padding_is_ignored_as_rosbags_does(tmp_path):
     padded = [(a, b, c, d + bytes(i % 4)) for i, (a, b, c, d) in enumerate(MESSAGES)]
     assert_same(read_bag(write_mcap(tmp_path / 'a.mcap', padded)))
     padded[9] = (*padded[9][:3], padded[9][3] + bytes(4))
-    with pytest.raises(InputError, match='message 8 is no PointStamped .* follow its last field'):
+    with pytest.raises(InputError, match=r'message 8 is no PointStamped .* follow its last field'):
         read_bag(write_mcap(tmp_path / 'a.mcap', padded))
 
 
@@ -686,7 +687,7 @@ def test_changed_bytes_give_the_right_content_or_an_error(tmp_path, options, see
     file = write_mcap(tmp_path / 'a.mcap', enable_data_crcs=True, **options)
     whole = np.fromfile(file, np.uint8)
     rng = np.random.default_rng(seed)
-    for _ in range(120):
+    for _ in range(80):
         broken = whole.copy()
         at = int(rng.integers(0, whole.size))
         broken[at : at + int(rng.choice([1, 1, 8, 200]))] ^= np.uint8(rng.integers(1, 256))
@@ -703,7 +704,7 @@ def test_changed_bytes_without_checksums_never_crash(tmp_path, caplog, storage, 
     rng = np.random.default_rng(7)
     for file in sorted(folder.iterdir()):
         whole = np.fromfile(file, np.uint8)
-        for _ in range(60):
+        for _ in range(40):
             broken = whole.copy()
             broken[rng.integers(0, whole.size, 3)] = rng.integers(0, 256, 3)
             broken.tofile(file)
@@ -779,5 +780,5 @@ def test_chunk_with_wrong_checksum_is_named(tmp_path):
     data = bytearray(file.read_bytes())
     data[data.index(CONTENT.samples.xyz[30].tobytes())] ^= 1
     file.write_bytes(data)
-    with pytest.raises(InputError, match='checksum of a chunk is wrong; .*mcap recover'):
+    with pytest.raises(InputError, match=r'checksum of a chunk is wrong; .*mcap recover'):
         read_bag(file)

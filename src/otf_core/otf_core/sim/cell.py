@@ -17,6 +17,7 @@ from otf_core.planning import Plan
 from otf_core.sim.drive import Drive
 from otf_core.sim.tracker import measure, place_tracker
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness, unit_of
+from otf_core.unknowns import axis_nodes
 
 Array = NDArray[np.float64]
 
@@ -40,13 +41,6 @@ class SimulatedRun:
     truth: ErrorTables
     rotation: Array
     place: Array
-
-
-def table_nodes(machine: Machine, axis: str) -> Array:
-    """Nodes of the tables of one axis: equal steps of at most ``table_pitch``, shape (k,), m."""
-    a = machine.axes[axis]
-    steps = int(np.ceil((a.max - a.min) / a.table_pitch - 1e-9))
-    return np.linspace(a.min, a.max, steps + 1)
 
 
 def _random_curve(nodes: Array, rng: np.random.Generator) -> Array:
@@ -74,7 +68,7 @@ def random_tables(machine: Machine, size: float, rng: np.random.Generator) -> Er
     """
     motions = {}
     for name in MOTIONS:
-        nodes = table_nodes(machine, name[2])
+        nodes = axis_nodes(machine.axes[name[2]])
         reach = 1.0 if unit_of(name) == 'm' else 1.0 / float(np.max(machine.upper - machine.lower))
         value = reach * _random_curve(nodes, rng)
         motions[name] = MotionTable(nodes, value, np.zeros_like(value))

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cells and recordings that several test files share; made once."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from core_cells import record, small_plan, some_machine
+from otf_core.calibrate import calibrate
+from otf_core.sim.cell import random_tables
+
+
+@pytest.fixture(scope='session')
+def cell():
+    """Small cell: machine, plan, recording at 100 Hz and a truth machine of 20 um."""
+    machine = some_machine()
+    plan = small_plan(machine)
+    truth = random_tables(machine, 2e-5, np.random.default_rng(3))
+    return SimpleNamespace(
+        machine=machine, plan=plan, path=plan.path, recording=record(machine, plan), truth=truth
+    )
+
+
+@pytest.fixture(scope='session')
+def calibrated(cell):
+    """Calibration of the small cell with white noise as specified."""
+    return calibrate(cell.recording.measured(cell.truth), cell.path, cell.machine)

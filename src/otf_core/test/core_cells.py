@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Small cells for the tests of the core: machines, drives, and ways to spoil a recording."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from otf_core.config import PlannerConfig
+from otf_core.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.frames import RigidTransform
+from otf_core.kinematics import displacement, exact_position
+from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.noise import NoiseModel
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.pieces import Pieces
+from otf_core.planning import plan_path
+from otf_core.sim.drive import Drive
+from otf_core.solution import Solution, identifiable_blocks, solve
+from otf_core.system import System, build_system
+from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.unknowns import Unknowns, layout, table_nodes
+from scipy.spatial.transform import Rotation
+
+CONTRACT_CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
+RANGES = ((0.0, 0.3), (0.0, 0.25), (-0.2, 0.0))
+START_NS = 1_700_000_000_000_000_000
+
+
+def some_machine(chain='w-b-X-Y-Z-t', ranges=RANGES, pitch=0.05, offset=(0.02, -0.03, -0.15)):
+    axes = {a: Axis(low, high, pitch) for a, (low, high) in zip(AXES, ranges, strict=True)}
+    spec = TrackerSpec(0.5e-6, 2e-6)
+    return Machine('small', Chain.parse(chain), axes, np.array(offset), spec)
+
+
+def zero_tables(machine, nodes=2):
+    """Tables without any error, ``nodes`` nodes each."""
+    motions = {}
+    for name in MOTIONS:
+        axis = machine.axes[name[2]]
+        position = np.linspace(axis.min, axis.max, nodes)
+        motions[name] = MotionTable(position, np.zeros(nodes), np.zeros(nodes))
+    return ErrorTables(machine, motions, {k: Squareness() for k in SQUARENESS})
+
+
+def constant_tables(machine, **errors):
+    """Tables with the named errors constant over the range, all others zero."""
+    tables = zero_tables(machine)
+    motions, squareness = dict(tables.motions), dict(tables.squareness)
+    for name, value in errors.items():
+        if name in SQUARENESS:
+            squareness[name] = Squareness(value)
+        else:
+            motions[name] = replace(motions[name], value=np.full(2, value))
+    return replace(tables, motions=motions, squareness=squareness)
+
+
+@dataclass
+class Recording:
+    """Programmed positions over time; each method returns a changed copy."""
+
+    machine: Machine
+    path: NominalPath
+    time: np.ndarray
+    q: np.ndarray
+
+    def cut(self, *spans):
+        """Leave out the samples between pairs of times, s."""
+        keep = np.ones(len(self.time), bool)
+        for low, high in spans:
+            keep &= ~((self.time >= low) & (self.time < high))
+        return replace(self, time=self.time[keep], q=self.q[keep])
+
+    def between(self, low, high):
+        """Keep the samples between two times, s."""
+        keep = (self.time >= low) & (self.time < high)
+        return replace(self, time=self.time[keep], q=self.q[keep])
+
+    def paused(self, at, seconds):
+        """Stop in no time at a moment, stand still, and go on."""
+        k = int(np.searchsorted(self.time, at))
+        step = self.time[1] - self.time[0]
+        extra = round(seconds / step)
+        still = self.time[k] + step * np.arange(1, extra + 1)
+        time = np.concatenate([self.time[: k + 1], still, self.time[k + 1 :] + extra * step])
+        q = np.concatenate([self.q[: k + 1], np.tile(self.q[k], (extra, 1)), self.q[k + 1 :]])
+        return replace(self, time=time, q=q)
+
+    def with_moves(self, before=(), after=(), speed=0.2):
+        """Drive through further points before the start and after the end."""
+        step = self.time[1] - self.time[0]
+
+        def drive(points):
+            rows = [np.empty((0, 3))]
+            for a, b in zip(points[:-1], points[1:], strict=True):
+                count = max(2, int(np.linalg.norm(b - a) / speed / step))
+                rows.append(a + np.linspace(0, 1, count, endpoint=False)[:, None] * (b - a))
+            return np.concatenate(rows)
+
+        head = drive([*map(np.asarray, before), self.q[0]])
+        tail = drive([self.q[-1], *map(np.asarray, after)])
+        q = np.concatenate([head, self.q, tail])
+        lead = self.time[0] + step * np.arange(-len(head), 0)
+        trail = self.time[-1] + step * np.arange(1, len(tail) + 1)
+        return replace(self, time=np.concatenate([lead, self.time, trail]), q=q)
+
+    def measured(self, tables=None, seed=0, pose=None, noise=1.0, exact=True):
+        """Samples of this recording; white noise, random pose of the tracker if none is given."""
+        rng = np.random.default_rng(seed)
+        tables = tables or zero_tables(self.machine)
+        actual = exact_position(tables, self.q) if exact else self.q + displacement(tables, self.q)
+        rotation, place = pose or some_pose(self.machine, rng)
+        xyz = (actual - place) @ rotation.T
+        xyz = xyz + noise * tracker_noise(xyz, self.machine.tracker, rng)
+        return Samples(START_NS + np.rint(self.time * 1e9).astype(np.int64), xyz)
+
+
+def some_pose(machine, rng):
+    """Random orientation of a tracker beside the working volume."""
+    centre = 0.5 * (machine.lower + machine.upper)
+    side = rng.uniform(0, 2 * np.pi)
+    reach = 0.5 * np.linalg.norm(machine.upper - machine.lower) + rng.uniform(0.2, 0.4)
+    place = centre + reach * np.array([np.cos(side), np.sin(side), rng.uniform(-0.2, 0.2)])
+    return Rotation.random(random_state=rng).as_matrix(), place
+
+
+def tracker_noise(xyz, spec, rng):
+    """White noise u_range along the beam and u_angle * range across it in every direction."""
+    distance = np.linalg.norm(xyz, axis=1, keepdims=True)
+    beam = xyz / distance
+    across = rng.standard_normal(xyz.shape)
+    across -= beam * np.sum(beam * across, axis=1, keepdims=True)
+    along = rng.standard_normal((len(xyz), 1))
+    return spec.u_range * along * beam + spec.u_angle * distance * across
+
+
+def record(machine, plan, rate=100.0, acceleration=2.0):
+    """Programmed positions of a plan at the given sample rate."""
+    drive = Drive(plan, acceleration)
+    time = np.arange(int(drive.duration * rate) + 1) / rate
+    return Recording(machine, plan.path, time, drive.position(time))
+
+
+def small_plan(machine, **parameters):
+    """Planned path: few planes, little dwell."""
+    defaults = {'levels': 2, 'passes': 1, 'corner_dwell': 0.05, 'end_dwell': 0.5}
+    return plan_path(machine, PlannerConfig(**(defaults | parameters)))
+
+
+def pieces_of(machine, path, tables, pose, size=0.01, count=10):
+    """Pieces as a perfect recording of a path would give them: first-order errors, no noise."""
+    corners, _ = path.corners()
+    legs, points = [], []
+    for j, (a, b) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
+        number = max(3, int(np.linalg.norm(b - a) / size))
+        share = (np.arange(number) + 0.5) / number
+        points.append(a + share[:, None] * (b - a))
+        legs.append(np.full(number, j))
+    q, leg = np.concatenate(points), np.concatenate(legs)
+    actual = q + displacement(tables, q)
+    inverse = (actual - pose.translation) @ pose.rotation
+    unit = np.diff(corners, axis=0)
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    n = len(q)
+    ones = np.ones(n)
+    return Pieces(
+        xyz=inverse,
+        leg=leg,
+        origin=corners[leg],
+        direction=unit[leg],
+        count=np.full(n, count),
+        time=np.arange(n) * 0.01,
+        duration=0.01 * ones,
+        speed=0.25 * ones,
+        used=n * count,
+        outliers=0,
+    )
+
+
+def grid_error(tables, truth, count=5):
+    """Mean length on a lattice of truth, and of tables less truth, rigid motions taken out; m."""
+    q = lattice(truth.machine, count)
+    wanted = displacement(truth, q)
+    left = without_rigid_motion(displacement(tables, q) - wanted, q)
+    return mean_length(without_rigid_motion(wanted, q)), mean_length(left)
+
+
+def levers_by_hand(chain, offset, q):
+    """Lever arm of each axis straight from INTERFACES section 1, one point."""
+    sequence = chain.split('-')[1:-1]
+    base = sequence.index('b')
+    travel = {a: q[k] * np.eye(3)[k] for k, a in enumerate(AXES)}
+    levers = {}
+    for place, axis in enumerate(sequence):
+        if axis == 'b':
+            continue
+        if place > base:
+            carried = sequence[place + 1 :]
+        else:
+            carried = [a for a in sequence[place:] if a != 'b']
+        levers[axis] = np.array(offset) + sum((travel[a] for a in carried), np.zeros(3))
+    return levers
+
+
+def error_by_hand(tables, q):
+    """First-order error of one point, term by term from INTERFACES section 1."""
+    machine = tables.machine
+    levers = levers_by_hand(str(machine.chain), machine.target_offset, q)
+    total = np.zeros(3)
+    for k, axis in enumerate(AXES):
+        t, r = (
+            np.array([float(tables.motions[f'E{d}{axis}'].at(q[k])) for d in letters])
+            for letters in ('XYZ', 'ABC')
+        )
+        total += t + np.cross(r, levers[axis])
+    c0y, b0z, a0z = (tables.squareness[k].value for k in ('C0Y', 'B0Z', 'A0Z'))
+    return total + [-c0y * q[1] + b0z * q[2], -a0z * q[2], 0.0]
+
+
+def transform_pose(machine, seed):
+    """Pose of a tracker as the transform from its frame to the machine's."""
+    rotation, place = some_pose(machine, np.random.default_rng(seed))
+    return RigidTransform(rotation.T, place)
+
+
+@dataclass(frozen=True)
+class PieceFit:
+    """Outcome of ``fit_pieces``."""
+
+    tables: ErrorTables
+    solution: Solution
+    unknowns: Unknowns
+    system: System
+
+    @property
+    def missing(self):
+        names = (*SQUARENESS, *MOTIONS)
+        return {n for n in names if n not in self.solution.accepted}
+
+
+def tables_of(machine, unknowns, solution):
+    """Tables of the node values of a solution."""
+    motions = {}
+    for name in MOTIONS:
+        value = solution.value[unknowns.blocks[name]]
+        motions[name] = MotionTable(unknowns.nodes[name[2]], value, np.zeros_like(value))
+    places = {k: unknowns.blocks[k].start for k in SQUARENESS}
+    return ErrorTables(
+        machine, motions, {k: Squareness(float(solution.value[i])) for k, i in places.items()}
+    )
+
+
+def fit_pieces(machine, pieces, pose, iterations=3, low=None, high=None, limit=1e-4):
+    """Solve for given pieces as ``calibrate`` does, nodes over the given range."""
+    low = machine.lower if low is None else low
+    high = machine.upper if high is None else high
+    unknowns = layout(table_nodes(machine, low, high))
+    noise = NoiseModel.from_spec(machine.tracker)
+    first = build_system(machine, pieces, pose, unknowns, noise, nodal_lever=True)
+    accepted = identifiable_blocks(first, unknowns, limit)
+    tables = None
+    for _ in range(iterations):
+        system = build_system(machine, pieces, pose, unknowns, noise, tables)
+        solution = solve(system, unknowns, limit, accepted)
+        tables = tables_of(machine, unknowns, solution)
+        pose = pose.moved_by(solution.value[:3], solution.value[3:6])
+    return PieceFit(tables, solution, unknowns, system)
+
+
+def corner_path(machine, *shares):
+    """Path through points given as shares of the axis ranges."""
+    return NominalPath(machine.lower + np.array(shares, float) * (machine.upper - machine.lower))

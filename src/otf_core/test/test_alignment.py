@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Alignment: pose and leg of every sample, found from shape and order alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from core_cells import Recording, corner_path, record, small_plan, some_machine, some_pose
+from otf_core.alignment import align, line_step
+from otf_core.config import CalibrationConfig, PlannerConfig
+from otf_core.errors import InputError
+from otf_core.frames import rigid_fit
+from otf_core.matching import OFF_PATH
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.planning import plan_for_path
+from otf_core.sim.cell import random_tables
+from otf_core.track import simplify
+from scipy.spatial.transform import Rotation
+
+CONFIG = CalibrationConfig()
+# m; thousands of samples with 2 um of noise place the tracker far better, errors of the machine
+# of 20 um mean (three times that at most) do not
+POSE_TOLERANCE = 1e-4
+
+
+def check(recording, tables=None, seed=0, share=0.97, config=CONFIG):
+    """Align a recording and compare with what it was made from; return the alignment.
+
+    Where a sample is given a leg, the programmed position lies on that leg and moves along it.
+    """
+    pose = some_pose(recording.machine, np.random.default_rng(seed))
+    samples = recording.measured(tables, seed=seed, pose=pose)
+    found = align(samples, recording.path, config)
+    true_points = samples.xyz @ pose[0] + pose[1]  # the inverse of a rotation is its transpose
+    off = np.linalg.norm(found.T_machine_tracker.apply(samples.xyz) - true_points, axis=1)
+    assert off.max() < POSE_TOLERANCE
+    moving = np.linalg.norm(np.gradient(recording.q, axis=0), axis=1) > 1e-6
+    used = (found.leg != OFF_PATH) & moving
+    # samples within a corner's rounding belong to either leg: judge away from corners
+    origin, step = found.corners[:-1], np.diff(found.corners, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    unit = (step / length[:, None])[found.leg]
+    local = recording.q - origin[found.leg]
+    along = np.sum(local * unit, axis=1)
+    inner = used & (along > 0.004) & (along < length[found.leg] - 0.004)
+    across = np.linalg.norm(local - along[:, None] * unit, axis=1)
+    assert across[inner].max() < 1e-9  # the programmed position is exactly on its leg
+    assert np.all(np.diff(found.leg[inner]) >= 0)
+    heading = np.sum(np.gradient(recording.q, axis=0) * unit, axis=1)
+    assert heading[inner].min() > 0
+    near = np.min(np.linalg.norm(recording.q[:, None] - found.corners, axis=2), axis=1) < 0.01
+    assert np.sum(inner & ~near) > share * np.sum(moving & ~near)
+    return found
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_any_rotation_and_place_of_the_tracker_is_found(cell, seed):
+    found = check(cell.recording, cell.truth, seed)
+    assert found.coverage == pytest.approx(1.0, abs=0.01)  # ends of legs are cut by a hop
+    assert found.last_leg_driven
+
+
+@pytest.mark.parametrize(
+    'turn', [[np.pi, 0, 0], [0, np.pi, 0], [0, 0, np.pi / 2], [0, 0, 0], [2.0, 2.0, -1.0]]
+)
+def test_quarter_and_half_turns_are_found(cell, turn):
+    pose = (Rotation.from_rotvec(turn).as_matrix(), np.array([-0.4, 0.6, 0.1]))
+    found = align(cell.recording.measured(pose=pose), cell.path, CONFIG)
+    np.testing.assert_allclose(found.T_machine_tracker.rotation, pose[0].T, atol=1e-4)
+    np.testing.assert_allclose(found.T_machine_tracker.translation, pose[1], atol=POSE_TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ('low', 'high', 'coverage'),
+    [(8.0, 999.0, 0.9), (0.0, 65.0, 0.8), (15.0, 60.0, 0.55), (30.0, 50.0, 0.25)],
+)
+def test_part_of_the_path_finds_its_place(cell, low, high, coverage):
+    found = check(cell.recording.between(low, high))
+    # feed and stops are even along the path: the driven share is about that of the time
+    assert found.coverage == pytest.approx(coverage, abs=0.06)
+    assert found.last_leg_driven == (high > 100)
+
+
+@pytest.mark.parametrize(
+    ('before', 'after'),
+    [
+        ([(0.1, -0.1, 0.2), (0.0, 0.0, 0.2)], []),
+        ([], [(0.0, 0.0, 0.15), (0.4, 0.4, 0.3)]),
+        ([(0.3, 0.25, 0.1), (0.15, 0.1, 0.1), (0.1, -0.05, 0.0)], [(0.05, 0.0, 0.05)]),
+        ([(0.3, 0.25, 0.0), (0.3, 0.0, -0.2)], [(0.3, 0.25, -0.2), (0.0, 0.0, 0.0)]),
+    ],
+    ids=['approach', 'retract', 'both', 'inside the volume'],
+)
+def test_moves_before_and_after_the_path_are_set_aside(cell, before, after):
+    recording = cell.recording.with_moves(before, after)
+    # the added moves take up to 60 s of 140 s
+    found = check(recording, cell.truth, share=0.5)
+    assert found.coverage > 0.98
+
+
+def test_approach_leaves_no_sample_on_the_path(cell):
+    before = [(0.1, -0.1, 0.2), (0.0, 0.0, 0.2)]
+    recording = cell.recording.with_moves(before)
+    lead = len(recording.q) - len(cell.recording.q)
+    found = check(recording, share=0.9)
+    # up to one hop of the approach may be counted to the first leg
+    assert np.all(found.leg[: lead - 5] == OFF_PATH)
+
+
+@pytest.mark.parametrize('passes', [2, 3])
+def test_laps_forward_and_backward_at_another_feed_keep_their_order(passes):
+    machine = some_machine()
+    plan = small_plan(machine, passes=passes, corner_dwell=0.0, feed=0.4)
+    found = check(record(machine, plan))
+    assert found.coverage > 0.97
+    assert found.last_leg_driven
+
+
+def test_pauses_in_the_middle_of_lines_change_nothing(cell):
+    recording = cell.recording
+    for at in (5.3, 20.1, 40.7, 60.2):
+        recording = recording.paused(at, 2.0)
+    paused = check(recording, cell.truth)
+    plain = check(cell.recording, cell.truth)
+    assert paused.coverage == pytest.approx(plain.coverage, abs=1e-3)
+
+
+def test_long_stop_at_corners_changes_nothing():
+    machine = some_machine()
+    found = check(record(machine, small_plan(machine, corner_dwell=1.0), rate=50))
+    assert found.coverage > 0.97
+
+
+@pytest.mark.parametrize(
+    'spans',
+    [
+        [(10.2, 10.5)],
+        [(20.0, 24.0)],
+        [(12.0, 12.4), (30.0, 31.5), (31.9, 33.0), (50.0, 50.1)],
+        [(float(t), t + 1.2) for t in range(3, 78, 5)],
+    ],
+    ids=['in a line', 'over corners', 'several', 'everywhere'],
+)
+def test_gaps_where_the_beam_was_lost_are_bridged(cell, spans):
+    found = check(cell.recording.cut(*spans), cell.truth, share=0.9)
+    lost = sum(b - a for a, b in spans) / cell.recording.time[-1]
+    assert found.coverage == pytest.approx(1 - lost, abs=0.05)
+
+
+@pytest.mark.parametrize('size', [1e-4, 3e-3, 5e-2])
+@pytest.mark.parametrize('burst', [1, 5])
+def test_spikes_do_not_move_the_tracker(cell, size, burst):
+    rng = np.random.default_rng(5)
+    pose = some_pose(cell.machine, rng)
+    clean = cell.recording.measured(pose=pose)
+    xyz = clean.xyz.copy()
+    for start in rng.choice(len(xyz) - burst, 15, replace=False):
+        xyz[start : start + burst] += size * rng.standard_normal(3)
+    found = align(Samples(clean.stamp_ns, xyz), cell.path, CONFIG)
+    off = found.T_machine_tracker.apply(clean.xyz) - (clean.xyz @ pose[0] + pose[1])
+    # 15 bursts of 5 in 9000 samples: less than one per cent of what stays within 8 mm of a leg
+    assert np.linalg.norm(off, axis=1).max() < max(POSE_TOLERANCE, 0.02 * min(size, 8e-3))
+    assert found.coverage > 0.9
+
+
+def test_crossing_diagonals_are_told_apart_by_the_order_of_driving():
+    machine = some_machine()
+    # both diagonals of a face, several times through the same centre
+    path = corner_path(
+        machine, (0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0), (0, 0, 0), (1, 1, 0), (1, 1, 1),
+        (0, 0, 0), (1, 1, 1), (0, 1, 1), (1, 0, 0),
+    )  # fmt: skip
+    plan = plan_for_path(path, PlannerConfig(corner_dwell=0.0, end_dwell=0.5))
+    found = check(record(machine, plan))
+    assert set(found.leg[found.leg != OFF_PATH]) == set(range(10))
+
+
+@pytest.mark.parametrize('rate', [20.0, 500.0, 1000.0])
+def test_every_rate_aligns(cell, rate):
+    part = record(cell.machine, cell.plan, rate).between(10.0, 40.0)
+    # at 20 Hz and 0.25 m/s samples are 12 mm apart
+    assert check(part, share=0.9).coverage > 0.3
+
+
+def test_repeated_and_collinear_points_of_the_path_are_no_corners(cell):
+    points = [cell.path.points[0]]
+    for a, b in zip(cell.path.points[:-1], cell.path.points[1:], strict=True):
+        points += [a, a + 0.3 * (b - a), a + 0.5 * (b - a), b, b]
+    found = check(replace(cell.recording, path=NominalPath(np.array(points))))
+    plain = align(cell.recording.measured(), cell.path, CONFIG)
+    np.testing.assert_allclose(found.corners, plain.corners, atol=1e-12)
+
+
+@pytest.mark.parametrize('seconds', [0.05, 0.1, 0.15])
+def test_rounded_corners_align(cell, seconds):
+    plan = small_plan(cell.machine, corner_dwell=0.0)
+    recording = record(cell.machine, plan)
+    width = round(seconds * 100)
+    padded = np.pad(recording.q, ((width, width), (0, 0)), 'edge')
+    rounded = np.stack(
+        [np.convolve(padded[:, k], np.ones(width) / width, 'same')[width:-width] for k in range(3)],
+        axis=1,
+    )
+    pose = some_pose(cell.machine, np.random.default_rng(1))
+    samples = replace(recording, q=rounded).measured(pose=pose)
+    found = align(samples, cell.path, CONFIG)
+    off = found.T_machine_tracker.apply(samples.xyz) - (samples.xyz @ pose[0] + pose[1])
+    assert np.linalg.norm(off, axis=1).max() < POSE_TOLERANCE
+    assert found.coverage > 0.95
+
+
+def test_cube_with_all_its_symmetries_is_placed_by_the_order_of_driving():
+    machine = some_machine(ranges=((0, 0.2), (0, 0.2), (-0.2, 0)))
+    recording = record(machine, small_plan(machine))
+    check(recording)
+    check(recording.between(10.0, 45.0), seed=1)
+
+
+# ---------------------------------------------------------------- data that do not belong
+
+
+def refusal(samples, path, config=CONFIG):
+    with pytest.raises(InputError) as caught:
+        align(samples, path, config)
+    assert '\n' not in str(caught.value)
+    return str(caught.value)
+
+
+def test_millimetres_are_named(cell):
+    samples = cell.recording.measured()
+    assert 'mm' in refusal(Samples(samples.stamp_ns, 1e3 * samples.xyz), cell.path)
+
+
+@pytest.mark.parametrize('axis', range(3))
+def test_left_handed_coordinates_are_named(cell, axis):
+    samples = cell.recording.measured(seed=axis)
+    flip = np.ones(3)
+    flip[axis] = -1
+    assert 'mirrored' in refusal(Samples(samples.stamp_ns, samples.xyz * flip), cell.path)
+
+
+@pytest.mark.parametrize('factor', [0.8, 0.95, 1.05, 1.2, 39.37])
+def test_scaled_points_do_not_follow_the_path(cell, factor):
+    samples = cell.recording.measured()
+    message = refusal(Samples(samples.stamp_ns, factor * samples.xyz), cell.path)
+    assert 'samples do not follow the path' in message
+
+
+def test_path_of_another_machine_is_refused(cell):
+    other = some_machine(ranges=((0, 0.4), (0, 0.37), (-0.3, 0)))
+    message = refusal(cell.recording.measured(), small_plan(other).path)
+    assert 'do bag and path belong together' in message
+
+
+def test_path_in_another_order_is_refused(cell):
+    points = np.random.default_rng(0).permutation(cell.path.points)
+    assert 'samples do not follow' in refusal(cell.recording.measured(), NominalPath(points))
+
+
+def test_single_line_cannot_be_aligned():
+    machine = some_machine()
+    path = corner_path(machine, (0, 0, 0), (1, 1, 1))
+    plan = plan_for_path(path, PlannerConfig())
+    assert 'single straight line' in refusal(record(machine, plan).measured(), path)
+
+
+def test_lines_that_are_all_parallel_do_not_fix_the_tracker():
+    machine = some_machine()
+    path = corner_path(machine, (0, 0, 0), (1, 1, 1), (0, 0, 0))
+    plan = plan_for_path(path, PlannerConfig())
+    assert 'place of the tracker' in refusal(record(machine, plan).measured(), path)
+
+
+@pytest.mark.parametrize('count', [0, 1, 2, 3, 500])
+def test_standing_still_is_named(cell, count):
+    still = Recording(
+        cell.machine, cell.path, 0.01 * np.arange(count), np.full((count, 3), 0.1)
+    )
+    assert 'hardly moved' in refusal(still.measured(), cell.path)
+
+
+def test_noise_is_no_track(cell):
+    samples = cell.recording.measured()
+    xyz = np.random.default_rng(0).normal(size=samples.xyz.shape)
+    assert 'samples do not follow' in refusal(Samples(samples.stamp_ns, xyz), cell.path)
+
+
+# ---------------------------------------------------------------- the parts
+
+
+def test_simplified_track_keeps_corners_and_points_of_return():
+    x = np.concatenate([np.linspace(0, 1, 50), np.linspace(1, 0.4, 30)[1:], np.full(20, 0.4)])
+    y = np.concatenate([np.zeros(79), np.linspace(0, 0.5, 21)[1:]])
+    points = np.stack([x, y, 0 * x], axis=1)
+    found = points[simplify(points, 1e-3)]
+    np.testing.assert_allclose(found, [[0, 0, 0], [1, 0, 0], [0.4, 0, 0], [0.4, 0.5, 0]], atol=1e-12)
+
+
+def test_rigid_fit_recovers_a_transform_and_never_mirrors():
+    rng = np.random.default_rng(2)
+    rotation = Rotation.random(random_state=rng).as_matrix()
+    source = rng.normal(size=(6, 3))
+    found = rigid_fit(source, source @ rotation.T + [1, 2, 3])
+    np.testing.assert_allclose(found.rotation, rotation, atol=1e-12)
+    np.testing.assert_allclose(found.translation, [1, 2, 3], atol=1e-12)
+    mirrored = rigid_fit(source, source * [1, 1, -1])
+    assert np.linalg.det(mirrored.rotation) == pytest.approx(1.0)
+
+
+def test_line_step_undoes_a_small_motion_of_points_on_lines():
+    rng = np.random.default_rng(4)
+    direction = rng.normal(size=(60, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    origin = rng.uniform(-1, 1, (60, 3))
+    on_line = origin + rng.uniform(-1, 1, (60, 1)) * direction
+    shift, turn = np.array([1e-6, -2e-6, 3e-6]), np.array([2e-6, 1e-6, -1e-6])
+    moved = on_line + shift + np.cross(turn, on_line)
+    translation, rotation_vector = line_step(moved, origin, direction, np.ones(60))
+    # what is left is of second order: 1e-6 of a motion of 1e-6
+    np.testing.assert_allclose(translation, -shift, atol=1e-11)
+    np.testing.assert_allclose(rotation_vector, -turn, atol=1e-11)
+
+
+def test_machine_with_errors_of_several_tenths_of_a_millimetre_aligns(cell):
+    tables = random_tables(cell.machine, 3e-4, np.random.default_rng(8))
+    samples = cell.recording.measured(tables)
+    assert align(samples, cell.path, CONFIG).coverage > 0.97

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Machine descriptions: good ones are read as they stand, every wrong one names file and key."""
+
+import numpy as np
+import pytest
+from otf_core.errors import ConfigError
+from otf_core.machine import Chain, load_machine, machine_from_dict
+
+GOOD = """name: cell-600
+chain: w-b-X-Y-Z-t
+axes:
+  X: {min: 0.0, max: 0.6, table_pitch: 0.03}
+  Y: {min: 0.0, max: 0.5, table_pitch: 0.04}
+  Z: {min: -0.4, max: 0.0, table_pitch: 0.05}
+target_offset: [0.01, 0.02, -0.15]
+tracker:
+  u_range: 0.5e-6
+  u_angle: 2.0e-6
+"""
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Read a text as machine.yaml."""
+
+    def reader(text):
+        file = tmp_path / 'machine.yaml'
+        file.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return load_machine(file)
+
+    return reader
+
+
+def test_values_are_read_as_they_stand(read):
+    machine = read(GOOD)
+    assert machine.name == 'cell-600'
+    assert str(machine.chain) == 'w-b-X-Y-Z-t'
+    assert machine.lower.tolist() == [0.0, 0.0, -0.4]
+    assert machine.upper.tolist() == [0.6, 0.5, 0.0]
+    assert [machine.axes[a].table_pitch for a in 'XYZ'] == [0.03, 0.04, 0.05]
+    assert machine.target_offset.tolist() == [0.01, 0.02, -0.15]
+    assert (machine.tracker.u_range, machine.tracker.u_angle) == (0.5e-6, 2e-6)
+
+
+def test_plain_data_of_a_machine_makes_the_same_machine(read):
+    data = read(GOOD).to_dict()
+    assert machine_from_dict(data).to_dict() == data
+
+
+@pytest.mark.parametrize('number', ['5e-07', '5E-7', '.5e-6', '0.5e-6', '0.0000005', '+5e-7'])
+def test_every_way_to_write_a_small_number_is_a_number(read, number):
+    assert read(GOOD.replace('0.5e-6', number)).tracker.u_range == float(number)
+
+
+def test_whole_numbers_are_numbers(read):
+    machine = read(GOOD.replace('max: 0.6', 'max: 1'))
+    assert machine.axes['X'].max == 1.0
+    assert isinstance(machine.axes['X'].max, float)
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'key'),
+    [
+        ('name: cell-600\n', '', 'name: missing'),
+        ('chain: w-b-X-Y-Z-t\n', '', 'chain: missing'),
+        ('target_offset: [0.01, 0.02, -0.15]\n', '', 'target_offset: missing'),
+        ('  u_angle: 2.0e-6\n', '', 'tracker: u_angle: missing'),
+        (', table_pitch: 0.04', '', 'axes: Y: table_pitch: missing'),
+        ('  Z: {', '  W: {', 'axes: Z: missing'),
+        ('  u_angle: 2.0e-6\n', '  u_angle: 2.0e-6\n  u_temperature: 1\n', 'u_temperature'),
+        ('name: cell-600', 'name: cell-600\nfeeed: 3', 'feeed: unknown'),
+        ('max: 0.5,', 'max: 0.5, maximum: 1,', 'axes: Y: maximum: unknown'),
+        ('name: cell-600', 'name: a\nname: b', "'name' appears twice"),
+        ('min: 0.0, max: 0.6', 'min: 0.0, min: 0.0, max: 0.6', "'min' appears twice"),
+        ('name: cell-600', 'name: 600', 'name: expected a text'),
+        ('name: cell-600', 'name: ""', 'name: expected a text'),
+        ('name: cell-600', 'name:', 'name: expected a text'),
+        ('max: 0.6', 'max: 0.6 m', 'axes: X: max: expected a plain number'),
+        ('table_pitch: 0.03', "table_pitch: '0.03'", 'axes: X: table_pitch: expected a plain'),
+        ('max: 0.6', 'max: true', 'axes: X: max: expected a plain number'),
+        ('max: 0.6', 'max:', 'axes: X: max: expected a plain number'),
+        ('max: 0.6', 'max: [0.6]', 'axes: X: max: expected a plain number'),
+        ('max: 0.6', 'max: 600', 'axes: X: max: 600 is out of range'),
+        ('max: 0.6', 'max: .nan', 'axes: X: max: nan'),
+        ('max: 0.6', 'max: .inf', 'axes: X: max: inf'),
+        ('min: 0.0, max: 0.6', 'min: 0.6, max: 0.6', 'axes: X: max: 0.6 m is not above min'),
+        ('min: -0.4, max: 0.0', 'min: 0.4, max: 0.0', 'axes: Z: max: 0.0 m is not above min'),
+        ('table_pitch: 0.03', 'table_pitch: 0', 'axes: X: table_pitch: 0 is out of range'),
+        ('table_pitch: 0.03', 'table_pitch: -0.03', 'axes: X: table_pitch: -0.03 is out of range'),
+        ('table_pitch: 0.03', 'table_pitch: 30', 'axes: X: table_pitch: 30'),
+        ('table_pitch: 0.03', 'table_pitch: 1e-6', 'axes: X: table_pitch: 1e-06'),
+        ('[0.01, 0.02, -0.15]', '[0.01, 0.02]', 'target_offset: expected a list of 3'),
+        ('[0.01, 0.02, -0.15]', '0.15', 'target_offset: expected a list of 3'),
+        ('[0.01, 0.02, -0.15]', '[0.01, 0.02, .nan]', 'target_offset: nan'),
+        ('[0.01, 0.02, -0.15]', "[0.01, 0.02, '1']", 'target_offset: expected a plain number'),
+        ('[0.01, 0.02, -0.15]', '[10, 20, -150]', 'target_offset: [10.0, 20.0, -150.0] m'),
+        ('0.5e-6', '0', 'tracker: u_range: 0 is out of range'),
+        ('0.5e-6', '-1e-6', 'tracker: u_range: -1e-06 is out of range'),
+        ('0.5e-6', '0.5', 'tracker: u_range: 0.5 is out of range'),
+        ('0.5e-6', '0.5 um', 'tracker: u_range: expected a plain number'),
+        ('tracker:\n  u_range: 0.5e-6\n  u_angle: 2.0e-6\n', 'tracker: 3\n', 'tracker: expected a'),
+        ('tracker:\n  u_range: 0.5e-6\n  u_angle: 2.0e-6\n', 'tracker:\n', 'tracker: expected a'),
+    ],
+)
+def test_wrong_content_names_file_and_key(read, old, new, key):
+    assert GOOD.count(old) == 1
+    with pytest.raises(ConfigError) as caught:
+        read(GOOD.replace(old, new))
+    message = str(caught.value)
+    assert 'machine.yaml: ' in message
+    assert key in message
+    assert '\n' not in message
+
+
+@pytest.mark.parametrize(
+    'chain',
+    ['w-b-X-Y-t', 'w-b-X-Y-Z-Z-t', 'w-b-X-Y-Y-t', 'b-w-X-Y-Z-t', 'w-X-Y-Z-t', 'w-b-b-X-Y-Z-t',
+     'X-b-Y-Z', 'w-b-X-Y-Z-t-', 'w-b-x-y-z-t', 'w b X Y Z t', 'w-b-X-Y-Z-C-t', 'wbXYZt', 'w-t'],
+)  # fmt: skip
+def test_chain_that_is_none_is_refused_with_its_text(read, chain):
+    with pytest.raises(ConfigError, match=r'machine\.yaml: chain: ') as caught:
+        read(GOOD.replace('w-b-X-Y-Z-t', chain))
+    assert f"'{chain}'" in str(caught.value)
+
+
+@pytest.mark.parametrize('text', ['', '[]', '3', 'just text', 'null'])
+def test_file_without_keys_is_refused(read, text):
+    with pytest.raises(ConfigError, match=r'machine\.yaml: expected a mapping'):
+        read(text)
+
+
+@pytest.mark.parametrize(
+    'text',
+    ['a: [', 'a: b: c', '\ta: 1', GOOD + '---\n' + GOOD, 'a: *b', '{a: 1', 'name: "x'],
+)
+def test_broken_yaml_names_file_line_and_column(read, text):
+    with pytest.raises(ConfigError, match=r'machine\.yaml: not valid YAML at line \d+, column \d+'):
+        read(text)
+
+
+@pytest.mark.parametrize('text', [b'\xff\xfe\x00\x01', b'name: \xe4\n', b'\x89PNG\r\n\x1a\n\x00'])
+def test_binary_file_is_no_yaml(read, text):
+    with pytest.raises(ConfigError, match=r'machine\.yaml: not'):
+        read(text)
+
+
+@pytest.mark.xfail(strict=True, reason='errors of the YAML constructor are not caught')
+@pytest.mark.parametrize(
+    'text',
+    [
+        GOOD.replace('cell-600', '{{ cell_name }}'),  # template that was not filled in
+        GOOD.replace('name:', '? [name]\n:'),
+        GOOD.replace('cell-600', '2023-13-45'),  # no such month
+        GOOD.replace('cell-600', '!!int x'),
+        GOOD.replace('cell-600', '!!float abc'),
+        GOOD.replace('axes:', 'axes: !!map [1]\nmore:'),
+        GOOD.replace('max: 0.6', 'max: 1' + 400 * '0'),
+        '[' * 3000,
+    ],
+    ids=['template', 'list-key', 'date', 'int-tag', 'float-tag', 'map-tag', 'huge', 'nested'],
+)
+def test_yaml_that_trips_its_parser_is_a_config_error_too(read, text):
+    with pytest.raises(ConfigError, match=r'machine\.yaml'):
+        read(text)
+
+
+def test_python_tags_are_refused(read):
+    with pytest.raises(ConfigError, match='not valid YAML'):
+        read(GOOD.replace('cell-600', '!!python/object/apply:os.getcwd []'))
+
+
+def test_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r'nowhere\.yaml: cannot be read'):
+        load_machine(tmp_path / 'nowhere.yaml')
+    with pytest.raises(ConfigError, match='cannot be read'):
+        load_machine(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ('text', 'table', 'target'),
+    [
+        ('w-b-X-Y-Z-t', (), ('X', 'Y', 'Z')),
+        ('w-Y-b-X-Z-t', ('Y',), ('X', 'Z')),
+        ('w-X-Y-b-Z-t', ('X', 'Y'), ('Z',)),
+        ('w-Z-Y-X-b-t', ('Z', 'Y', 'X'), ()),
+    ],
+)
+def test_chain_splits_at_the_base(text, table, target):
+    chain = Chain.parse(text)
+    assert (chain.table_side, chain.target_side) == (table, target)
+    assert str(chain) == text
+
+
+def test_arrays_of_ranges_follow_the_axis_order_not_the_file_order(read):
+    lines = GOOD.splitlines(keepends=True)
+    swapped = ''.join([*lines[:3], lines[5], lines[4], lines[3], *lines[6:]])
+    np.testing.assert_array_equal(read(swapped).lower, [0.0, 0.0, -0.4])

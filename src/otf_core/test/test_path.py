@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nominal path: lengths, directions, corners; what is no path is refused."""
+
+import numpy as np
+import pytest
+from otf_core.errors import InputError, ShapeError
+from otf_core.path import NominalPath
+
+# along X, a dwell, on along X, a repeated end, then up Y
+L_SHAPE = [[0, 0, 0], [0.1, 0, 0], [0.1, 0, 0], [0.3, 0, 0], [0.3, 0.4, 0], [0.3, 0.4, 0]]
+
+
+def path(points):
+    return NominalPath(np.array(points, float))
+
+
+def test_lengths_and_directions_of_legs_with_a_dwell():
+    legs = path(L_SHAPE)
+    np.testing.assert_allclose(legs.leg_lengths, [0.1, 0, 0.2, 0.4, 0], atol=1e-16)
+    assert legs.length == pytest.approx(0.7)
+    expected = [[1, 0, 0], [0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0]]
+    np.testing.assert_allclose(legs.directions, expected, atol=1e-15)
+
+
+def test_corners_are_where_the_direction_changes_and_the_two_ends():
+    corners, index = path(L_SHAPE).corners()
+    assert corners.tolist() == [[0, 0, 0], [0.3, 0, 0], [0.3, 0.4, 0]]
+    assert [L_SHAPE[i] for i in index] == corners.tolist()
+
+
+def test_point_of_return_on_a_line_is_a_corner():
+    corners, _ = path([[0, 0, 0], [0.3, 0, 0], [0.1, 0, 0]]).corners()
+    assert len(corners) == 3
+
+
+def test_slight_bend_is_a_corner():
+    # 0.01 mm over 0.2 m is less than any tolerance of the matching, but no straight line
+    corners, _ = path([[0, 0, 0], [0.1, 1e-5, 0], [0.2, 0, 0]]).corners()
+    assert len(corners) == 3
+
+
+@pytest.mark.parametrize(
+    ('points', 'reason'),
+    [
+        (np.zeros((0, 3)), '0 points'),
+        (np.zeros((1, 3)), '1 points'),
+        (np.ones((5, 3)), 'without any motion'),
+        ([[0, 0, 0], [np.nan, 0, 0]], 'point 1 is not finite'),
+        ([[0, 0, 0], [0, 0, 1], [0, 0, np.inf]], 'point 2 is not finite'),
+    ],
+)
+def test_points_without_motion_are_no_path(points, reason):
+    with pytest.raises(InputError, match=reason):
+        path(points)
+
+
+@pytest.mark.parametrize('shape', [(3,), (2, 2), (2, 3, 1)])
+def test_points_of_wrong_shape_are_no_path(shape):
+    with pytest.raises(ShapeError, match=r'shape \(n, 3\)'):
+        NominalPath(np.zeros(shape))

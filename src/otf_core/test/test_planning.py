@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planned path: sees all that can be seen, stays inside, runs forward and reverse."""
+
+import numpy as np
+import pytest
+from core_cells import fit_pieces, pieces_of, some_machine, transform_pose, zero_tables
+from otf_core.config import PlannerConfig
+from otf_core.errors import ConfigError, InputError
+from otf_core.path import NominalPath
+from otf_core.planning import check_inside, plan_for_path, plan_path
+
+# A rotation can be told from a translation of the same axis only through the travel of another
+# axis in its lever arm, and not if that travel is parallel to its own axis of rotation; with
+# nothing but its own travel it acts as a function of one position, as the translation does.
+NEVER_SEEN = {
+    # Z carries the target alone; of Y's lever (z) the rotation about Z sees nothing
+    'w-b-X-Y-Z-t': {'ECY', 'EAZ', 'EBZ', 'ECZ'},
+    # X's lever is z alone
+    'w-Y-b-X-Z-t': {'ECX', 'EAZ', 'EBZ', 'ECZ'},
+    # Y's lever is z and its own y
+    'w-X-Y-b-Z-t': {'ECY', 'EAZ', 'EBZ', 'ECZ'},
+    # Z next to the base has its own z only, Y has y and z
+    'w-X-Y-Z-b-t': {'ECY', 'EAZ', 'EBZ', 'ECZ'},
+    # X carries the target alone, Y's lever is x
+    'w-Z-b-Y-X-t': {'EAX', 'EBX', 'ECX', 'EAY'},
+    # Y carries the target alone, Z's lever is y
+    'w-X-b-Z-Y-t': {'EAY', 'EBY', 'ECY', 'EBZ'},
+}
+
+
+@pytest.mark.parametrize('chain', sorted(NEVER_SEEN))
+@pytest.mark.parametrize('levels', [2, 3])
+def test_plan_sees_all_but_what_no_path_could_show(chain, levels):
+    machine = some_machine(chain)
+    path = plan_path(machine, PlannerConfig(levels=levels, passes=1)).path
+    pose = transform_pose(machine, seed=levels)
+    pieces = pieces_of(machine, path, zero_tables(machine), pose, size=0.025)
+    fit = fit_pieces(machine, pieces, pose, iterations=1)
+    assert fit.missing == NEVER_SEEN[chain]
+    for name, block in fit.unknowns.blocks.items():
+        if name not in fit.missing and name != 'pose':
+            assert fit.solution.determined[block].all(), name
+
+
+@pytest.mark.parametrize('levels', [2, 3, 5])
+def test_plan_stays_inside_and_reaches_every_end(levels):
+    machine = some_machine()
+    points = plan_path(machine, PlannerConfig(levels=levels)).path.points
+    np.testing.assert_allclose(points.min(axis=0), machine.lower, atol=1e-15)
+    np.testing.assert_allclose(points.max(axis=0), machine.upper, atol=1e-15)
+
+
+def test_margin_is_kept_at_every_end():
+    machine = some_machine()
+    points = plan_path(machine, PlannerConfig(margin=0.02)).path.points
+    np.testing.assert_allclose(points.min(axis=0), machine.lower + 0.02, atol=1e-15)
+    np.testing.assert_allclose(points.max(axis=0), machine.upper - 0.02, atol=1e-15)
+
+
+@pytest.mark.parametrize('margin', [0.1, 0.12, 0.5])
+def test_margin_that_leaves_nothing_is_refused(margin):
+    with pytest.raises(ConfigError, match='margin'):  # half of the 0.2 m of Z is 0.1 m
+        plan_path(some_machine(), PlannerConfig(margin=margin))
+
+
+@pytest.mark.parametrize('passes', [1, 2, 3, 4])
+def test_laps_alternate_in_direction_and_feed(passes):
+    machine = some_machine()
+    one = plan_path(machine, PlannerConfig(passes=1)).path.points
+    plan = plan_path(machine, PlannerConfig(passes=passes, feed=0.2, feed_ratio=0.5))
+    legs = len(one) - 1
+    assert len(plan.path.points) == passes * legs + 1
+    for k in range(passes):
+        lap = plan.path.points[k * legs : (k + 1) * legs + 1]
+        np.testing.assert_array_equal(lap, one if k % 2 == 0 else one[::-1])
+        assert set(plan.feed[k * legs : (k + 1) * legs]) == {0.2 if k % 2 == 0 else 0.1}
+
+
+def test_plan_stops_at_corners_and_longer_at_both_ends():
+    plan = plan_path(some_machine(), PlannerConfig(corner_dwell=0.3, end_dwell=4.0))
+    assert plan.dwell[0] == plan.dwell[-1] == 4.0
+    assert set(plan.dwell[1:-1]) == {0.3}
+    assert len(plan.dwell) == len(plan.path.points) == len(plan.feed) + 1
+
+
+def test_plan_holds_lines_that_are_no_box_diagonals():
+    machine = some_machine()
+    size = machine.upper - machine.lower
+    steps = np.abs(np.diff(plan_path(machine, PlannerConfig()).path.points, axis=0)) / size
+    partial = (steps > 1e-9).sum(axis=1) >= 2
+    ratio = steps.max(axis=1) / np.where(steps > 1e-9, steps, np.inf).min(axis=1)
+    # half slope: one axis moves twice the share of its range that another does
+    for axis in range(3):
+        assert np.any(partial & (ratio > 1.9) & (steps[:, axis] > 1e-9))
+
+
+def test_every_leg_moves():
+    assert plan_path(some_machine(), PlannerConfig(passes=3)).path.leg_lengths.min() > 0.01
+
+
+def test_given_path_is_driven_as_it_is():
+    path = NominalPath(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0.0]]))
+    plan = plan_for_path(path, PlannerConfig(feed=0.1, corner_dwell=0.5, end_dwell=2))
+    assert plan.path is path
+    assert plan.feed.tolist() == [0.1, 0.1]
+    assert plan.dwell.tolist() == [2.0, 0.5, 2.0]
+
+
+@pytest.mark.parametrize(('axis', 'name'), [(0, 'X'), (1, 'Y'), (2, 'Z')])
+@pytest.mark.parametrize('side', [-1, 1])
+def test_path_outside_the_ranges_names_point_axis_and_excess(axis, name, side):
+    machine = some_machine()
+    points = np.tile(0.5 * (machine.lower + machine.upper), (3, 1))
+    points[:, (axis + 1) % 3] += [0, 0.05, 0]
+    points[2, axis] = (machine.upper if side > 0 else machine.lower)[axis] + side * 0.004
+    with pytest.raises(InputError, match=rf'point 2 leaves the range of axis {name} by 4\.000 mm'):
+        check_inside(NominalPath(points), machine)
+
+
+def test_path_to_the_very_ends_is_inside():
+    machine = some_machine()
+    path = NominalPath(np.array([machine.lower, machine.upper]))
+    assert check_inside(path, machine) is None
+
+
