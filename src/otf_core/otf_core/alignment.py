@@ -49,7 +49,9 @@ class Alignment:
     last_leg_driven: bool
 
 
-def line_step(points: Array, origin: Array, direction: Array, weight: Array) -> tuple[Array, Array]:
+def line_step(
+    points: Array, origin: Array, direction: Array, weight: Array
+) -> tuple[Array, Array]:
     """One least-squares step of a rigid motion towards lines.
 
     Parameters
@@ -76,7 +78,9 @@ def line_step(points: Array, origin: Array, direction: Array, weight: Array) -> 
     size = np.sqrt(np.mean(np.einsum('ij,ij->i', local, local))) or 1.0
     turn = np.cross(np.eye(3)[:, None, :], local[None] / size).transpose(1, 2, 0)
     columns = np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2)
-    columns = columns - direction[:, :, None] * np.einsum('ij,ijk->ik', direction, columns)[:, None]
+    columns = (
+        columns - direction[:, :, None] * np.einsum('ij,ijk->ik', direction, columns)[:, None]
+    )
     offset = points - origin
     offset = offset - direction * np.einsum('ij,ij->i', direction, offset)[:, None]
     normal = np.einsum('n,nik,nil->kl', weight, columns, columns) / weight.sum()
@@ -91,7 +95,9 @@ def line_step(points: Array, origin: Array, direction: Array, weight: Array) -> 
     return motion[:3] - np.cross(rotation_vector, centre), rotation_vector
 
 
-def _refine(match: Match, track: Track, corners: Array, config: CalibrationConfig) -> RigidTransform:
+def _refine(
+    match: Match, track: Track, corners: Array, config: CalibrationConfig
+) -> RigidTransform:
     """Fine alignment on the hops of the assigned legs."""
     legs = _hop_legs(match, track)
     use = legs != OFF_PATH
@@ -103,7 +109,9 @@ def _refine(match: Match, track: Track, corners: Array, config: CalibrationConfi
     for _ in range(config.max_iterations):
         points = pose.apply(source)
         along = np.einsum('ij,ij->i', points - corners[legs], unit[legs])
-        inside = (along > config.corner_exclusion) & (along < length[legs] - config.corner_exclusion)
+        inside = (along > config.corner_exclusion) & (
+            along < length[legs] - config.corner_exclusion
+        )
         if inside.sum() < 10:
             raise InputError('hardly any point lies on a line of the path away from its corners')
         weight = inside / length[legs]  # every leg counts alike, however fast it was driven
@@ -129,7 +137,11 @@ def _complaint(track: Track, corners: Array, tolerance: float) -> str:
     ratio = np.ptp(track.points, axis=0).max() / np.ptp(corners, axis=0).max()
     if not 0.3 < ratio < 3:
         factor = 1000.0 if ratio > 1 else 0.001
-        unit = f'; are the points in {"mm" if ratio > 1 else "km"}?' if 0.5 < ratio / factor < 2 else ''
+        unit = (
+            f'; are the points in {"mm" if ratio > 1 else "km"}?'
+            if 0.5 < ratio / factor < 2
+            else ''
+        )
         return f'the measured track is {ratio:.3g} times as large as the path{unit}'
     mirrored = Track(
         track.hops, track.points * [-1.0, 1.0, 1.0], track.start, track.stop, track.joined
@@ -185,7 +197,9 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     track = measured_track(samples, tolerance)
     match = find_match(track, corners, tolerance)
     if match is None or _explained(match, track) < 0.3:
-        raise InputError(f'samples do not follow the path: {_complaint(track, corners, tolerance)}')
+        raise InputError(
+            f'samples do not follow the path: {_complaint(track, corners, tolerance)}'
+        )
     for _ in range(2):
         pose = _refine(match, track, corners, config)
         match = follow(pose, track, corners, tolerance)

@@ -5,30 +5,29 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
-from otf_core.alignment import Alignment, align, line_step
 from otf_core.config import CalibrationConfig
-from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
-from otf_core.machine import AXES, Machine
-from otf_core.matching import OFF_PATH
-from otf_core.noise import NoiseModel
+from otf_core.joint import JointSolution, Progress, SolvedRun, solve_jointly, tables_of
+from otf_core.machine import Machine
+from otf_core.noise import NoiseModel, sample_variance
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
-from otf_core.pieces import Pieces, reduce_to_pieces
-from otf_core.solution import Solution, identifiable_blocks, solve
-from otf_core.system import System, build_system
-from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.pieces import Pieces
+from otf_core.runs import Recording, Run, prepare_runs
+from otf_core.solution import Solution
+from otf_core.system import build_system
+from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
 from otf_core.uncertainty import check_residuals
-from otf_core.unknowns import Unknowns, layout, table_nodes
+from otf_core.unknowns import Unknowns, layout
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 GAUGE = (
     'positioning and rotations zero at axis position 0, else at the minimum; '
@@ -57,6 +56,8 @@ class Fit:
         Residual of the pieces over the noise specified for single samples, root mean square.
     variance_ratio, correlation_factor : float
         See ``uncertainty.ResidualCheck``.
+    inflation : float
+        Factor on the covariance that these two give.
     iterations : int
     """
 
@@ -73,7 +74,47 @@ class Fit:
     residual_ratio: float
     variance_ratio: float
     correlation_factor: float
+    inflation: float
     iterations: int
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """One run of a calibration.
+
+    Attributes
+    ----------
+    T_machine_tracker : RigidTransform
+    noise : NoiseModel
+        Noise of single samples as assumed in the solution.
+    coverage : float
+        Driven share of the path length.
+    pieces : Pieces
+    q : ndarray, shape (p, 3), m
+        Nominal position of every piece.
+    axes : ndarray, shape (c, p, 3)
+        Directions in which deviations are stated: two perpendicular to the path.
+    aligned : ndarray, shape (c, p), m
+        Rigidly aligned measurement minus path.
+    deviation, residual : ndarray, shape (c, p), m
+        Measurement in the pose of the solution minus path, before and after compensation.
+    normalised : ndarray, shape (c, p)
+        Residual over the noise specified for single samples.
+    whitened : ndarray, shape (c, p)
+        Residual freed of the assumed noise covariance.
+    """
+
+    T_machine_tracker: RigidTransform
+    noise: NoiseModel
+    coverage: float
+    pieces: Pieces
+    q: Array
+    axes: Array
+    aligned: Array
+    deviation: Array
+    residual: Array
+    normalised: Array
+    whitened: Array
 
 
 @dataclass(frozen=True)
@@ -83,19 +124,12 @@ class CalibrationResult:
     Attributes
     ----------
     run_id : str
-        Hash of samples, path, machine and configuration.
+        Hash of samples, paths, machine and configuration.
     tables : ErrorTables
     covariance : ndarray, shape (m, m)
         Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order, m and rad.
-    T_machine_tracker : RigidTransform
+    runs : tuple of RunResult
     fit : Fit
-    pieces : Pieces
-    q : ndarray, shape (p, 3), m
-        Nominal position of every piece.
-    axes : ndarray, shape (2, p, 3)
-        The two directions perpendicular to the path in which deviations are stated.
-    deviation, residual : ndarray, shape (2, p), m
-        Aligned measurement minus path, before and after compensation.
     not_identifiable : tuple of str
         Motions and squareness errors the data cannot see.
     warnings : tuple of str
@@ -107,121 +141,27 @@ class CalibrationResult:
     run_id: str
     tables: ErrorTables
     covariance: Array
-    T_machine_tracker: RigidTransform
+    runs: tuple[RunResult, ...]
     fit: Fit
-    pieces: Pieces
-    q: Array
-    axes: Array
-    deviation: Array
-    residual: Array
     not_identifiable: tuple[str, ...]
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
     config: CalibrationConfig
 
+    @property
+    def T_machine_tracker(self) -> RigidTransform:
+        """Pose of the tracker in the first run."""
+        return self.runs[0].T_machine_tracker
 
-def _run_id(
-    samples: Samples, path: NominalPath, machine: Machine, config: CalibrationConfig
-) -> str:
+
+def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
     digest = hashlib.sha256()
-    for part in (samples.stamp_ns, samples.xyz, path.points):
-        digest.update(np.ascontiguousarray(part))
-    digest.update(json.dumps([machine.to_dict(), asdict(config)], sort_keys=True).encode())
+    for r in recordings:
+        for part in (r.samples.stamp_ns, r.samples.xyz, r.path.points):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
+    digest.update(json.dumps(asdict(config), sort_keys=True).encode())
     return digest.hexdigest()[:12]
-
-
-def _covered_range(alignment: Alignment, samples: Samples, machine: Machine) -> tuple[Array, Array]:
-    """Part of the axis ranges that the driven legs cover, within the machine's ranges."""
-    points = alignment.T_machine_tracker.apply(samples.xyz[alignment.leg != OFF_PATH])
-    low, high = points.min(axis=0), points.max(axis=0)
-    path_low, path_high = alignment.corners.min(axis=0), alignment.corners.max(axis=0)
-    close = 0.02
-    low = np.where(low < path_low + close, path_low, low)
-    high = np.where(high > path_high - close, path_high, high)
-    flat = path_high - path_low < 1e-6
-    low, high = np.where(flat, path_low, low), np.where(flat, path_low, high)
-    outside = np.maximum(machine.lower - low, high - machine.upper).max()
-    if outside > 1e-3:
-        axis = AXES[int(np.argmax(np.maximum(machine.lower - low, high - machine.upper)))]
-        raise InputError(
-            f'path: leaves the range of axis {axis} by {1e3 * outside:.1f} mm; '
-            f'do bag and machine description belong together?'
-        )
-    return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
-
-
-def _tables(machine: Machine, unknowns: Unknowns, solution: Solution, inflation: float) -> ErrorTables:
-    u = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0) * inflation)
-    motions, squareness = {}, {}
-    for name in MOTIONS:
-        block = unknowns.blocks[name]
-        seen = name in solution.accepted
-        motions[name] = MotionTable(
-            unknowns.nodes[name[2]],
-            solution.value[block] + 0.0,
-            u[block] if seen else np.zeros(block.stop - block.start),
-            seen,
-            solution.determined[block],
-        )
-    for name in SQUARENESS:
-        place = unknowns.blocks[name].start
-        squareness[name] = Squareness(float(solution.value[place]), float(u[place]))
-    return ErrorTables(machine, motions, squareness)
-
-
-def _rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) -> RigidTransform:
-    """Fine alignment on the pieces: perpendicular distances, every sample counting alike."""
-    for _ in range(config.max_iterations):
-        points = pose.apply(pieces.xyz)
-        step = line_step(points, pieces.origin, pieces.direction, pieces.count.astype(float))
-        moved = pose.moved_by(*step)
-        change = float(np.abs(moved.apply(pieces.xyz) - points).max())
-        pose = moved
-        if change < config.alignment_stop:
-            break
-    return pose
-
-
-def _mean_distance(components: Array) -> float:
-    return float(np.hypot(components[0], components[1]).mean())
-
-
-@dataclass(frozen=True)
-class _Converged:
-    pose: RigidTransform
-    system: System
-    solution: Solution
-    iterations: int
-
-
-def _iterate(
-    machine: Machine,
-    pieces: Pieces,
-    pose: RigidTransform,
-    unknowns: Unknowns,
-    config: CalibrationConfig,
-    progress: Progress,
-) -> _Converged:
-    """Solve, move the pose, re-derive the positions on the path; until nothing changes."""
-    noise = NoiseModel.from_spec(machine.tracker)
-    tables, value, limit = None, np.zeros(unknowns.full), config.unidentifiable_above
-    first = build_system(machine, pieces, pose, unknowns, noise, nodal_lever=True)
-    accepted = identifiable_blocks(first, unknowns, limit)
-    for iteration in range(1, config.max_iterations + 1):
-        system = build_system(machine, pieces, pose, unknowns, noise, tables)
-        solution = solve(system, unknowns, limit, accepted)
-        tables = _tables(machine, unknowns, solution, 1.0)
-        change = float(np.abs(solution.value - value)[unknowns.blocks['pose'].stop :].max())
-        shift = float(np.abs(solution.value[unknowns.blocks['pose']]).max())
-        value = solution.value
-        progress('solving', iteration / (iteration + 1))
-        if max(change, shift) < config.alignment_stop:
-            return _Converged(pose, system, solution, iteration)
-        pose = pose.moved_by(solution.value[:3], solution.value[3:6])
-    raise InputError(
-        f'the solution did not settle in {config.max_iterations} iterations (last change '
-        f'{1e6 * max(change, shift):.3g} um); the path may not determine the errors'
-    )
 
 
 def _warnings(fit: Fit, unknowns: Unknowns, solution: Solution) -> list[str]:
@@ -250,14 +190,22 @@ def calibrate(
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
 ) -> CalibrationResult:
+    """Calibrate one run on the fly; see ``calibrate_runs``."""
+    return calibrate_runs([Recording(samples, path, machine)], config, progress)
+
+
+def calibrate_runs(
+    recordings: Sequence[Recording],
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+) -> CalibrationResult:
     """Calibrate on the fly: only deviations perpendicular to the path are used.
 
     Parameters
     ----------
-    samples : Samples
-        Tracker points; no time relation to the path is needed.
-    path : NominalPath
-    machine : Machine
+    recordings : sequence of Recording
+        Runs of one machine; no time relation between samples and path is needed. Other tracker
+        places, feeds and target offsets add to what can be seen.
     config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
         Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
@@ -277,73 +225,93 @@ def calibrate(
     """
     config = config or CalibrationConfig()
     progress = progress or (lambda stage, fraction: None)
-    progress('aligning', 0.0)
-    alignment = align(samples, path, config)
-    progress('aligning', 0.7)
-    nodes = table_nodes(machine, *_covered_range(alignment, samples, machine))
-    unknowns = layout(nodes)
-    pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
-    pose = _rigid_pose(pieces, alignment.T_machine_tracker, config)
-    progress('solving', 0.0)
-    before = build_system(machine, pieces, pose, unknowns, NoiseModel.from_spec(machine.tracker))
-    done = _iterate(machine, pieces, pose, unknowns, config, progress)
-    return _assemble(
-        samples, path, machine, config, alignment.coverage, unknowns, pieces, before, done
+    with threadpool_limits(1):  # the matrices are small: threads cost more than they give
+        progress('aligning', 0.0)
+        runs, nodes = prepare_runs(recordings, config)
+        progress('solving', 0.0)
+        done = solve_jointly(runs, layout(nodes, len(runs)), config, progress)
+        return _assemble(runs, done, config)
+
+
+def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
+    before = build_system(run.machine, run.pieces, run.pose, unknowns)
+    specified = sample_variance(
+        NoiseModel.from_spec(run.machine.tracker), solved.system.along, solved.system.across
     )
+    return RunResult(
+        T_machine_tracker=solved.pose,
+        noise=run.noise,
+        coverage=run.alignment.coverage,
+        pieces=run.pieces,
+        q=solved.system.q,
+        axes=solved.system.axes,
+        aligned=before.deviation,
+        deviation=solved.system.deviation,
+        residual=solved.residual,
+        normalised=solved.residual / np.sqrt(specified),
+        whitened=solved.whitener.vector(solved.residual),
+    )
+
+
+def _lengths(components: Array) -> Array:
+    return np.asarray(np.linalg.norm(components, axis=0))
+
+
+def _fit(runs: Sequence[Run], results: Sequence[RunResult], done: JointSolution) -> Fit:
+    rows = np.concatenate([r.whitened for r in results], axis=1)
+    # legs of different runs are told apart
+    legs = np.concatenate([r.pieces.leg + 100_000 * k for k, r in enumerate(results)])
+    check = check_residuals(rows, legs, done.solution.rank)
+    before = np.concatenate([_lengths(r.aligned) for r in results])
+    after = np.concatenate([_lengths(r.residual) for r in results])
+    normalised = np.concatenate([r.normalised for r in results], axis=1)
+    return Fit(
+        samples=sum(len(r.recording.samples) for r in runs),
+        used=sum(r.pieces.used for r in runs),
+        outliers=sum(r.pieces.outliers for r in runs),
+        pieces=len(legs),
+        unknowns=done.solution.unknowns,
+        rank=done.solution.rank,
+        coverage=min(r.alignment.coverage for r in runs),
+        path_mae_before=float(before.mean()),
+        path_mae_after=float(after.mean()),
+        residual_rms=float(np.sqrt(np.mean(after**2))),
+        residual_ratio=float(np.sqrt(np.mean(normalised**2))),
+        variance_ratio=check.variance_ratio,
+        correlation_factor=check.correlation_factor,
+        inflation=check.inflation,
+        iterations=done.iterations,
+    )
+
+
+def _failed_gates(fit: Fit) -> tuple[str, ...]:
+    failed = []
+    if fit.coverage < MIN_COVERAGE:
+        failed.append(
+            f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
+            f'{100 * MIN_COVERAGE:.0f} % needed'
+        )
+    if fit.path_mae_after >= fit.path_mae_before:
+        failed.append('compensation: the tables do not reduce the distance from the path')
+    return tuple(failed)
 
 
 def _assemble(
-    samples: Samples,
-    path: NominalPath,
-    machine: Machine,
-    config: CalibrationConfig,
-    coverage: float,
-    unknowns: Unknowns,
-    pieces: Pieces,
-    before: System,
-    done: _Converged,
+    runs: Sequence[Run], done: JointSolution, config: CalibrationConfig
 ) -> CalibrationResult:
-    solution, system = done.solution, done.system
-    normalised = solution.residual * np.sqrt(system.weight).reshape(2, -1)
-    check = check_residuals(normalised, pieces.leg, solution.rank)
-    single = NoiseModel.from_spec(machine.tracker).piece_factor(pieces.count)
-    fit = Fit(
-        samples=len(samples),
-        used=pieces.used,
-        outliers=pieces.outliers,
-        pieces=len(pieces),
-        unknowns=solution.unknowns,
-        rank=solution.rank,
-        coverage=coverage,
-        path_mae_before=_mean_distance(before.deviation),
-        path_mae_after=_mean_distance(solution.residual),
-        residual_rms=float(np.sqrt(np.mean(np.sum(solution.residual**2, axis=0)))),
-        residual_ratio=float(np.sqrt(np.mean(normalised**2 * single))),
-        variance_ratio=check.variance_ratio,
-        correlation_factor=check.correlation_factor,
-        iterations=done.iterations,
-    )
-    gates = []
-    if coverage < MIN_COVERAGE:
-        gates.append(f'coverage: {100 * coverage:.0f} % of the path driven, {100 * MIN_COVERAGE:.0f} % needed')
-    if fit.path_mae_after >= fit.path_mae_before:
-        gates.append('compensation: the tables do not reduce the distance from the path')
+    solution, unknowns = done.solution, done.unknowns
+    results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
+    fit = _fit(runs, results, done)
     order = [unknowns.blocks[name] for name in (*SQUARENESS, *MOTIONS)]
     index = np.concatenate([np.arange(b.start, b.stop) for b in order])
-    missing = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
     return CalibrationResult(
-        run_id=_run_id(samples, path, machine, config),
-        tables=_tables(machine, unknowns, solution, check.inflation),
-        covariance=solution.covariance[np.ix_(index, index)] * check.inflation,
-        T_machine_tracker=done.pose,
+        run_id=_run_id([r.recording for r in runs], config),
+        tables=tables_of(runs[0].machine, unknowns, solution, fit.inflation),
+        covariance=solution.covariance[np.ix_(index, index)] * fit.inflation,
+        runs=tuple(results),
         fit=fit,
-        pieces=pieces,
-        q=system.q,
-        axes=system.axes,
-        deviation=system.deviation,
-        residual=solution.residual,
-        not_identifiable=missing,
+        not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
         warnings=tuple(_warnings(fit, unknowns, solution)),
-        failed_gates=tuple(gates),
+        failed_gates=_failed_gates(fit),
         config=config,
     )

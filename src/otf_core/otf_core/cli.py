@@ -38,7 +38,9 @@ def _option(name: str) -> str:
 def _add_parameter(group: Any, info: ParameterInfo) -> None:
     kind = type(info.default)
     unit, factor = CLI_UNITS.get(info.name, (kind.__name__.upper(), 1))
-    bounds = f', {info.low * factor:g} to {info.high * factor:g}' if info.high is not None else ''
+    bounds = ''
+    if info.low is not None and info.high is not None:
+        bounds = f', {info.low * factor:g} to {info.high * factor:g}'
     stated = info.unit if factor == 1 else 'mm/min'
     default = info.default if isinstance(info.default, str) else info.default * factor
     text = f'{info.meaning} ({stated or kind.__name__}{bounds}; default {default})'
@@ -69,7 +71,7 @@ def _parameters(kind: type[Any], arguments: argparse.Namespace) -> Any:
             scale = CLI_UNITS.get(info.name, ('', 1))[1]
             given[info.name] = info.check(value if scale == 1 else value / scale)
         except ConfigError as error:
-            raise ConfigError(f'{_option(info.name)}{str(error)[len(info.name):]}') from None
+            raise ConfigError(f'{_option(info.name)}{str(error)[len(info.name) :]}') from None
     return kind(**given)
 
 

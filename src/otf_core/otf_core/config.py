@@ -49,7 +49,9 @@ class ParameterInfo:
             raise ConfigError(f'{self.name}: expected {kind.__name__}, got {value!r}')
         if kind is float and not math.isfinite(value):
             raise ConfigError(f'{self.name}: {value} is not finite')
-        if self.low is not None and value < self.low or self.high is not None and value > self.high:
+        if (self.low is not None and value < self.low) or (
+            self.high is not None and value > self.high
+        ):
             raise ConfigError(
                 f'{self.name}: {value:g} is out of range [{self.low}, {self.high}] {self.unit}'
             )
@@ -78,7 +80,11 @@ class CalibrationConfig(Parameters):
     """How samples become error tables."""
 
     corner_exclusion: float = parameter(
-        0.008, 'path length left out at both ends of every leg: acceleration, rounding', 'm', 0, 0.2
+        0.008,
+        'path length left out at both ends of every leg: acceleration, rounding',
+        'm',
+        0,
+        0.2,
     )
     piece_length: float = parameter(
         0.008, 'samples are averaged over path pieces of about this length', 'm', 1e-4, 0.1
@@ -110,9 +116,7 @@ class CalibrationConfig(Parameters):
 class PlannerConfig(Parameters):
     """The nominal path: which lines and diagonals, how often, how fast."""
 
-    passes: int = parameter(
-        2, 'laps of the path; every second one runs backwards', '', 1, 20
-    )
+    passes: int = parameter(2, 'laps of the path; every second one runs backwards', '', 1, 20)
     feed: float = parameter(0.25, 'feed of the first lap', 'm/s', 1e-4, 5.0)
     feed_ratio: float = parameter(
         0.67, 'feed of every second lap, as a ratio to the first', '', 0.1, 1.0

@@ -110,7 +110,9 @@ def _axis_directions(tables: ErrorTables) -> dict[str, Points]:
     return {
         'X': np.array([1.0, 0.0, 0.0]),
         'Y': np.array([-np.sin(c0y), np.cos(c0y), 0.0]),
-        'Z': np.array([np.sin(b0z), -np.sin(a0z), np.sqrt(1 - np.sin(b0z) ** 2 - np.sin(a0z) ** 2)]),
+        'Z': np.array(
+            [np.sin(b0z), -np.sin(a0z), np.sqrt(1 - np.sin(b0z) ** 2 - np.sin(a0z) ** 2)]
+        ),
     }
 
 

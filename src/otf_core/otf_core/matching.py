@@ -10,7 +10,7 @@ the whole track follows the path in driving order (Viterbi) wins.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ def _measured_windows(track: Track, width: int) -> Array:
     """Runs of corner points of the track without a gap inside, those of largest extent first."""
     windows = []
     bounds = np.concatenate([np.flatnonzero(~track.joined), [len(track.joined)]])
-    for low, high in zip(bounds[:-1], bounds[1:], strict=True):
+    for low, high in pairwise(bounds):
         corners = np.concatenate([track.starts[low:high], track.ends[high - 1 : high]])
         if len(corners) >= width:
             windows.append(_sliding(corners, width))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracker noise: from range and angle uncertainty to the uncertainty of path pieces.
+"""Tracker noise: from range and angle noise of samples to the covariance of path pieces.
 
 Along the beam u_range, across it u_angle * range (paper Eq. 8-10, derived anew in
 docs/formulation.md since Eq. 4 prints the path direction where the beam direction belongs).
-``NoiseModel`` is the one place that knows how noise averages out over a piece.
+Samples are not independent: each variance has a white part and a part that is correlated in time
+(first-order Gauss-Markov). ``NoiseModel`` is the one place that knows how noise averages out.
 """
 
 from __future__ import annotations
@@ -17,34 +18,37 @@ from otf_core.machine import TrackerSpec
 
 Array = NDArray[np.float64]
 
+TYPICAL_WHITE_SHARE = 0.5
+TYPICAL_CORRELATION_TIME = 0.3
+"""Taken where a run has too little standstill to tell: real trackers show 0.1 s to 0.5 s."""
+
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Standard uncertainties of a sample and the part of them that averages out.
+    """Noise of single samples.
 
     Attributes
     ----------
     u_range : float
-        m, along the beam.
+        m, total standard deviation along the beam.
     u_angle : float
-        rad, each angle.
-    white_share : float
-        Share of the variance that is independent from sample to sample; the rest is taken as
-        common to all samples of a piece.
+        rad, total standard deviation of each angle.
+    white_range, white_angle : float
+        Shares of these variances that are independent from sample to sample.
+    correlation_time : float
+        s, of the rest.
     """
 
     u_range: float
     u_angle: float
-    white_share: float = 1.0
+    white_range: float = TYPICAL_WHITE_SHARE
+    white_angle: float = TYPICAL_WHITE_SHARE
+    correlation_time: float = TYPICAL_CORRELATION_TIME
 
     @classmethod
     def from_spec(cls, spec: TrackerSpec) -> NoiseModel:
-        """Noise as specified in machine.yaml, independent samples."""
+        """Levels as specified in machine.yaml, colour as typical."""
         return cls(spec.u_range, spec.u_angle)
-
-    def piece_factor(self, count: NDArray[np.int64]) -> Array:
-        """Variance of the mean of ``count`` samples, as a ratio to that of one sample."""
-        return np.asarray(self.white_share / count + (1.0 - self.white_share))
 
 
 def path_frame(direction: Array, beam: Array) -> tuple[Array, Array]:
@@ -76,24 +80,61 @@ def path_frame(direction: Array, beam: Array) -> tuple[Array, Array]:
     return a2, np.cross(direction, a2)
 
 
-def perpendicular_variance(
-    noise: NoiseModel, distance: Array, beam: Array, a2: Array, a3: Array
-) -> Array:
-    """Variances of one sample along a2 and a3 (paper Eq. 4 with the beam direction).
+def beam_shares(distance: Array, beam: Array, axes: Array) -> tuple[Array, Array]:
+    """How range and angle noise enter the two perpendicular components.
 
     Parameters
     ----------
-    noise : NoiseModel
-    distance : ndarray, shape (n,), m
-        Range.
-    beam, a2, a3 : ndarray, shape (n, 3)
-        Unit vectors in one frame.
+    distance : ndarray, shape (p,), m
+    beam : ndarray, shape (p, 3)
+        Unit vectors.
+    axes : ndarray, shape (2, p, 3)
+        a2 and a3.
 
     Returns
     -------
-    ndarray, shape (n, 2), m^2
-        a3 is perpendicular to the beam, so the two components are not correlated.
+    along : ndarray, shape (2, p)
+        Component per m of range noise (paper Eq. 4 with the beam direction).
+    across : ndarray, shape (2, p), m
+        Component per rad of angle noise. a3 is perpendicular to the beam, so the noise of the
+        two components is not correlated.
     """
-    along, across = noise.u_range**2, (noise.u_angle * distance) ** 2
-    cosine = np.stack([np.einsum('ij,ij->i', beam, a) for a in (a2, a3)], axis=1) ** 2
-    return np.asarray(along * cosine + across[:, None] * (1.0 - cosine))
+    along = np.einsum('kij,ij->ki', axes, beam)
+    return along, distance * np.sqrt(np.maximum(1.0 - along**2, 0.0))
+
+
+def sample_variance(noise: NoiseModel, along: Array, across: Array) -> Array:
+    """Variance of single samples, shape (2, p), m^2, for the shares of ``beam_shares``."""
+    return (noise.u_range * along) ** 2 + (noise.u_angle * across) ** 2
+
+
+def mean_covariance(
+    white: float, correlation_time: float, time: Array, duration: Array, count: NDArray[np.int64]
+) -> Array:
+    """Covariance of means over time windows for noise of unit variance.
+
+    Parameters
+    ----------
+    white : float
+        White share of the variance.
+    correlation_time : float
+        s, of the rest.
+    time, duration : ndarray, shape (m,), s
+        Centres and lengths of the windows, which do not overlap.
+    count : ndarray, shape (m,)
+        Samples in each.
+
+    Returns
+    -------
+    ndarray, shape (m, m)
+        Exact for windows sampled densely.
+    """
+    x = np.maximum(duration / correlation_time, 1e-6)
+    half = np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x)
+    gap = np.abs(time[:, None] - time[None, :]) / correlation_time
+    matrix = np.exp(-gap) * np.minimum(half[:, None] * half[None, :], np.exp(0.999 * gap))
+    own = np.where(x < 1e-3, 1.0 - x / 3.0, 2.0 * (x - 1.0 + np.exp(-x)) / x**2)
+    np.fill_diagonal(matrix, own)
+    matrix *= 1.0 - white
+    matrix[np.diag_indices_from(matrix)] += white / count
+    return matrix

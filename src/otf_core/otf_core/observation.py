@@ -41,7 +41,7 @@ class Samples:
     @property
     def time(self) -> NDArray[np.float64]:
         """Seconds since the first sample, shape (n,)."""
-        return (self.stamp_ns - self.stamp_ns[:1]) * 1e-9
+        return np.asarray((self.stamp_ns - self.stamp_ns[:1]) * 1e-9, dtype=np.float64)
 
     def part(self, start: int, stop: int) -> Samples:
         """Return samples start to stop - 1 (views, no copy)."""

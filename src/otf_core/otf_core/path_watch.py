@@ -60,7 +60,9 @@ class PathWatcher:
 
     def worth_judging(self) -> bool:
         """Tell, once per standstill, that ``at_end`` should be asked."""
-        ready = self.standstill >= END_STANDSTILL and self.travelled >= MIN_TRAVEL * self._path.length
+        ready = (
+            self.standstill >= END_STANDSTILL and self.travelled >= MIN_TRAVEL * self._path.length
+        )
         if not ready or self._judged:
             return False
         self._judged = True
@@ -72,4 +74,3 @@ class PathWatcher:
             return align(samples, self._path, self._config).last_leg_driven
         except InputError:
             return False
-

@@ -8,6 +8,7 @@ samples loses nothing. Left out: corners, standstill and the moments around it, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,8 @@ class Pieces:
         Samples in all pieces.
     outliers : int
         Samples left out as outliers.
+    standstill : bool
+        True if the pieces are standstills at ``origin``, where all three directions count.
     """
 
     xyz: Array
@@ -65,6 +68,7 @@ class Pieces:
     speed: Array
     used: int
     outliers: int
+    standstill: bool = False
 
     def __len__(self) -> int:
         """Return the number of pieces."""
@@ -84,7 +88,7 @@ def _boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float)
     marks = marks[np.concatenate([[True], np.diff(marks) > 1e-6])]
     parts = [
         np.linspace(a, b, max(1, int(np.ceil((b - a) / size))), endpoint=False)
-        for a, b in zip(marks[:-1], marks[1:], strict=True)
+        for a, b in pairwise(marks)
     ]
     return np.concatenate([*parts, [length]])
 
@@ -128,7 +132,7 @@ def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     """
     rest = np.zeros_like(offset)
     bounds = np.concatenate([[0], np.flatnonzero(np.diff(leg)) + 1, [len(leg)]])
-    for low, high in zip(bounds[:-1], bounds[1:], strict=True):
+    for low, high in pairwise(bounds):
         if high - low <= MEDIAN_HALF:
             rest[low:high] = offset[low:high] - np.median(offset[low:high], axis=0)
             continue

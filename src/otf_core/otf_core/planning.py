@@ -107,7 +107,9 @@ def plan_for_path(path: NominalPath, config: PlannerConfig) -> Plan:
 def check_inside(path: NominalPath, machine: Machine) -> None:
     """Refuse a path that leaves the axis ranges; InputError names point and axis."""
     for k, axis in enumerate(AXES):
-        beyond = np.maximum(machine.lower[k] - path.points[:, k], path.points[:, k] - machine.upper[k])
+        beyond = np.maximum(
+            machine.lower[k] - path.points[:, k], path.points[:, k] - machine.upper[k]
+        )
         if beyond.max() > 1e-9:
             raise InputError(
                 f'path: point {int(beyond.argmax())} leaves the range of axis {axis} by '

@@ -62,7 +62,7 @@ def predict(tables_path: str | Path, q: Array) -> Prediction:
     size = len(SQUARENESS) + sum(len(v) for v in nodes.values())
     covariance = unpack_covariance(content.extra.get('covariance'), size)
     known = covariance is not None
-    if not known:
+    if covariance is None:
         covariance = _independent(tables)
     u = prediction_uncertainty(tables.machine, nodes, covariance, q)
     return Prediction(displacement(tables, q), u, known)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.calibrate import GAUGE, CalibrationResult
+from otf_core.calibrate import GAUGE, CalibrationResult, RunResult
 from otf_core.io.csv_points import write_csv
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.tables import MOTIONS, SQUARENESS, tables_to_dict, unit_of
@@ -65,25 +65,42 @@ def _tidy_rows(result: CalibrationResult) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def _residual_columns(result: CalibrationResult) -> NDArray[np.float64]:
-    pieces = result.pieces
+def _residual_columns(number: int, run: RunResult) -> NDArray[np.float64]:
+    pieces = run.pieces
     return np.column_stack(
         [
+            np.full(len(pieces), number),
             pieces.time,
             pieces.leg,
             pieces.count,
             pieces.speed,
-            result.q,
-            result.axes[0],
-            result.axes[1],
-            result.deviation.T,
-            result.residual.T,
+            run.q,
+            run.axes[0],
+            run.axes[1],
+            run.deviation[:2].T,
+            run.residual[:2].T,
         ]
     )
 
 
-_RESIDUAL_HEADER = (
-    'time,leg,count,speed,x,y,z,a2x,a2y,a2z,a3x,a3y,a3z,deviation2,deviation3,residual2,residual3'
+_RESIDUAL_HEADER = ','.join(
+    [
+        'run',
+        'time',
+        'leg',
+        'count',
+        'speed',
+        'x',
+        'y',
+        'z',
+        'a2x',
+        'a2y',
+        'a2z',
+        'a3x',
+        'a3y',
+        'a3z',
+    ]
+    + ['deviation2', 'deviation3', 'residual2', 'residual3']
 )
 
 
@@ -107,7 +124,8 @@ def write_calibration(result: CalibrationResult, folder: str | Path) -> list[Pat
     """
     folder = ensure_folder(folder)
     write_text(folder / 'error_tables.csv', _tidy_rows(result))
-    write_csv(folder / 'residuals.csv', _RESIDUAL_HEADER, _residual_columns(result))
+    rows = [_residual_columns(k, run) for k, run in enumerate(result.runs)]
+    write_csv(folder / 'residuals.csv', _RESIDUAL_HEADER, np.concatenate(rows))
     write_text(folder / 'summary.txt', format_result(result) + '\n')
     write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result), indent=1) + '\n')
     names = (TABLES_FILE, 'error_tables.csv', 'residuals.csv', 'summary.txt')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rank-revealing solution of the weighted system (paper 1.2.6, 1.2.7).
+"""Rank-revealing solution of the normal equations (paper 1.2.6, 1.2.7).
 
 The normal matrix is reduced motion by motion: a block of columns that the accepted ones leave
 without information is dropped and its motion reported as not identifiable. Single nodes that
@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.system import System
+from otf_core.normal import NormalEquations
+from otf_core.tables import MOTIONS
 from otf_core.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ class Solution:
     ----------
     value : ndarray, shape (full,), m and rad
     covariance : ndarray, shape (full, full)
-        For the noise assumed in the weights.
+        For the noise assumed in the normal equations.
     accepted : tuple of str
         Blocks that were solved for; all others are zero.
     determined : ndarray of bool, shape (full,)
@@ -41,8 +42,6 @@ class Solution:
         Free unknowns after the gauge.
     rank : int
         Independent combinations of them that the data determine.
-    residual : ndarray, shape (2, p), m
-        Deviation less model.
     """
 
     value: Array
@@ -51,16 +50,6 @@ class Solution:
     determined: NDArray[np.bool_]
     unknowns: int
     rank: int
-    residual: Array
-
-
-def normal_equations(system: System, unknowns: Unknowns, unit: float) -> tuple[Array, Array]:
-    """Normal matrix and right-hand side of the free unknowns in multiples of ``unit``."""
-    design = system.design @ unknowns.gauge
-    weighted = design.multiply(system.weight[:, None]).tocsr()
-    matrix = (weighted.T @ design).toarray() * unit**2
-    right = weighted.T @ system.deviation.reshape(-1) * unit
-    return matrix, right
 
 
 def _smoothness(unknowns: Unknowns) -> Array:
@@ -68,26 +57,28 @@ def _smoothness(unknowns: Unknowns) -> Array:
     total = np.zeros((unknowns.full, unknowns.full))
     for name, block in unknowns.blocks.items():
         count = block.stop - block.start
-        if count > 2 and name != 'pose':
+        if count > 2 and name in MOTIONS:
             bend = np.diff(np.eye(count), 2, axis=0)
             total[block, block] = bend.T @ bend
     gauge = unknowns.gauge.toarray()
     return np.asarray(gauge.T @ total @ gauge + 1e-2 * np.eye(unknowns.free))
 
 
-def identifiable_blocks(system: System, unknowns: Unknowns, limit: float) -> tuple[str, ...]:
+def identifiable_blocks(
+    normal: NormalEquations, unknowns: Unknowns, limit: float
+) -> tuple[str, ...]:
     """Blocks that add information to the ones before them.
 
     Parameters
     ----------
-    system : System
-        Built with ``nodal_lever``.
+    normal : NormalEquations
+        Of a system built with ``nodal_lever``.
     unknowns : Unknowns
     limit : float
         m and rad; ``unidentifiable_above``. In its units an eigenvalue of the normal matrix
         below 1 means undetermined.
     """
-    matrix, _ = normal_equations(system, unknowns, limit)
+    matrix = normal.matrix * limit**2
     smooth = _smoothness(unknowns)
     accepted: list[str] = []
     factor = np.zeros((0, 0))
@@ -111,13 +102,13 @@ def identifiable_blocks(system: System, unknowns: Unknowns, limit: float) -> tup
 
 
 def solve(
-    system: System, unknowns: Unknowns, limit: float, accepted: tuple[str, ...]
+    normal: NormalEquations, unknowns: Unknowns, limit: float, accepted: tuple[str, ...]
 ) -> Solution:
-    """Solve the system in the gauge of ``unknowns``.
+    """Solve in the gauge of ``unknowns``.
 
     Parameters
     ----------
-    system : System
+    normal : NormalEquations
     unknowns : Unknowns
     limit : float
         m and rad; ``unidentifiable_above``.
@@ -128,7 +119,7 @@ def solve(
     -------
     Solution
     """
-    matrix, right = normal_equations(system, unknowns, limit)
+    matrix, right = normal.matrix * limit**2, normal.right * limit
     smooth = _smoothness(unknowns)
     use = np.concatenate(
         [np.arange(unknowns.free_blocks[n].start, unknowns.free_blocks[n].stop) for n in accepted]
@@ -145,8 +136,5 @@ def solve(
     determined = np.diag(covariance) <= 1.0
     for name, block in unknowns.blocks.items():
         determined[block] &= name in accepted
-    residual = system.deviation - (system.design @ value).reshape(2, -1)
     rank = int(np.sum(linalg.eigvalsh(data) > 1.0))
-    return Solution(
-        value, covariance * limit**2, accepted, determined, unknowns.free, rank, residual
-    )
+    return Solution(value, covariance * limit**2, accepted, determined, unknowns.free, rank)

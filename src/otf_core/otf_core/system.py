@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""System of equations (paper 1.2.4, 1.2.5): two rows per piece, perpendicular to the path.
+"""System of equations (paper 1.2.4): rows perpendicular to the path, or all three at a stop.
 
 Row i says: a_i . (R p + t - q) = a_i . e(q) - a_i . (dt + dr x (R p + t)), with the point q on the
 path, the error model e of ``kinematics`` and the pose correction dt, dr solved jointly.
@@ -16,37 +16,38 @@ from scipy import sparse
 from otf_core.frames import RigidTransform
 from otf_core.kinematics import displacement, motion_influence, squareness_influence
 from otf_core.machine import AXES, Machine
-from otf_core.noise import NoiseModel, path_frame, perpendicular_variance
+from otf_core.noise import beam_shares, path_frame
 from otf_core.pieces import Pieces
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
-from otf_core.unknowns import Unknowns, interval
+from otf_core.unknowns import Unknowns, interval, pose_block
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class System:
-    """Weighted rows.
+    """Rows of all pieces, not yet weighted.
 
     Attributes
     ----------
     q : ndarray, shape (p, 3), m
         Nominal position of each piece on its leg.
-    axes : ndarray, shape (2, p, 3)
-        a2 and a3 of every piece.
-    deviation : ndarray, shape (2, p), m
-        Measured minus nominal along a2 and a3.
-    design : sparse array, shape (2 p, full)
-        Derivatives of the deviations; rows of a2 first, then of a3.
-    weight : ndarray, shape (2 p,), 1/m^2
-        Reciprocal variances.
+    axes : ndarray, shape (c, p, 3)
+        Directions of the c rows of every piece: a2 and a3, or three at standstill.
+    deviation : ndarray, shape (c, p), m
+        Measured minus nominal along the axes.
+    design : sparse array, shape (c p, full)
+        Derivatives of the deviations; rows of the first axis of all pieces, then the next.
+    along, across : ndarray, shape (c, p)
+        Shares of range and angle noise in the deviations, see ``noise.beam_shares``.
     """
 
     q: Array
     axes: Array
     deviation: Array
     design: sparse.csr_array
-    weight: Array
+    along: Array
+    across: Array
 
 
 def nominal_positions(
@@ -68,10 +69,13 @@ def nominal_positions(
     -------
     ndarray, shape (p, 3), m
     """
+
     def nearest(position: Array) -> Array:
         along = np.einsum('ij,ij->i', position - pieces.origin, pieces.direction)
         return np.asarray(pieces.origin + along[:, None] * pieces.direction)
 
+    if pieces.standstill:
+        return pieces.origin
     q = nearest(points)
     for _ in range(iterations if tables is not None else 0):
         assert tables is not None
@@ -79,23 +83,37 @@ def nominal_positions(
     return q
 
 
+def _axes(pieces: Pieces, beam: Array) -> Array:
+    """Directions of the rows, chosen so that their noise is not correlated."""
+    if not pieces.standstill:
+        return np.stack(path_frame(pieces.direction, beam))
+    helper = np.eye(3)[np.argmin(np.abs(beam), axis=1)]
+    return np.stack([beam, *path_frame(beam, helper)])
+
+
 def _design(
-    machine: Machine, unknowns: Unknowns, q: Array, points: Array, axes: Array, nodal_lever: bool
+    machine: Machine,
+    unknowns: Unknowns,
+    run: int,
+    q: Array,
+    points: Array,
+    axes: Array,
+    nodal_lever: bool,
 ) -> sparse.csr_array:
-    count = len(q)
+    count, components, pose = len(q), len(axes), unknowns.blocks[pose_block(run)].start
     row = np.arange(count)
     rows, columns, values = [], [], []
 
     def add(influence: Array, column: NDArray[np.int64], factor: Array | float) -> None:
-        for k in range(2):
+        for k in range(components):
             rows.append(row + k * count)
             columns.append(column)
             values.append(np.einsum('ij,ij->i', axes[k], influence) * factor)
 
     for k in range(3):
         unit = np.broadcast_to(np.eye(3)[k], q.shape)
-        add(unit, np.full(count, k), -1.0)
-        add(np.cross(np.eye(3)[k], points), np.full(count, 3 + k), -1.0)
+        add(unit, np.full(count, pose + k), -1.0)
+        add(np.cross(np.eye(3)[k], points), np.full(count, pose + 3 + k), -1.0)
     for name in SQUARENESS:
         add(squareness_influence(name, q), np.full(count, unknowns.blocks[name].start), 1.0)
     places = {a: interval(unknowns.nodes[a], q[:, k]) for k, a in enumerate(AXES)}
@@ -108,7 +126,7 @@ def _design(
                 lever_q[:, axis] = nodes[index + step]
             add(motion_influence(machine, name, lever_q), start + index + step, factor)
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return sparse.csr_array(sparse.coo_array(entries, shape=(2 * count, unknowns.full)))
+    return sparse.csr_array(sparse.coo_array(entries, shape=(components * count, unknowns.full)))
 
 
 def build_system(
@@ -116,9 +134,9 @@ def build_system(
     pieces: Pieces,
     pose: RigidTransform,
     unknowns: Unknowns,
-    noise: NoiseModel,
     tables: ErrorTables | None = None,
     *,
+    run: int = 0,
     nodal_lever: bool = False,
 ) -> System:
     """Set up the rows of all pieces.
@@ -130,9 +148,10 @@ def build_system(
     pose : RigidTransform
         Tracker to machine, good to the errors sought.
     unknowns : Unknowns
-    noise : NoiseModel
     tables : ErrorTables, optional
         Tables of the last iteration, for the positions along the path.
+    run : int
+        Which pose block the rows belong to.
     nodal_lever : bool
         Take an axis' own travel in a lever arm at the nodes. A rotation that acts only through
         it is then exactly a translation, as it is for continuous tables, instead of differing
@@ -146,13 +165,13 @@ def build_system(
     q = nominal_positions(pieces, points, tables)
     distance = np.linalg.norm(pieces.xyz, axis=1)
     beam = pose.rotate(pieces.xyz / distance[:, None])
-    axes = np.stack(path_frame(pieces.direction, beam))
-    variance = perpendicular_variance(noise, distance, beam, axes[0], axes[1])
-    variance *= noise.piece_factor(pieces.count)[:, None]
+    axes = _axes(pieces, beam)
+    along, across = beam_shares(distance, beam, axes)
     return System(
         q=q,
         axes=axes,
         deviation=np.einsum('kij,ij->ki', axes, points - q),
-        design=_design(machine, unknowns, q, points, axes, nodal_lever),
-        weight=1.0 / variance.T.reshape(-1),
+        design=_design(machine, unknowns, run, q, points, axes, nodal_lever),
+        along=along,
+        across=across,
     )

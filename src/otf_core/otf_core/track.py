@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,10 +148,12 @@ def measured_track(samples: Samples, tolerance: float) -> Track:
     hops, points = index[kept], points[kept]
     quiet = np.diff(samples.stamp_ns[hops])  # a pause is no gap: look at the sample before
     before = samples.stamp_ns[hops[1:]] - samples.stamp_ns[np.maximum(hops[1:] - stride, 0)]
-    gap = np.minimum(quiet, before) > max(GAP_TIME * 1e9, 5 * stride * np.median(np.diff(samples.stamp_ns)))
+    gap = np.minimum(quiet, before) > max(
+        GAP_TIME * 1e9, 5 * stride * np.median(np.diff(samples.stamp_ns))
+    )
     bounds = np.concatenate([[0], np.flatnonzero(gap) + 1, [len(hops)]])
     starts, stops, joined = [], [], []
-    for low, high in zip(bounds[:-1], bounds[1:], strict=True):
+    for low, high in pairwise(bounds):
         if high - low < 3:
             continue
         corner = low + simplify(points[low:high], tolerance)

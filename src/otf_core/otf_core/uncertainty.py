@@ -40,33 +40,32 @@ class ResidualCheck:
         return max(1.0, self.variance_ratio * self.correlation_factor)
 
 
-def check_residuals(normalised: Array, leg: NDArray[np.int64], rank: int) -> ResidualCheck:
+def check_residuals(whitened: Array, leg: NDArray[np.int64], rank: int) -> ResidualCheck:
     """Compare residuals with the assumed noise.
-
-    Samples at 500 Hz are not independent; taken as such they make every uncertainty far too
-    small. Here the correlation left between neighbouring pieces of a leg scales the covariance.
 
     Parameters
     ----------
-    normalised : ndarray, shape (2, p)
-        Residuals over their assumed standard uncertainty, pieces in driving order.
+    whitened : ndarray, shape (c, p)
+        Residuals freed of the assumed noise covariance, pieces in driving order: independent
+        and of unit variance if nothing but that noise is in them. What the model lacks shows as
+        size and as correlation between neighbouring pieces of a leg.
     leg : ndarray of int64, shape (p,)
     rank : int
         Number of estimated quantities.
     """
-    square = float(np.mean(normalised**2))
-    freedom = max(1.0, normalised.size - rank)
+    square = float(np.mean(whitened**2))
+    freedom = max(1.0, whitened.size - rank)
     total = 0.0
     for lag in range(1, min(MAX_LAG, len(leg) - 1)):
         same = leg[lag:] == leg[:-lag]
         if same.sum() < 20:
             break
-        products = normalised[:, lag:][:, same] * normalised[:, :-lag][:, same]
+        products = whitened[:, lag:][:, same] * whitened[:, :-lag][:, same]
         correlation = float(products.mean()) / max(square, 1e-300)
         if correlation < 0.05:
             break
         total += correlation
-    return ResidualCheck(square * normalised.size / freedom, 1.0 + 2.0 * total)
+    return ResidualCheck(square * whitened.size / freedom, 1.0 + 2.0 * total)
 
 
 def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Array:

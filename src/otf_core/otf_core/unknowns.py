@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The unknowns of a calibration and their gauge.
 
-Unknowns are the pose correction (3 translations, 3 rotations), 3 squareness errors and the node
-values of 18 error motions. The gauge (docs/formulation.md): positioning and rotations are zero at
-the axis' zero position, else at its minimum; straightness is zero at both ends. Gauge conditions
+Unknowns are a pose correction per run (3 translations, 3 rotations), 3 squareness errors and the
+node values of 18 error motions. The gauge (docs/formulation.md): positioning and rotations are zero
+at the axis' zero position, else at its minimum; straightness is zero at both ends. Gauge conditions
 are met exactly, by leaving nodes out: ``full = gauge @ free``.
 """
 
@@ -32,8 +32,8 @@ class Unknowns:
     nodes : mapping of axis to ndarray, m
         Table nodes of each axis.
     blocks : mapping of block name to slice
-        Place of 'pose', the squareness names and the motions in the full vector, in the order in
-        which dependent ones give way: pose, squareness, translations, rotations.
+        Place of the poses, the squareness names and the motions in the full vector; dependent
+        ones give way in this order: pose, squareness, translations, rotations.
     gauge : sparse array, shape (full, free)
     free_blocks : mapping of block name to slice
         The same blocks in the free vector.
@@ -43,6 +43,11 @@ class Unknowns:
     blocks: dict[str, slice]
     gauge: sparse.csr_array
     free_blocks: dict[str, slice]
+
+    @property
+    def tables(self) -> slice:
+        """Place of squareness and tables in the full vector: all but the poses."""
+        return slice(self.blocks[SQUARENESS[0]].start, self.full)
 
     @property
     def full(self) -> int:
@@ -140,10 +145,15 @@ def _motion_gauge(motion: str, nodes: Array) -> Array:
     return np.delete(basis, dropped, axis=1)
 
 
-def layout(nodes: dict[str, Array]) -> Unknowns:
-    """Lay out the unknowns for given nodes."""
+def pose_block(run: int) -> str:
+    """Name of the block of the pose correction of one run."""
+    return f'pose {run}'
+
+
+def layout(nodes: dict[str, Array], runs: int = 1) -> Unknowns:
+    """Lay out the unknowns for given nodes and a number of runs, each with its own pose."""
     order = [m for m in MOTIONS if unit_of(m) == 'm'] + [m for m in MOTIONS if unit_of(m) == 'rad']
-    parts: list[tuple[str, Array]] = [('pose', np.eye(POSE))]
+    parts: list[tuple[str, Array]] = [(pose_block(run), np.eye(POSE)) for run in range(runs)]
     parts += [(name, np.eye(1)) for name in SQUARENESS]
     parts += [(name, _motion_gauge(name, nodes[name[2]])) for name in order]
     blocks, free_blocks = {}, {}

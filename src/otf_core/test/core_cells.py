@@ -2,14 +2,18 @@
 """Small cells for the tests of the core: machines, drives, and ways to spoil a recording."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+
 from otf_core.config import PlannerConfig
 from otf_core.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.frames import RigidTransform
 from otf_core.kinematics import displacement, exact_position
 from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
 from otf_core.noise import NoiseModel
+from otf_core.normal import Whitener, normal_equations
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
 from otf_core.pieces import Pieces
@@ -19,7 +23,6 @@ from otf_core.solution import Solution, identifiable_blocks, solve
 from otf_core.system import System, build_system
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
 from otf_core.unknowns import Unknowns, layout, table_nodes
-from scipy.spatial.transform import Rotation
 
 CONTRACT_CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
 RANGES = ((0.0, 0.3), (0.0, 0.25), (-0.2, 0.0))
@@ -91,7 +94,7 @@ class Recording:
 
         def drive(points):
             rows = [np.empty((0, 3))]
-            for a, b in zip(points[:-1], points[1:], strict=True):
+            for a, b in pairwise(points):
                 count = max(2, int(np.linalg.norm(b - a) / speed / step))
                 rows.append(a + np.linspace(0, 1, count, endpoint=False)[:, None] * (b - a))
             return np.concatenate(rows)
@@ -150,7 +153,7 @@ def pieces_of(machine, path, tables, pose, size=0.01, count=10):
     """Pieces as a perfect recording of a path would give them: first-order errors, no noise."""
     corners, _ = path.corners()
     legs, points = [], []
-    for j, (a, b) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
+    for j, (a, b) in enumerate(pairwise(corners)):
         number = max(3, int(np.linalg.norm(b - a) / size))
         share = (np.arange(number) + 0.5) / number
         points.append(a + share[:, None] * (b - a))
@@ -213,7 +216,7 @@ def error_by_hand(tables, q):
         )
         total += t + np.cross(r, levers[axis])
     c0y, b0z, a0z = (tables.squareness[k].value for k in ('C0Y', 'B0Z', 'A0Z'))
-    return total + [-c0y * q[1] + b0z * q[2], -a0z * q[2], 0.0]
+    return total + np.array([-c0y * q[1] + b0z * q[2], -a0z * q[2], 0.0])
 
 
 def transform_pose(machine, seed):
@@ -249,18 +252,22 @@ def tables_of(machine, unknowns, solution):
     )
 
 
-def fit_pieces(machine, pieces, pose, iterations=3, low=None, high=None, limit=1e-4):
-    """Solve for given pieces as ``calibrate`` does, nodes over the given range."""
-    low = machine.lower if low is None else low
-    high = machine.upper if high is None else high
-    unknowns = layout(table_nodes(machine, low, high))
-    noise = NoiseModel.from_spec(machine.tracker)
-    first = build_system(machine, pieces, pose, unknowns, noise, nodal_lever=True)
-    accepted = identifiable_blocks(first, unknowns, limit)
+def white(machine):
+    """Noise as specified, independent from sample to sample."""
+    return NoiseModel(machine.tracker.u_range, machine.tracker.u_angle, 1.0, 1.0)
+
+
+def fit_pieces(machine, pieces, pose, iterations=3, limit=1e-4, ranges=None):
+    """Solve for given pieces as ``calibrate`` does; nodes over the given ranges, white noise."""
+    unknowns = layout(table_nodes(machine, *(ranges or (machine.lower, machine.upper))))
+    first = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
+    whitener = Whitener(first, pieces, white(machine))
+    accepted = identifiable_blocks(normal_equations(first, unknowns, whitener), unknowns, limit)
     tables = None
     for _ in range(iterations):
-        system = build_system(machine, pieces, pose, unknowns, noise, tables)
-        solution = solve(system, unknowns, limit, accepted)
+        system = build_system(machine, pieces, pose, unknowns, tables)
+        normal = normal_equations(system, unknowns, whitener)
+        solution = solve(normal, unknowns, limit, accepted)
         tables = tables_of(machine, unknowns, solution)
         pose = pose.moved_by(solution.value[:3], solution.value[3:6])
     return PieceFit(tables, solution, unknowns, system)

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from core_cells import Recording, corner_path, record, small_plan, some_machine, some_pose
+from scipy.spatial.transform import Rotation
+
 from otf_core.alignment import align, line_step
 from otf_core.config import CalibrationConfig, PlannerConfig
 from otf_core.errors import InputError
@@ -16,7 +18,6 @@ from otf_core.path import NominalPath
 from otf_core.planning import plan_for_path
 from otf_core.sim.cell import random_tables
 from otf_core.track import simplify
-from scipy.spatial.transform import Rotation
 
 CONFIG = CalibrationConfig()
 # m; thousands of samples with 2 um of noise place the tracker far better, errors of the machine
@@ -35,19 +36,22 @@ def check(recording, tables=None, seed=0, share=0.97, config=CONFIG):
     true_points = samples.xyz @ pose[0] + pose[1]  # the inverse of a rotation is its transpose
     off = np.linalg.norm(found.T_machine_tracker.apply(samples.xyz) - true_points, axis=1)
     assert off.max() < POSE_TOLERANCE
-    moving = np.linalg.norm(np.gradient(recording.q, axis=0), axis=1) > 1e-6
+    speed = np.gradient(recording.q, axis=0)
+    moving = np.linalg.norm(speed, axis=1) > 1e-6
+    step = np.diff(recording.time)  # next to a gap the difference is no speed
+    moving &= (np.append(step, 0) < 0.1) & (np.insert(step, 0, 0) < 0.1)
     used = (found.leg != OFF_PATH) & moving
     # samples within a corner's rounding belong to either leg: judge away from corners
-    origin, step = found.corners[:-1], np.diff(found.corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = (step / length[:, None])[found.leg]
+    origin, chord = found.corners[:-1], np.diff(found.corners, axis=0)
+    length = np.linalg.norm(chord, axis=1)
+    unit = (chord / length[:, None])[found.leg]
     local = recording.q - origin[found.leg]
     along = np.sum(local * unit, axis=1)
     inner = used & (along > 0.004) & (along < length[found.leg] - 0.004)
     across = np.linalg.norm(local - along[:, None] * unit, axis=1)
     assert across[inner].max() < 1e-9  # the programmed position is exactly on its leg
     assert np.all(np.diff(found.leg[inner]) >= 0)
-    heading = np.sum(np.gradient(recording.q, axis=0) * unit, axis=1)
+    heading = np.sum(speed * unit, axis=1)
     assert heading[inner].min() > 0
     near = np.min(np.linalg.norm(recording.q[:, None] - found.corners, axis=2), axis=1) < 0.01
     assert np.sum(inner & ~near) > share * np.sum(moving & ~near)
@@ -71,15 +75,20 @@ def test_quarter_and_half_turns_are_found(cell, turn):
     np.testing.assert_allclose(found.T_machine_tracker.translation, pose[1], atol=POSE_TOLERANCE)
 
 
+def driven_share(recording):
+    step = np.linalg.norm(np.diff(recording.q, axis=0), axis=1)
+    return step[np.diff(recording.time) < 0.1].sum() / recording.path.length
+
+
 @pytest.mark.parametrize(
-    ('low', 'high', 'coverage'),
-    [(8.0, 999.0, 0.9), (0.0, 65.0, 0.8), (15.0, 60.0, 0.55), (30.0, 50.0, 0.25)],
+    ('low', 'high'), [(8.0, 999.0), (0.0, 65.0), (15.0, 60.0), (30.0, 50.0), (0.3, 89.2)]
 )
-def test_part_of_the_path_finds_its_place(cell, low, high, coverage):
-    found = check(cell.recording.between(low, high))
-    # feed and stops are even along the path: the driven share is about that of the time
-    assert found.coverage == pytest.approx(coverage, abs=0.06)
-    assert found.last_leg_driven == (high > 100)
+def test_part_of_the_path_finds_its_place(cell, low, high):
+    part = cell.recording.between(low, high)
+    found = check(part)
+    # legs are measured between points a hop apart: up to some mm of each 0.26 m are missing
+    assert found.coverage == pytest.approx(driven_share(part), abs=0.02)
+    assert found.last_leg_driven == (high > 89)
 
 
 @pytest.mark.parametrize(
@@ -143,9 +152,9 @@ def test_long_stop_at_corners_changes_nothing():
     ids=['in a line', 'over corners', 'several', 'everywhere'],
 )
 def test_gaps_where_the_beam_was_lost_are_bridged(cell, spans):
-    found = check(cell.recording.cut(*spans), cell.truth, share=0.9)
-    lost = sum(b - a for a, b in spans) / cell.recording.time[-1]
-    assert found.coverage == pytest.approx(1 - lost, abs=0.05)
+    recording = cell.recording.cut(*spans)
+    found = check(recording, cell.truth, share=0.9)
+    assert found.coverage == pytest.approx(driven_share(recording), abs=0.05)
 
 
 @pytest.mark.parametrize('size', [1e-4, 3e-3, 5e-2])
@@ -199,7 +208,10 @@ def test_rounded_corners_align(cell, seconds):
     width = round(seconds * 100)
     padded = np.pad(recording.q, ((width, width), (0, 0)), 'edge')
     rounded = np.stack(
-        [np.convolve(padded[:, k], np.ones(width) / width, 'same')[width:-width] for k in range(3)],
+        [
+            np.convolve(padded[:, k], np.ones(width) / width, 'same')[width:-width]
+            for k in range(3)
+        ],
         axis=1,
     )
     pose = some_pose(cell.machine, np.random.default_rng(1))
@@ -274,9 +286,7 @@ def test_lines_that_are_all_parallel_do_not_fix_the_tracker():
 
 @pytest.mark.parametrize('count', [0, 1, 2, 3, 500])
 def test_standing_still_is_named(cell, count):
-    still = Recording(
-        cell.machine, cell.path, 0.01 * np.arange(count), np.full((count, 3), 0.1)
-    )
+    still = Recording(cell.machine, cell.path, 0.01 * np.arange(count), np.full((count, 3), 0.1))
     assert 'hardly moved' in refusal(still.measured(), cell.path)
 
 
@@ -294,7 +304,9 @@ def test_simplified_track_keeps_corners_and_points_of_return():
     y = np.concatenate([np.zeros(79), np.linspace(0, 0.5, 21)[1:]])
     points = np.stack([x, y, 0 * x], axis=1)
     found = points[simplify(points, 1e-3)]
-    np.testing.assert_allclose(found, [[0, 0, 0], [1, 0, 0], [0.4, 0, 0], [0.4, 0.5, 0]], atol=1e-12)
+    np.testing.assert_allclose(
+        found, [[0, 0, 0], [1, 0, 0], [0.4, 0, 0], [0.4, 0.5, 0]], atol=1e-12
+    )
 
 
 def test_rigid_fit_recovers_a_transform_and_never_mirrors():

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+
 from otf_core.errors import ConfigError
 from otf_core.machine import Chain, load_machine, machine_from_dict
 
@@ -98,7 +99,11 @@ def test_whole_numbers_are_numbers(read):
         ('0.5e-6', '-1e-6', 'tracker: u_range: -1e-06 is out of range'),
         ('0.5e-6', '0.5', 'tracker: u_range: 0.5 is out of range'),
         ('0.5e-6', '0.5 um', 'tracker: u_range: expected a plain number'),
-        ('tracker:\n  u_range: 0.5e-6\n  u_angle: 2.0e-6\n', 'tracker: 3\n', 'tracker: expected a'),
+        (
+            'tracker:\n  u_range: 0.5e-6\n  u_angle: 2.0e-6\n',
+            'tracker: 3\n',
+            'tracker: expected a',
+        ),
         ('tracker:\n  u_range: 0.5e-6\n  u_angle: 2.0e-6\n', 'tracker:\n', 'tracker: expected a'),
     ],
 )
@@ -134,7 +139,9 @@ def test_file_without_keys_is_refused(read, text):
     ['a: [', 'a: b: c', '\ta: 1', GOOD + '---\n' + GOOD, 'a: *b', '{a: 1', 'name: "x'],
 )
 def test_broken_yaml_names_file_line_and_column(read, text):
-    with pytest.raises(ConfigError, match=r'machine\.yaml: not valid YAML at line \d+, column \d+'):
+    with pytest.raises(
+        ConfigError, match=r'machine\.yaml: not valid YAML at line \d+, column \d+'
+    ):
         read(text)
 
 

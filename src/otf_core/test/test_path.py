@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+
 from otf_core.errors import InputError, ShapeError
 from otf_core.path import NominalPath
 

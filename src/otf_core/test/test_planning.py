@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from core_cells import fit_pieces, pieces_of, some_machine, transform_pose, zero_tables
+
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
 from otf_core.path import NominalPath
@@ -121,5 +122,3 @@ def test_path_to_the_very_ends_is_inside():
     machine = some_machine()
     path = NominalPath(np.array([machine.lower, machine.upper]))
     assert check_inside(path, machine) is None
-
-

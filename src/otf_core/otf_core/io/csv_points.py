@@ -43,7 +43,9 @@ def read_points_csv(path: str | Path) -> NDArray[np.float64]:
         try:
             points.append([float(row[k]) for k in places])
         except (ValueError, IndexError):
-            raise ConfigError(f'{path}: line {number}: expected three numbers, got {row}') from None
+            raise ConfigError(
+                f'{path}: line {number}: expected three numbers, got {row}'
+            ) from None
         if not np.all(np.isfinite(points[-1])):
             raise ConfigError(f'{path}: line {number}: not finite')
     if not points:

@@ -27,7 +27,9 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     """Yield a temporary name beside ``path``; it takes the final name if the block succeeds."""
     path = Path(path)
     try:
-        handle, name = tempfile.mkstemp(prefix=f'.{path.stem}-', suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=f'.{path.stem}-', suffix=path.suffix, dir=path.parent
+        )
         os.close(handle)
         os.chmod(name, 0o644)
     except OSError as error:

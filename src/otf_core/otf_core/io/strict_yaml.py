@@ -51,7 +51,7 @@ def read_yaml(path: str | Path) -> Any:
     except OSError as error:
         raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
     try:
-        return yaml.load(text, Loader=_Loader)  # noqa: S506 - subclass of SafeLoader
+        return yaml.load(text, Loader=_Loader)
     except yaml.YAMLError as error:
         mark = getattr(error, 'problem_mark', None)
         place = f' at line {mark.line + 1}, column {mark.column + 1}' if mark else ''

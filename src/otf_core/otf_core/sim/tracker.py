@@ -56,7 +56,9 @@ def beam_frame(xyz: Array) -> tuple[Array, Array, Array]:
     return distance, along_azimuth, np.cross(xyz / distance[:, None], along_azimuth)
 
 
-def measure(xyz: Array, machine: Machine, config: SimulationConfig, rng: np.random.Generator) -> Array:
+def measure(
+    xyz: Array, machine: Machine, config: SimulationConfig, rng: np.random.Generator
+) -> Array:
     """Return noisy points for true points ``xyz`` (n, 3) in the tracker frame, m."""
     distance, along_azimuth, along_elevation = beam_frame(xyz)
     n = len(xyz)

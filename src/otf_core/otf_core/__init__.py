@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS-free core of the on-the-fly machine-tool calibration; import what you need by module."""

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint solution of runs: common tables, one pose per run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
+from otf_core.frames import RigidTransform
+from otf_core.machine import Machine
+from otf_core.normal import NormalEquations, Whitener, normal_equations
+from otf_core.runs import Run
+from otf_core.solution import Solution, identifiable_blocks, solve
+from otf_core.system import System, build_system
+from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.unknowns import Unknowns, pose_block
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class SolvedRun:
+    """One run at the solution.
+
+    Attributes
+    ----------
+    pose : RigidTransform
+        Tracker to machine.
+    system : System
+    whitener : Whitener
+    residual : ndarray, shape (c, p), m
+        Deviation less model.
+    """
+
+    pose: RigidTransform
+    system: System
+    whitener: Whitener
+    residual: Array
+
+
+@dataclass(frozen=True)
+class JointSolution:
+    """Solution of all runs.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    solution : Solution
+    runs : tuple of SolvedRun
+    iterations : int
+    """
+
+    unknowns: Unknowns
+    solution: Solution
+    runs: tuple[SolvedRun, ...]
+    iterations: int
+
+
+def tables_of(
+    machine: Machine, unknowns: Unknowns, solution: Solution, inflation: float = 1.0
+) -> ErrorTables:
+    """Error tables of a solution; ``inflation`` multiplies its covariance."""
+    u = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0) * inflation)
+    motions, squareness = {}, {}
+    for name in MOTIONS:
+        block = unknowns.blocks[name]
+        seen = name in solution.accepted
+        motions[name] = MotionTable(
+            unknowns.nodes[name[2]],
+            solution.value[block] + 0.0,
+            u[block] if seen else np.zeros(block.stop - block.start),
+            seen,
+            solution.determined[block],
+        )
+    for name in SQUARENESS:
+        place = unknowns.blocks[name].start
+        squareness[name] = Squareness(float(solution.value[place]), float(u[place]))
+    return ErrorTables(machine, motions, squareness)
+
+
+def _systems(
+    runs: Sequence[Run],
+    poses: Sequence[RigidTransform],
+    unknowns: Unknowns,
+    tables: ErrorTables | None,
+) -> list[System]:
+    return [
+        build_system(run.machine, run.pieces, pose, unknowns, tables, run=k)
+        for k, (run, pose) in enumerate(zip(runs, poses, strict=True))
+    ]
+
+
+def _summed(
+    systems: Sequence[System], unknowns: Unknowns, whiteners: Sequence[Whitener]
+) -> NormalEquations:
+    pairs = zip(systems, whiteners, strict=True)
+    return reduce(add, (normal_equations(s, unknowns, w) for s, w in pairs))
+
+
+def solve_jointly(
+    runs: Sequence[Run], unknowns: Unknowns, config: CalibrationConfig, progress: Progress
+) -> JointSolution:
+    """Solve, move the poses, re-derive the positions on the paths; until nothing changes.
+
+    Raises
+    ------
+    InputError
+        If the solution does not settle.
+    """
+    machine, limit = runs[0].machine, config.unidentifiable_above
+    poses = [run.pose for run in runs]
+    first = [
+        build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
+        for k, run in enumerate(runs)
+    ]
+    whiteners = [Whitener(s, r.pieces, r.noise) for s, r in zip(first, runs, strict=True)]
+    accepted = identifiable_blocks(_summed(first, unknowns, whiteners), unknowns, limit)
+    tables, value, change = None, np.zeros(unknowns.full), np.inf
+    for iteration in range(1, config.max_iterations + 1):
+        systems = _systems(runs, poses, unknowns, tables)
+        solution = solve(_summed(systems, unknowns, whiteners), unknowns, limit, accepted)
+        tables = tables_of(machine, unknowns, solution)
+        motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
+        table_change = np.abs(solution.value - value)[unknowns.tables].max()
+        change = float(max(table_change, np.abs(motion).max()))
+        value = solution.value
+        progress('solving', iteration / (iteration + 1))
+        if change < config.alignment_stop:
+            solved = []
+            for pose, system, whitener in zip(poses, systems, whiteners, strict=True):
+                model = (system.design @ value).reshape(system.deviation.shape)
+                solved.append(SolvedRun(pose, system, whitener, system.deviation - model))
+            return JointSolution(unknowns, solution, tuple(solved), iteration)
+        poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
+    raise InputError(
+        f'the solution did not settle in {config.max_iterations} iterations (last change '
+        f'{1e6 * change:.3g} um); the path may not determine the errors'
+    )

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of one machine: each with its samples, path, tracker place and target offset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.alignment import Alignment, align, line_step
+from otf_core.config import CalibrationConfig
+from otf_core.errors import ConfigError, InputError
+from otf_core.frames import RigidTransform
+from otf_core.machine import AXES, Machine
+from otf_core.matching import OFF_PATH
+from otf_core.noise import NoiseModel
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.pieces import Pieces, reduce_to_pieces
+from otf_core.standstill import noise_model
+from otf_core.unknowns import table_nodes
+
+Array = NDArray[np.float64]
+
+SNAP = 0.02
+"""m; a covered range that ends this close to the path's own end is taken to reach it."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recorded run.
+
+    Attributes
+    ----------
+    samples : Samples
+    path : NominalPath
+    machine : Machine
+        The same machine in all runs; its target offset and tracker may differ.
+    """
+
+    samples: Samples
+    path: NominalPath
+    machine: Machine
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recording reduced to pieces.
+
+    Attributes
+    ----------
+    recording : Recording
+    alignment : Alignment
+    pieces : Pieces
+    pose : RigidTransform
+        Tracker to machine, fitted rigidly.
+    noise : NoiseModel
+    """
+
+    recording: Recording
+    alignment: Alignment
+    pieces: Pieces
+    pose: RigidTransform
+    noise: NoiseModel
+
+    @property
+    def machine(self) -> Machine:
+        """Machine as set up in this run."""
+        return self.recording.machine
+
+
+def check_same_machine(recordings: Sequence[Recording]) -> None:
+    """Refuse runs whose chains or axes differ; ConfigError names the key."""
+    first = recordings[0].machine.to_dict()
+    for number, recording in enumerate(recordings[1:], start=2):
+        other = recording.machine.to_dict()
+        for key in ('chain', 'axes'):
+            if other[key] != first[key]:
+                raise ConfigError(f'run {number}: {key}: differs from run 1; not one machine')
+
+
+def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Array]:
+    """Part of the axis ranges that the driven legs cover.
+
+    Returns
+    -------
+    low, high : ndarray, shape (3,), m
+
+    Raises
+    ------
+    InputError
+        If the path leaves the ranges of the machine.
+    """
+    machine, corners = recording.machine, alignment.corners
+    points = alignment.T_machine_tracker.apply(recording.samples.xyz[alignment.leg != OFF_PATH])
+    low, high = points.min(axis=0), points.max(axis=0)
+    path_low, path_high = corners.min(axis=0), corners.max(axis=0)
+    low = np.where(low < path_low + SNAP, path_low, low)
+    high = np.where(high > path_high - SNAP, path_high, high)
+    flat = path_high - path_low < 1e-6
+    low, high = np.where(flat, path_low, low), np.where(flat, path_low, high)
+    outside = np.maximum(machine.lower - low, high - machine.upper)
+    if outside.max() > 1e-3:
+        raise InputError(
+            f'path: leaves the range of axis {AXES[int(np.argmax(outside))]} by '
+            f'{1e3 * outside.max():.1f} mm; do bag and machine description belong together?'
+        )
+    return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
+
+
+def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) -> RigidTransform:
+    """Fine alignment on the pieces: perpendicular distances, every sample counting alike."""
+    for _ in range(config.max_iterations):
+        points = pose.apply(pieces.xyz)
+        step = line_step(points, pieces.origin, pieces.direction, pieces.count.astype(float))
+        moved = pose.moved_by(*step)
+        change = float(np.abs(moved.apply(pieces.xyz) - points).max())
+        pose = moved
+        if change < config.alignment_stop:
+            break
+    return pose
+
+
+def prepare_runs(
+    recordings: Sequence[Recording], config: CalibrationConfig
+) -> tuple[list[Run], dict[str, Array]]:
+    """Align and reduce recordings for a common set of table nodes.
+
+    Returns
+    -------
+    runs : list of Run
+    nodes : mapping of axis to ndarray, m
+    """
+    check_same_machine(recordings)
+    alignments = [align(r.samples, r.path, config) for r in recordings]
+    ranges = [covered_range(a, r) for a, r in zip(alignments, recordings, strict=True)]
+    low = np.min([r[0] for r in ranges], axis=0)
+    high = np.max([r[1] for r in ranges], axis=0)
+    nodes = table_nodes(recordings[0].machine, low, high)
+    runs = []
+    for recording, alignment in zip(recordings, alignments, strict=True):
+        samples, spec = recording.samples, recording.machine.tracker
+        pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
+        pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
+        noise = noise_model(samples, spec, config.standstill_speed)
+        runs.append(Run(recording, alignment, pieces, pose, noise))
+    return runs, nodes

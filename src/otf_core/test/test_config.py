@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters: types, bounds and choices; every field says what it means."""
+
+import dataclasses
+
+import pytest
+
+from otf_core.config import (
+    CalibrationConfig,
+    ParameterInfo,
+    Parameters,
+    PlannerConfig,
+    SimulationConfig,
+    parameter,
+)  # fmt: skip
+from otf_core.errors import ConfigError
+
+KINDS = [CalibrationConfig, PlannerConfig, SimulationConfig]
+FIELDS = [(kind, info) for kind in KINDS for info in kind.infos()]
+NAMES = [f'{kind.__name__}.{info.name}' for kind, info in FIELDS]
+
+
+@dataclasses.dataclass(frozen=True)
+class Sample(Parameters):
+    """One parameter of each type."""
+
+    length: float = parameter(0.5, 'a length', 'm', 0.0, 1.0)
+    count: int = parameter(3, 'a count', '', 1, 9)
+    mode: str = parameter('fast', 'a choice', choices=('fast', 'slow'))
+    active: bool = parameter(True, 'a switch')
+
+
+@pytest.mark.parametrize(('kind', 'info'), FIELDS, ids=NAMES)
+def test_parameter_has_meaning_bounds_and_a_default_within(kind, info):
+    assert len(info.meaning) > 10
+    if isinstance(info.default, (int, float)) and not isinstance(info.default, bool):
+        assert info.low <= info.default <= info.high
+    assert getattr(kind(), info.name) == info.default
+
+
+@pytest.mark.parametrize(('kind', 'info'), FIELDS, ids=NAMES)
+def test_bounds_are_closed_and_what_lies_beyond_is_refused_by_name(kind, info):
+    if info.low is None:
+        pytest.skip('has no bounds')
+    for bound, beyond in ((info.low, info.low - 1), (info.high, info.high + 1)):
+        value = type(info.default)(bound)
+        assert getattr(kind(**{info.name: value}), info.name) == bound
+        with pytest.raises(ConfigError, match=f'^{info.name}: .*out of range'):
+            kind(**{info.name: type(info.default)(beyond)})
+
+
+@pytest.mark.parametrize(
+    ('change', 'reason'),
+    [
+        ({'length': '0.5'}, "length: expected float, got '0.5'"),
+        ({'length': None}, 'length: expected float'),
+        ({'length': True}, 'length: expected float'),
+        ({'length': float('nan')}, 'length: nan is not finite'),
+        ({'length': float('inf')}, 'length: inf is not finite'),
+        ({'length': [0.5]}, 'length: expected float'),
+        ({'count': 2.0}, 'count: expected int'),
+        ({'count': True}, 'count: expected int'),
+        ({'count': '2'}, 'count: expected int'),
+        ({'mode': 'medium'}, 'mode: .*possible: fast, slow'),
+        ({'mode': 1}, 'mode: expected str'),
+        ({'active': 1}, 'active: expected bool'),
+        ({'active': 'yes'}, 'active: expected bool'),
+    ],
+)
+def test_value_of_wrong_type_or_choice_is_refused(change, reason):
+    with pytest.raises(ConfigError, match=reason):
+        Sample(**change)
+
+
+def test_whole_number_becomes_a_float_where_one_is_meant():
+    value = Sample(length=1).length
+    assert value == 1.0
+    assert isinstance(value, float)
+
+
+def test_parameters_cannot_be_changed_later():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        CalibrationConfig().max_iterations = 3
+
+
+def test_infos_say_all_about_a_parameter():
+    first = next(Sample.infos())
+    assert first == ParameterInfo('length', 0.5, 'a length', 'm', 0.0, 1.0, ())
+
+
+def test_unknown_parameter_is_refused():
+    with pytest.raises(TypeError, match='feeed'):
+        PlannerConfig(feeed=1.0)

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""System of equations: rows against finite differences, deviations against what was put in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from core_cells import (
+    CONTRACT_CHAINS,
+    error_by_hand,
+    pieces_of,
+    small_plan,
+    some_machine,
+    transform_pose,
+    white,
+    zero_tables,
+)
+
+from otf_core.normal import MODEL_FLOOR, Whitener, normal_equations
+from otf_core.sim.cell import random_tables
+from otf_core.system import build_system, nominal_positions
+from otf_core.tables import MOTIONS, MotionTable, Squareness
+from otf_core.unknowns import layout, table_nodes
+
+ALL_CHAINS = (*CONTRACT_CHAINS, 'w-Z-Y-X-b-t')
+
+
+def system_of(machine, tables, pose=None, seed=0, known=None):
+    pose = pose or transform_pose(machine, seed)
+    pieces = pieces_of(machine, small_plan(machine).path, tables, pose, size=0.06)
+    unknowns = layout(table_nodes(machine, machine.lower, machine.upper))
+    return pieces, unknowns, build_system(machine, pieces, pose, unknowns, known)
+
+
+@pytest.mark.parametrize('chain', ALL_CHAINS)
+def test_columns_of_errors_are_derivatives_of_the_error_model(chain):
+    machine = some_machine(chain)
+    _, unknowns, system = system_of(machine, zero_tables(machine))
+    design = system.design.toarray().reshape(2, len(system.q), -1)
+    rng = np.random.default_rng(1)
+    rows = rng.choice(len(system.q), 12, replace=False)
+    base = zero_tables(machine)
+    for name in (*MOTIONS, 'C0Y', 'B0Z', 'A0Z'):
+        block = unknowns.blocks[name]
+        for k in range(block.stop - block.start):
+            # the model is linear in the unknowns: a difference of any size is the derivative
+            if name in MOTIONS:
+                value = np.zeros(block.stop - block.start)
+                value[k] = 1.0
+                table = MotionTable(unknowns.nodes[name[2]], value, 0 * value)
+                tables = replace(base, motions={**base.motions, name: table})
+            else:
+                tables = replace(base, squareness={**base.squareness, name: Squareness(1.0)})
+            for row in rows:
+                expected = system.axes[:, row] @ error_by_hand(tables, system.q[row])
+                found = design[:, row, block.start + k]
+                np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=name)
+
+
+def test_columns_of_the_pose_take_off_a_motion_of_the_tracker():
+    machine = some_machine()
+    pose = transform_pose(machine, 0)
+    _, unknowns, system = system_of(machine, zero_tables(machine), pose)
+    columns = system.design.toarray()[:, unknowns.blocks['pose']]
+    pieces, _, _ = system_of(machine, zero_tables(machine), pose)
+    for k in range(6):
+        small = np.zeros(6)
+        small[k] = 1e-6
+        moved = pose.moved_by(small[:3], small[3:])
+        shifted = build_system(machine, pieces, moved, unknowns)
+        change = np.einsum('kij,ij->ki', system.axes, moved.apply(pieces.xyz) - shifted.q)
+        change -= np.einsum('kij,ij->ki', system.axes, pose.apply(pieces.xyz) - system.q)
+        # a correction of the pose undoes the motion; second order is 1e-12
+        np.testing.assert_allclose(columns[:, k] * 1e-6, -change.reshape(-1), atol=5e-12)
+
+
+@pytest.mark.parametrize('chain', CONTRACT_CHAINS)
+def test_deviations_are_the_errors_across_the_path(chain):
+    machine = some_machine(chain)
+    truth = random_tables(machine, 2e-5, np.random.default_rng(0))
+    # positions are derived with the tables known, as in the last iteration
+    _, _, system = system_of(machine, truth, known=truth)
+    expected = [
+        [axis @ error_by_hand(truth, q) for q, axis in zip(system.q, axes, strict=True)]
+        for axes in system.axes
+    ]
+    # the position along the path is found to 1e-4 of the errors, which are 1e-4
+    np.testing.assert_allclose(system.deviation, expected, atol=1e-10)
+
+
+def test_axes_are_across_the_path():
+    machine = some_machine()
+    pieces, _, system = system_of(machine, zero_tables(machine))
+    for axes in system.axes:
+        np.testing.assert_allclose(np.sum(axes * pieces.direction, axis=1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.sum(system.axes[0] * system.axes[1], axis=1), 0, atol=1e-12)
+
+
+def test_positions_lie_on_their_legs_even_with_errors_along_them():
+    machine = some_machine()
+    truth = random_tables(machine, 1e-4, np.random.default_rng(2))
+    pose = transform_pose(machine, 0)
+    pieces = pieces_of(machine, small_plan(machine).path, truth, pose, size=0.06)
+    exact = pieces_of(machine, small_plan(machine).path, zero_tables(machine), pose, size=0.06)
+    programmed = pose.apply(exact.xyz)
+    found = nominal_positions(pieces, pose.apply(pieces.xyz), truth)
+    nearest = nominal_positions(pieces, pose.apply(pieces.xyz), None)
+    # without tables it is off by the error along the path, some 100 um; with them by 1e-3 of it
+    assert np.abs(nearest - programmed).max() > 5e-5
+    np.testing.assert_allclose(found, programmed, atol=1e-7)
+
+
+def test_normal_equations_of_independent_samples_are_the_weighted_sums_of_the_paper():
+    machine = some_machine()
+    truth = random_tables(machine, 2e-5, np.random.default_rng(4))
+    pieces, unknowns, system = system_of(machine, truth)
+    found = normal_equations(system, unknowns, Whitener(system, pieces, white(machine)))
+    spec = machine.tracker
+    variance = (spec.u_range * system.along) ** 2 + (spec.u_angle * system.across) ** 2
+    weight = 1 / (variance / pieces.count + MODEL_FLOOR**2).reshape(-1)
+    rows = system.design.toarray() @ unknowns.gauge.toarray()
+    matrix = rows.T @ (weight[:, None] * rows)
+    np.testing.assert_allclose(found.matrix, matrix, atol=1e-12 * np.abs(matrix).max())
+    right = rows.T @ (weight * system.deviation.reshape(-1))
+    np.testing.assert_allclose(found.right, right, atol=1e-12 * np.abs(right).max())
+    assert found.square == pytest.approx(np.sum(weight * system.deviation.reshape(-1) ** 2))
+    assert found.rows == 2 * len(pieces)
+
+
+def test_rows_hold_two_nodes_a_motion_and_no_more():
+    machine = some_machine()
+    _, unknowns, system = system_of(machine, zero_tables(machine))
+    filled = np.diff(system.design.indptr)
+    # 6 of the pose, 3 squareness, 2 nodes of 18 motions: independent of the number of nodes
+    assert filled.max() <= 6 + 3 + 2 * 18
+    assert system.design.shape == (2 * len(system.q), unknowns.full)

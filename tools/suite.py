@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""./otf test: lint, types, the core suite without ROS, the workspace suite with it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import layout
+import ros
+import workspace
+
+ROOT = Path(layout.ROOT)
+CORE_SUITE = 'src/otf_core/test'
+NO_TESTS = 5  # pytest's exit code when nothing was collected
+
+# Runs with the variables of the core suite: fails if any part of ROS can be imported there.
+PROOF = """
+import importlib.util, os, sys
+names = 'rclpy rosidl_parser ament_index_python std_msgs geometry_msgs otf_msgs otf_ros'.split()
+found = [name for name in names if importlib.util.find_spec(name)]
+found += [name for name in os.environ if name.startswith(('ROS', 'RMW', 'AMENT', '_ROS'))]
+sys.exit(f'not free of ROS: {found}' if found else 0)
+"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One command of the suite."""
+
+    title: str
+    command: list[str]
+    env: dict[str, str]
+
+
+def core_environment() -> dict[str, str]:
+    hidden = ('ROS', 'RMW', 'AMENT', 'COLCON', 'CMAKE_PREFIX', 'FASTRTPS', 'FASTDDS', 'LD_LIBRARY')
+    env = {k: v for k, v in ros.clean(os.environ).items() if not k.startswith(hidden)}
+    return {**env, 'PYTHONPATH': str(ROOT / 'src/otf_core')}
+
+
+def all_checks(workspace_env: dict[str, str]) -> list[Check]:
+    core, python = core_environment(), layout.PYTHON
+    node_python = shutil.which('python', path=workspace_env['PATH'])
+    return [
+        Check('ruff check', [python, '-m', 'ruff', 'check'], core),
+        Check('ruff format --check', [python, '-m', 'ruff', 'format', '--check'], core),
+        Check('mypy', [python, '-m', 'mypy'], core),
+        Check('no ROS for the core suite', [python, '-c', PROOF], core),
+        Check(f'pytest {CORE_SUITE}', [python, '-m', 'pytest', CORE_SUITE], core),
+        Check('pytest tests', [node_python, '-m', 'pytest', 'tests'], workspace_env),
+    ]
+
+
+def chosen_checks(workspace_env: dict[str, str], arguments: list[str]) -> list[Check]:
+    """Pytest only; a test file or folder among the arguments chooses the suite it belongs to."""
+    paths = [word for word in arguments if Path(word.partition('::')[0]).exists()]
+    of_core = [word for word in paths if (ROOT / 'src/otf_core') in Path(word).resolve().parents]
+    other = [word for word in arguments if word not in paths]
+    checks = []
+    for check in all_checks(workspace_env)[-2:]:
+        mine = (
+            of_core if check.title.endswith(CORE_SUITE) else [w for w in paths if w not in of_core]
+        )
+        if mine or not paths:
+            targets = [absolute(word) for word in mine] or check.command[-1:]
+            checks.append(Check(check.title, [*check.command[:-1], *other, *targets], check.env))
+    return checks
+
+
+def absolute(word: str) -> str:
+    path, mark, rest = word.partition('::')
+    return os.path.realpath(path) + mark + rest
+
+
+def run(arguments: list[str]) -> int:
+    env = workspace.set_up_workspace(dev=True)
+    env.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    checks = chosen_checks(env, arguments) if arguments else all_checks(env)
+    results = []
+    for check in checks:
+        print(f'\n=== {check.title} ===', flush=True)
+        start = time.monotonic()
+        code = subprocess.call(check.command, env=check.env, cwd=ROOT)
+        results.append((check.title, code, time.monotonic() - start))
+    print('\n=== summary ===')
+    for title, code, seconds in results:
+        print(f'{describe(code, bool(arguments)):8} {seconds:6.1f} s  {title}')
+    failed = [code for _, code, _ in results if code and not (arguments and code == NO_TESTS)]
+    nothing_ran = all(code == NO_TESTS for _, code, _ in results)
+    sys.stdout.flush()
+    return 1 if failed or nothing_ran else 0
+
+
+def describe(code: int, selected: bool) -> str:
+    if code == NO_TESTS and selected:
+        return 'no tests'
+    return 'FAILED' if code else 'ok'
