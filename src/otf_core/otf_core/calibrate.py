@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from otf_core.config import CalibrationConfig
 from otf_core.frames import RigidTransform
-from otf_core.joint import JointSolution, Progress, SolvedRun, solve_jointly, tables_of
+from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.machine import Machine
 from otf_core.noise import NoiseModel, sample_variance
 from otf_core.observation import Samples
@@ -35,6 +35,10 @@ GAUGE = (
 )
 MIN_COVERAGE = 0.8
 """Share of the path length below which a calibration fails the quality gate."""
+MAX_OUTLIERS = 0.2
+"""Share of left-out samples above which a calibration fails the quality gate."""
+MAX_ERROR = 5e-4
+"""m; mean distance from the path above which the input is not plausible for a machine tool."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +233,7 @@ def calibrate_runs(
         progress('aligning', 0.0)
         runs, nodes = prepare_runs(recordings, config)
         progress('solving', 0.0)
-        done = solve_jointly(runs, layout(nodes, len(runs)), config, progress)
+        runs, done = solve_robustly(runs, layout(nodes, len(runs)), config, progress)
         return _assemble(runs, done, config)
 
 
@@ -290,6 +294,16 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
         failed.append(
             f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
             f'{100 * MIN_COVERAGE:.0f} % needed'
+        )
+    if fit.outliers > MAX_OUTLIERS * fit.samples:
+        failed.append(
+            f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out, '
+            f'{100 * MAX_OUTLIERS:.0f} % allowed'
+        )
+    if fit.path_mae_before > MAX_ERROR:
+        failed.append(
+            f'plausibility: the track is {1e3 * fit.path_mae_before:.2f} mm off the path on '
+            f'average; check units, scale and the machine description'
         )
     if fit.path_mae_after >= fit.path_mae_before:
         failed.append('compensation: the tables do not reduce the distance from the path')

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
@@ -16,6 +16,7 @@ from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
 from otf_core.machine import Machine
 from otf_core.normal import NormalEquations, Whitener, normal_equations
+from otf_core.pieces import RAYLEIGH_MEDIAN, SMALLEST_SIGMA
 from otf_core.runs import Run
 from otf_core.solution import Solution, identifiable_blocks, solve
 from otf_core.system import System, build_system
@@ -24,6 +25,9 @@ from otf_core.unknowns import Unknowns, pose_block
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+
+MAX_REJECTIONS = 4
+"""Rounds of leaving out pieces; bad pieces bend the tables at first and hide others."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,38 @@ def _summed(
     return reduce(add, (normal_equations(s, unknowns, w) for s, w in pairs))
 
 
+def solve_robustly(
+    runs: Sequence[Run], unknowns: Unknowns, config: CalibrationConfig, progress: Progress
+) -> tuple[list[Run], JointSolution]:
+    """Solve, leave out pieces far from the solution, solve again.
+
+    Bursts of bad samples longer than the window of the outlier test, and corners rounded beyond
+    ``corner_exclusion``, show as pieces many robust standard deviations off.
+
+    Returns
+    -------
+    runs : list of Run
+        With the pieces that were kept.
+    solution : JointSolution
+    """
+    runs = list(runs)
+    for _ in range(MAX_REJECTIONS):
+        done = solve_jointly(runs, unknowns, config, progress)
+        drop = [_far_pieces(s, config.outlier_limit) for s in done.runs]
+        if not any(d.any() for d in drop):
+            break
+        runs = [replace(r, pieces=r.pieces.without(d)) for r, d in zip(runs, drop, strict=True)]
+    else:
+        done = solve_jointly(runs, unknowns, config, progress)
+    return runs, done
+
+
+def _far_pieces(run: SolvedRun, limit: float) -> NDArray[np.bool_]:
+    distance = np.linalg.norm(run.residual, axis=0)
+    sigma = max(float(np.median(distance)) / RAYLEIGH_MEDIAN, SMALLEST_SIGMA)
+    return np.asarray(distance > limit * sigma)
+
+
 def solve_jointly(
     runs: Sequence[Run], unknowns: Unknowns, config: CalibrationConfig, progress: Progress
 ) -> JointSolution:
@@ -123,22 +159,23 @@ def solve_jointly(
     ]
     whiteners = [Whitener(s, r.pieces, r.noise) for s, r in zip(first, runs, strict=True)]
     accepted = identifiable_blocks(_summed(first, unknowns, whiteners), unknowns, limit)
-    tables, value, change = None, np.zeros(unknowns.full), np.inf
+    tables, rest, change = None, [np.inf] * len(runs), np.inf
     for iteration in range(1, config.max_iterations + 1):
         systems = _systems(runs, poses, unknowns, tables)
         solution = solve(_summed(systems, unknowns, whiteners), unknowns, limit, accepted)
         tables = tables_of(machine, unknowns, solution)
         motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
-        table_change = np.abs(solution.value - value)[unknowns.tables].max()
-        change = float(max(table_change, np.abs(motion).max()))
-        value = solution.value
+        left = [
+            s.deviation - (s.design @ solution.value).reshape(s.deviation.shape) for s in systems
+        ]
+        change = max(float(np.abs(a - b).max()) for a, b in zip(left, rest, strict=True))
+        rest = left
         progress('solving', iteration / (iteration + 1))
         if change < config.alignment_stop:
-            solved = []
-            for pose, system, whitener in zip(poses, systems, whiteners, strict=True):
-                model = (system.design @ value).reshape(system.deviation.shape)
-                solved.append(SolvedRun(pose, system, whitener, system.deviation - model))
-            return JointSolution(unknowns, solution, tuple(solved), iteration)
+            solved = zip(poses, systems, whiteners, left, strict=True)
+            return JointSolution(
+                unknowns, solution, tuple(SolvedRun(*parts) for parts in solved), iteration
+            )
         poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
     raise InputError(
         f'the solution did not settle in {config.max_iterations} iterations (last change '

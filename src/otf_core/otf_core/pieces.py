@@ -7,7 +7,7 @@ samples loses nothing. Left out: corners, standstill and the moments around it, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -28,6 +28,8 @@ SPEED_WINDOW = 0.04
 
 MEDIAN_HALF = 5
 """samples on either side that a sample is compared with to tell an outlier."""
+SMALLEST_SIGMA = 1e-7
+"""m; no tracker is quieter."""
 RAYLEIGH_MEDIAN = 1.1774
 """Median length of a vector of two independent normal components of unit variance."""
 
@@ -73,6 +75,13 @@ class Pieces:
     def __len__(self) -> int:
         """Return the number of pieces."""
         return len(self.leg)
+
+    def without(self, drop: NDArray[np.bool_]) -> Pieces:
+        """Return the pieces that are not marked in ``drop``, shape (p,)."""
+        arrays = ('xyz', 'leg', 'origin', 'direction', 'count', 'time', 'duration', 'speed')
+        kept = {name: getattr(self, name)[~drop] for name in arrays}
+        lost = int(self.count[drop].sum())
+        return replace(self, **kept, used=self.used - lost, outliers=self.outliers + lost)
 
 
 def _boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
@@ -145,7 +154,7 @@ def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
         rest[high - 1] = part[-1] - (2 * smooth[-2] - smooth[-3])
     distance = np.linalg.norm(rest, axis=1)
     sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
-    return np.asarray(distance > limit * max(sigma, 1e-12))
+    return np.asarray(distance > limit * max(sigma, SMALLEST_SIGMA))
 
 
 def reduce_to_pieces(
@@ -178,6 +187,8 @@ def reduce_to_pieces(
     keep = (alignment.leg != OFF_PATH) & (speed > 0)
     keep &= (along > margin) & (along < length[leg] - margin)
     chosen = np.flatnonzero(keep)
+    if not len(chosen):
+        raise InputError('no sample is left on the lines of the path away from corners and stops')
 
     marks = [_boundaries(corners, j, nodes, config.piece_length) for j in range(len(length))]
     shift = np.concatenate([[0.0], np.cumsum(length + 1.0)])
@@ -187,8 +198,6 @@ def reduce_to_pieces(
     offset = points[chosen] - along[chosen, None] * unit[leg[chosen]]
     far = _outliers(offset, leg[chosen], config.outlier_limit)
     chosen, piece = chosen[~far], piece[~far]
-    if not len(chosen):
-        raise InputError('no sample is left on the lines of the path away from corners and stops')
     return _collect(samples, chosen, piece, alignment, unit, speed, int(far.sum()))
 
 

@@ -7,6 +7,7 @@ A table is linear between its nodes and constant outside them.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -139,31 +140,42 @@ def _array(entry: Mapping[str, Any], key: str, where: str) -> NDArray[np.float64
         values = np.asarray(entry[key], dtype=float)
     except KeyError:
         raise ConfigError(f'{where}: {key}: missing') from None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ConfigError(f'{where}: {key}: expected a list of numbers') from None
     if values.ndim != 1 or not values.size or not np.all(np.isfinite(values)):
         raise ConfigError(f'{where}: {key}: expected a list of finite numbers')
     return values
 
 
-def _motion(entry: Any, where: str) -> MotionTable:
+def _motion(entry: Any, name: str, where: str) -> MotionTable:
     if not isinstance(entry, Mapping):
         raise ConfigError(f'{where}: expected position, value and u')
     position, value = _array(entry, 'position', where), _array(entry, 'value', where)
     u = _array(entry, 'u', where) if 'u' in entry else np.zeros_like(value)
     if not position.size == value.size == u.size:
         raise ConfigError(f'{where}: position, value and u differ in length')
+    if np.any(u < 0):
+        raise ConfigError(f'{where}: u: must not be negative')
+    for key, right in (('unit', unit_of(name)), ('axis', name[2])):
+        if entry.get(key, right) != right:
+            raise ConfigError(f"{where}: {key}: must be '{right}', got {entry[key]!r}")
     if np.any(np.diff(position) <= 0):
         raise ConfigError(f'{where}: position: must ascend strictly')
     return MotionTable(position, value, u, bool(entry.get('identifiable', True)))
 
 
-def _squareness(data: Mapping[str, Any], name: str, where: str) -> Squareness:
-    entry = data.get(name) or {}
+def _squareness(data: Any, name: str, where: str) -> Squareness:
     try:
-        return Squareness(float(entry.get('value', 0.0)), float(entry.get('u', 0.0)))
-    except (AttributeError, TypeError, ValueError):
+        unknown = sorted(set(data) - set(SQUARENESS))
+        entry = data.get(name) or {}
+        result = Squareness(float(entry.get('value', 0.0)), float(entry.get('u', 0.0)))
+    except (AttributeError, TypeError, ValueError, OverflowError):
         raise ConfigError(f'{where}: squareness: {name}: expected value and u') from None
+    if unknown:
+        raise ConfigError(f'{where}: squareness: {unknown[0]}: unknown squareness error')
+    if not math.isfinite(result.value) or not math.isfinite(result.u) or result.u < 0:
+        raise ConfigError(f'{where}: squareness: {name}: must be finite, u not negative')
+    return result
 
 
 def tables_from_dict(data: Any, where: str) -> TablesFile:
@@ -188,7 +200,7 @@ def tables_from_dict(data: Any, where: str) -> TablesFile:
         )
     tables = ErrorTables(
         machine_from_dict(data.get('machine'), f'{where}: machine'),
-        {name: _motion(motions[name], f'{where}: {name}') for name in MOTIONS},
+        {name: _motion(motions[name], name, f'{where}: {name}') for name in MOTIONS},
         {name: _squareness(data.get('squareness') or {}, name, where) for name in SQUARENESS},
     )
     extra = {k: v for k, v in data.items() if k not in tables_to_dict(tables)}

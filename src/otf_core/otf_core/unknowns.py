@@ -101,10 +101,11 @@ def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
 
 
 def reference_weights(nodes: Array) -> tuple[int, float]:
-    """Interval and fraction of the reference position: zero, or the nearest covered position."""
+    """Interval and fraction of the reference position: zero, else the minimum of the nodes."""
     if not nodes[0] <= 0.0 <= nodes[-1]:
         return 0, 0.0
-    return interval(nodes, np.zeros(1))[0][0], float(interval(nodes, np.zeros(1))[1][0])
+    index, fraction = interval(nodes, np.zeros(1))
+    return int(index[0]), float(fraction[0])
 
 
 def interval(nodes: Array, q: Array) -> tuple[NDArray[np.int64], Array]:

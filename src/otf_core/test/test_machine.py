@@ -151,7 +151,6 @@ def test_binary_file_is_no_yaml(read, text):
         read(text)
 
 
-@pytest.mark.xfail(strict=True, reason='errors of the YAML constructor are not caught')
 @pytest.mark.parametrize(
     'text',
     [

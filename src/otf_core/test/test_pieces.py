@@ -191,7 +191,6 @@ def test_large_spike_does_not_take_its_piece_along():
     assert used - case.pieces(Samples(case.samples.stamp_ns, xyz)).used == 1
 
 
-@pytest.mark.xfail(strict=True, reason='median of nothing: a RuntimeWarning comes first')
 def test_recording_without_a_moving_sample_is_refused():
     case = Case()
     with pytest.raises(InputError, match='no sample is left'):

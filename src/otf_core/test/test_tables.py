@@ -102,7 +102,6 @@ def test_wrong_content_names_file_and_place(data, change, names):
         assert name in message
 
 
-@pytest.mark.xfail(strict=True, reason='not checked yet')
 @pytest.mark.parametrize(
     'change',
     [

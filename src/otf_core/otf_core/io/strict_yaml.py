@@ -52,6 +52,8 @@ def read_yaml(path: str | Path) -> Any:
         raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
     try:
         return yaml.load(text, Loader=_Loader)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ConfigError(f'{path}: not usable YAML: {str(error).splitlines()[0]}') from None
     except yaml.YAMLError as error:
         mark = getattr(error, 'problem_mark', None)
         place = f' at line {mark.line + 1}, column {mark.column + 1}' if mark else ''
@@ -131,6 +133,10 @@ class Fields:
     def _finite(self, key: str, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             self.fail(key, f'expected a plain number in SI units, got {value!r}')
-        if not math.isfinite(value):
+        try:
+            number = float(value)
+        except OverflowError:
+            self.fail(key, 'the number is too large')
+        if not math.isfinite(number):
             self.fail(key, f'{value} is not finite')
-        return float(value)
+        return number
