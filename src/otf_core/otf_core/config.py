@@ -146,3 +146,18 @@ class SimulationConfig(Parameters):
     clock_drift: float = parameter(
         1.8e-5, 'rate error of the tracker clock against true time', '', -1e-3, 1e-3
     )
+
+
+@dataclass(frozen=True)
+class ForecastConfig(Parameters):
+    """What a plan is judged for: rate, drives, where the tracker may stand."""
+
+    rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
+    acceleration: float = parameter(2.0, 'acceleration of the drives', 'm/s^2', 0.01, 100)
+    grid: int = parameter(7, 'points per axis of the grid that is judged', '', 2, 15)
+    min_range: float = parameter(
+        0.15, 'shortest beam: places of the tracker nearer to the path are left out', 'm', 0.01, 10
+    )
+    max_range: float = parameter(
+        20.0, 'longest beam: places of the tracker further away are left out', 'm', 0.1, 100
+    )

@@ -16,7 +16,7 @@ from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
 from otf_core.machine import Machine
 from otf_core.normal import NormalEquations, Whitener, normal_equations
-from otf_core.pieces import RAYLEIGH_MEDIAN, SMALLEST_SIGMA
+from otf_core.pieces import GROSS, RAYLEIGH_MEDIAN
 from otf_core.runs import Run
 from otf_core.solution import Solution, identifiable_blocks, solve
 from otf_core.system import System, build_system
@@ -26,8 +26,8 @@ from otf_core.unknowns import Unknowns, pose_block
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-MAX_REJECTIONS = 4
-"""Rounds of leaving out pieces; bad pieces bend the tables at first and hide others."""
+MAX_REPETITIONS = 4
+"""Repeated solutions; bad pieces bend the tables at first and hide others."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _summed(
 def solve_robustly(
     runs: Sequence[Run], unknowns: Unknowns, config: CalibrationConfig, progress: Progress
 ) -> tuple[list[Run], JointSolution]:
-    """Solve, leave out pieces far from the solution, solve again.
+    """Solve, leave out pieces far from the solution, judge the floor, solve again.
 
     Bursts of bad samples longer than the window of the outlier test, and corners rounded beyond
     ``corner_exclusion``, show as pieces many robust standard deviations off.
@@ -120,25 +120,28 @@ def solve_robustly(
     Returns
     -------
     runs : list of Run
-        With the pieces that were kept.
+        With the pieces that were kept and the floor of their uncertainty.
     solution : JointSolution
     """
     runs = list(runs)
-    for _ in range(MAX_REJECTIONS):
+    for _ in range(MAX_REPETITIONS):
         done = solve_jointly(runs, unknowns, config, progress)
         drop = [_far_pieces(s, config.outlier_limit) for s in done.runs]
-        if not any(d.any() for d in drop):
-            break
-        runs = [replace(r, pieces=r.pieces.without(d)) for r, d in zip(runs, drop, strict=True)]
-    else:
-        done = solve_jointly(runs, unknowns, config, progress)
-    return runs, done
+        floors = [s.whitener.floor_seen(s.residual) for s in done.runs]
+        settled = all(f < 1.5 * r.floor for f, r in zip(floors, runs, strict=True))
+        if settled and not any(d.any() for d in drop):
+            return runs, done
+        runs = [
+            replace(r, pieces=r.pieces.without(d), floor=f)
+            for r, d, f in zip(runs, drop, floors, strict=True)
+        ]
+    return runs, solve_jointly(runs, unknowns, config, progress)
 
 
 def _far_pieces(run: SolvedRun, limit: float) -> NDArray[np.bool_]:
     distance = np.linalg.norm(run.residual, axis=0)
-    sigma = max(float(np.median(distance)) / RAYLEIGH_MEDIAN, SMALLEST_SIGMA)
-    return np.asarray(distance > limit * sigma)
+    sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
+    return np.asarray(distance > max(limit * sigma, GROSS))
 
 
 def solve_jointly(
@@ -157,7 +160,9 @@ def solve_jointly(
         build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
         for k, run in enumerate(runs)
     ]
-    whiteners = [Whitener(s, r.pieces, r.noise) for s, r in zip(first, runs, strict=True)]
+    whiteners = [
+        Whitener(s, r.pieces, r.noise, r.floor) for s, r in zip(first, runs, strict=True)
+    ]
     accepted = identifiable_blocks(_summed(first, unknowns, whiteners), unknowns, limit)
     tables, rest, change = None, [np.inf] * len(runs), np.inf
     for iteration in range(1, config.max_iterations + 1):

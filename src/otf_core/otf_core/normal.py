@@ -26,7 +26,12 @@ from otf_core.unknowns import Unknowns
 Array = NDArray[np.float64]
 
 MODEL_FLOOR = 5e-8
-"""m; uncertainty added to every piece: lines and tables are not better than that."""
+"""m; independent uncertainty of every piece at least: tables are not better than that."""
+COHERENCE = 5.0
+"""Found by simulating smooth errors between nodes: from here on the tables are as good as those
+of plain least squares, which such shapes disturb less (docs/uncertainty.md)."""
+SIGNIFICANT = 4.0
+"""Standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -66,25 +71,29 @@ class Whitener:
         Its noise shares are used; they change little from iteration to iteration.
     pieces : Pieces
     noise : NoiseModel
+    floor : float
+        m; independent uncertainty of every piece besides the noise.
     """
 
-    def __init__(self, system: System, pieces: Pieces, noise: NoiseModel) -> None:
+    def __init__(
+        self, system: System, pieces: Pieces, noise: NoiseModel, floor: float = MODEL_FLOOR
+    ) -> None:
         self.bounds = leg_bounds(pieces.leg)
+        self.floor = floor
+        self._step_variance = np.zeros(system.deviation.shape)
         self._factors = [
             [
-                self._factor(system, pieces, noise, component, low, high)
+                self._factor(system, pieces, noise, component, slice(low, high))
                 for component in range(len(system.deviation))
             ]
             for low, high in self.bounds
         ]
 
-    @staticmethod
     def _factor(
-        system: System, pieces: Pieces, noise: NoiseModel, component: int, low: int, high: int
+        self, system: System, pieces: Pieces, noise: NoiseModel, component: int, part: slice
     ) -> Array:
-        part = slice(low, high)
         window = (pieces.time[part], pieces.duration[part], pieces.count[part])
-        total = np.eye(high - low) * MODEL_FLOOR**2
+        total = np.eye(part.stop - part.start) * self.floor**2
         for level, white, share in (
             (noise.u_range, noise.white_range, system.along[component, part]),
             (noise.u_angle, noise.white_angle, system.across[component, part]),
@@ -93,7 +102,32 @@ class Whitener:
             total += mean_covariance(white, noise.correlation_time, *window) * np.outer(
                 weight, weight
             )
+        own = np.diag(total)
+        step = own[1:] + own[:-1] - 2.0 * np.diag(total, 1)
+        self._step_variance[component, part.start + 1 : part.stop] = step
         return np.asarray(cholesky(total, lower=True, check_finite=False))
+
+    def floor_seen(self, residual: Array) -> float:
+        """Independent uncertainty of pieces that the residuals call for, m.
+
+        Neighbouring pieces of a leg differ by the fast part of the noise, which is known; what
+        they differ by beyond it is the shape of errors that the tables cannot follow. Such
+        shapes repeat on every line, so they bend the tables more than noise of that size does:
+        they are weighted down ``COHERENCE`` times.
+
+        Parameters
+        ----------
+        residual : ndarray, shape (c, p), m
+        """
+        inside = self._step_variance > 0
+        step = np.zeros_like(residual)
+        step[:, 1:] = np.diff(residual, axis=1)
+        excess = 0.5 * (step[inside] ** 2 - self._step_variance[inside])
+        excess = np.minimum(excess, 20 * np.mean(np.abs(excess)))
+        mean = float(np.mean(excess))
+        if mean < SIGNIFICANT * float(np.std(excess)) / np.sqrt(excess.size):
+            return self.floor
+        return float(np.hypot(MODEL_FLOOR, COHERENCE * np.sqrt((self.floor / COHERENCE) ** 2 + mean)))
 
     def leg_rows(self, leg: int, component: int, rows: Array) -> Array:
         """Whiten the rows (m, k) of one component of one leg."""

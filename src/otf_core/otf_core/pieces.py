@@ -28,8 +28,9 @@ SPEED_WINDOW = 0.04
 
 MEDIAN_HALF = 5
 """samples on either side that a sample is compared with to tell an outlier."""
-SMALLEST_SIGMA = 1e-7
-"""m; no tracker is quieter."""
+GROSS = 3e-5
+"""m; smaller deviations are never called outliers: they may be kinks of steep error tables, and
+as bad samples they average out."""
 RAYLEIGH_MEDIAN = 1.1774
 """Median length of a vector of two independent normal components of unit variance."""
 
@@ -84,7 +85,7 @@ class Pieces:
         return replace(self, **kept, used=self.used - lost, outliers=self.outliers + lost)
 
 
-def _boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
+def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
     """Piece boundaries along one leg, m from its start: node crossings, then equal parts."""
     step = corners[leg + 1] - corners[leg]
     length = float(np.linalg.norm(step))
@@ -154,7 +155,7 @@ def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
         rest[high - 1] = part[-1] - (2 * smooth[-2] - smooth[-3])
     distance = np.linalg.norm(rest, axis=1)
     sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
-    return np.asarray(distance > limit * max(sigma, SMALLEST_SIGMA))
+    return np.asarray(distance > max(limit * sigma, GROSS))
 
 
 def reduce_to_pieces(
@@ -190,7 +191,7 @@ def reduce_to_pieces(
     if not len(chosen):
         raise InputError('no sample is left on the lines of the path away from corners and stops')
 
-    marks = [_boundaries(corners, j, nodes, config.piece_length) for j in range(len(length))]
+    marks = [piece_boundaries(corners, j, nodes, config.piece_length) for j in range(len(length))]
     shift = np.concatenate([[0.0], np.cumsum(length + 1.0)])
     bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
     piece = np.searchsorted(bounds, shift[leg[chosen]] + along[chosen], side='right') - 1

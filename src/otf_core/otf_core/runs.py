@@ -16,6 +16,7 @@ from otf_core.frames import RigidTransform
 from otf_core.machine import AXES, Machine
 from otf_core.matching import OFF_PATH
 from otf_core.noise import NoiseModel
+from otf_core.normal import MODEL_FLOOR
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
 from otf_core.pieces import Pieces, reduce_to_pieces
@@ -57,6 +58,8 @@ class Run:
     pose : RigidTransform
         Tracker to machine, fitted rigidly.
     noise : NoiseModel
+    floor : float
+        m; independent uncertainty of every piece besides the noise.
     """
 
     recording: Recording
@@ -64,6 +67,7 @@ class Run:
     pieces: Pieces
     pose: RigidTransform
     noise: NoiseModel
+    floor: float = MODEL_FLOOR
 
     @property
     def machine(self) -> Machine:

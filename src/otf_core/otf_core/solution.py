@@ -52,7 +52,7 @@ class Solution:
     rank: int
 
 
-def _smoothness(unknowns: Unknowns) -> Array:
+def smoothness(unknowns: Unknowns) -> Array:
     """Tie-breaker: squared second differences of the tables, and a trace of size."""
     total = np.zeros((unknowns.full, unknowns.full))
     for name, block in unknowns.blocks.items():
@@ -79,7 +79,7 @@ def identifiable_blocks(
         below 1 means undetermined.
     """
     matrix = normal.matrix * limit**2
-    smooth = _smoothness(unknowns)
+    smooth = smoothness(unknowns)
     accepted: list[str] = []
     factor = np.zeros((0, 0))
     use = np.zeros(0, dtype=int)
@@ -120,7 +120,7 @@ def solve(
     Solution
     """
     matrix, right = normal.matrix * limit**2, normal.right * limit
-    smooth = _smoothness(unknowns)
+    smooth = smoothness(unknowns)
     use = np.concatenate(
         [np.arange(unknowns.free_blocks[n].start, unknowns.free_blocks[n].stop) for n in accepted]
     )

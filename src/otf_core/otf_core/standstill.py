@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from otf_core.machine import TrackerSpec
 from otf_core.noise import TYPICAL_CORRELATION_TIME, TYPICAL_WHITE_SHARE, NoiseModel
+from otf_core.noise_colour import fit_colour
 from otf_core.observation import Samples
 
 Array = NDArray[np.float64]
@@ -22,7 +22,16 @@ GUARD = 0.05
 """s; left out at both ends of a standstill: settling."""
 MIN_TOTAL = 5.0
 """s; less standstill in all says too little about the noise."""
-CORRELATION_TIMES = np.geomspace(0.03, 3.0, 25)
+WINDOW = 4.0
+"""s; longer standstills are cut, so that slow drift does not count as noise."""
+LONG = 1.0
+"""s; windows of this length are preferred to shorter ones."""
+LOUD = 4.0
+"""Ratio to the quietest windows beyond which the target itself must have moved, if they are long."""
+NO_COLOUR = 0.02
+"""Share of the variance below which a slow part is not told from none."""
+RESOLUTION = 0.2e-6
+"""m and rad; levels below are not told apart: recordings are often rounded to 1 um and 1 urad."""
 
 
 def find_standstills(samples: Samples, speed: float) -> Index:
@@ -94,8 +103,11 @@ class StandstillNoise:
     white : ndarray, shape (3,)
         Standard deviations of the white part.
     correlation_time : float
-        s.
+        s; zero if the noise is white.
     standstills, samples : int
+        Windows of standstill and samples in them.
+    left_out : int
+        Windows in which the target seems to have moved.
     """
 
     total: Array
@@ -103,70 +115,99 @@ class StandstillNoise:
     correlation_time: float
     standstills: int
     samples: int
+    left_out: int = 0
 
 
-def _centred_covariance(time: float, length: int, lags: int, step: float) -> Array:
-    """Expected autocovariance sums of Gauss-Markov noise of unit variance, mean removed."""
-    gap = np.abs(np.subtract.outer(np.arange(length), np.arange(length))) * step / time
-    matrix = np.exp(-gap)
-    row = matrix.mean(axis=1)
-    matrix = matrix - row[:, None] - row[None, :] + row.mean()
-    return np.array([np.trace(matrix, k) for k in range(lags)])
+def _windows(runs: Index, step: float) -> list[Index]:
+    """Equal parts of each standstill, no longer than ``WINDOW``: first sample, one past last."""
+    found = []
+    for first, last in runs:
+        parts = int(np.ceil((last - first) * step / WINDOW - 1e-9))
+        edges = np.linspace(first, last, parts + 1).astype(np.int64)
+        found += list(np.stack([edges[:-1], edges[1:]], axis=1))
+    return found
 
 
-def standstill_noise(samples: Samples, runs: Index) -> StandstillNoise | None:
+def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
+    """Leave out windows that are too short or in which the target itself seems to have moved."""
+    windows = [w for w in windows if w.any()]  # else the last point is held, not measured
+    long = [w for w in windows if len(w) * step >= LONG]
+    enough = sum(len(w) for w in long) * step >= MIN_TOTAL
+    chosen = long if enough else windows
+    if not chosen:
+        return [], 0
+    level = np.array([w.std(axis=0) for w in chosen])
+    # the shorter a window, the more its level scatters
+    quiet = np.sort(level, axis=0)[0 if enough else len(chosen) // 10]
+    limit = LOUD * (1.0 + LONG / (step * np.array([len(w) for w in chosen])))
+    still = np.all(level <= limit[:, None] * np.maximum(quiet, RESOLUTION), axis=1)
+    return [w for w, s in zip(chosen, still, strict=True) if s], int(np.sum(~still))
+
+
+def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
+    """Deviations of range and angles in windows of standstill.
+
+    Windows of ``LONG`` or more are taken if there is enough of them. Those much louder than the
+    quietest are left out: there the target moves (a machine that settles or is shaken).
+
+    Parameters
+    ----------
+    samples : Samples
+    runs : ndarray of int64, shape (k, 2)
+        From ``find_standstills``.
+
+    Returns
+    -------
+    windows : list of ndarray, each of shape (n, 3), m, rad, rad
+        See ``spherical_deviations``.
+    left_out : int
+        Number of louder windows.
+    """
+    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    parts = [spherical_deviations(samples.xyz[a:b]) for a, b in _windows(runs, step)]
+    return _usable(parts, step)
+
+
+def standstill_noise(
+    samples: Samples, runs: Index, min_total: float = MIN_TOTAL
+) -> StandstillNoise | None:
     """Split the noise of standstills into a white and a correlated part.
 
-    Each standstill loses its mean, which hides part of the slow noise; the expected
-    autocovariance of what is left is known and is fitted to what is seen (non-negative least
-    squares over lags, for a grid of correlation times).
+    Parameters
+    ----------
+    samples : Samples
+    runs : ndarray of int64, shape (k, 2)
+        From ``find_standstills``.
+    min_total : float
+        s; least standstill in all.
 
     Returns
     -------
     StandstillNoise or None
-        None if the standstills are shorter than ``MIN_TOTAL`` in all.
+        None if there is less standstill.
     """
+    length = np.diff(runs, axis=1).sum() if len(runs) else 0
+    if not length:
+        return None
     step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    length = np.diff(runs, axis=1)[:, 0] if len(runs) else np.zeros(0, dtype=np.int64)
-    if length.sum() * step < MIN_TOTAL:
+    windows, left_out = quiet_windows(samples, runs)
+    if length * step < min_total or not windows:
         return None
-    # longer standstills are cut, so that one expected shape serves all
-    window = int(np.clip(np.median(length), 8, max(8, round(2.0 / step), 16)))
-    window = min(window, 400)
-    thin = max(1, int(np.median(length)) // 400) if np.median(length) > 400 else 1
-    lags = max(4, window // 2)
-    sums, count = np.zeros((3, lags)), 0
-    for first, last in runs:
-        for start in range(first, last - window * thin + 1, window * thin):
-            part = spherical_deviations(samples.xyz[start : start + window * thin : thin])
-            part = part - part.mean(axis=0)
-            for k in range(lags):
-                sums[:, k] += np.einsum('ij,ij->j', part[k:], part[: len(part) - k])
-            count += 1
-    if count < 3:
-        return None
-    observed = sums / count
-    return _fit_colour(observed, window, step * thin, count, int(length.sum()))
+    return noise_of_windows(windows, step, left_out)
 
 
-def _fit_colour(
-    observed: Array, window: int, step: float, count: int, samples: int
-) -> StandstillNoise:
-    lags = observed.shape[1]
-    scale = window - np.arange(lags)
-    white_shape = np.array([window - 1.0] + [-(window - k) / window for k in range(1, lags)])
-    best = (np.inf, np.zeros((3, 2)), float(CORRELATION_TIMES[0]))
-    for time in CORRELATION_TIMES:
-        slow_shape = _centred_covariance(time, window, lags, step)
-        design = np.stack([white_shape, slow_shape], axis=1) / scale[:, None]
-        fits = [nnls(design, row / scale / observed[i, 0]) for i, row in enumerate(observed)]
-        misfit = sum(f[1] ** 2 for f in fits)
-        if misfit < best[0]:
-            parts = np.array([f[0] * observed[i, 0] for i, f in enumerate(fits)])
-            best = (misfit, parts, float(time))
-    parts = best[1]
+def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> StandstillNoise:
+    """Level and colour of windows (n, 3) of values ``step`` seconds apart."""
+    colour = fit_colour(windows, step)
+    total = colour.white + colour.slow
+    coloured = bool(np.any(colour.slow > NO_COLOUR * total))
     return StandstillNoise(
-        np.sqrt(parts.sum(axis=1)), np.sqrt(parts[:, 0]), best[2], count, samples
+        np.sqrt(total),
+        np.sqrt(colour.white),
+        colour.correlation_time if coloured else 0.0,
+        len(windows),
+        sum(len(w) for w in windows),
+        left_out,
     )
 
 

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Colour of noise: its white part and its slow part (first-order Gauss-Markov), from short windows.
+
+Half the mean square of the differences at lag k is w + s (1 - exp(-k dt / tau)) for white noise
+of variance w and slow noise of variance s (variogram, Matheron 1963). Unlike the autocovariance it
+needs no mean, which short windows do not tell. Lags are spaced by octaves and each counts by its
+relative precision, so that a small white part beside a large slow one is still seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+LAGS_PER_OCTAVE = 4
+MAX_LAG = 0.75
+"""Share of the longest window."""
+SHORTEST_TIME, LONGEST_TIME = 0.01, 2.0
+"""s; correlation times looked for, further limited by the interval and length of the windows."""
+
+
+@dataclass(frozen=True)
+class Colour:
+    """Variances of the white and the slow part of each of several quantities.
+
+    Attributes
+    ----------
+    white, slow : ndarray, shape (c,)
+        Variances.
+    correlation_time : float
+        s, common to all quantities.
+    """
+
+    white: Array
+    slow: Array
+    correlation_time: float
+
+
+@dataclass(frozen=True)
+class Variogram:
+    """Half the mean square of differences.
+
+    Attributes
+    ----------
+    lag : ndarray of int64, shape (m,)
+    value : ndarray, shape (c, m)
+    freedom : ndarray, shape (m,)
+        Number of differences that do not overlap.
+    """
+
+    lag: Index
+    value: Array
+    freedom: Array
+
+
+def variogram(windows: Sequence[Array]) -> Variogram:
+    """Variogram over windows (n, c) of any lengths, at lags spaced by octaves."""
+    longest = max(len(w) for w in windows)
+    top = max(2, int(MAX_LAG * longest))
+    steps = np.geomspace(1, top, int(LAGS_PER_OCTAVE * np.log2(top)) + 1)
+    lags = np.unique(np.rint(steps)).astype(np.int64)
+    values, counts = [], []
+    for k in lags:
+        parts = [w[k:] - w[:-k] for w in windows if len(w) > k]
+        count = sum(len(p) for p in parts)
+        values.append(sum(np.einsum('ij,ij->j', p, p) for p in parts) / (2.0 * count))
+        counts.append(count / k)
+    return Variogram(lags, np.array(values).T, np.array(counts))
+
+
+def _parts(value: Array, shape: Array, freedom: Array) -> tuple[float, Array]:
+    """Misfit and parts (white, slow) of one quantity for one correlation time."""
+    design = np.stack([np.ones_like(shape), shape], axis=1)
+    model = np.maximum(value, 1e-3 * value.max() + 1e-300)
+    for _ in range(3):  # the precision is that of the model, not of the value it has to fit
+        weight = np.sqrt(freedom) / model
+        part, misfit = nnls(design * model.max() * weight[:, None], value * weight)
+        part = part * model.max()
+        model = np.maximum(design @ part, 1e-3 * value.max() + 1e-300)
+    return float(misfit) ** 2, np.asarray(part)
+
+
+def fit_colour(windows: Sequence[Array], step: float) -> Colour:
+    """Fit white and slow noise.
+
+    Parameters
+    ----------
+    windows : sequence of ndarray, each of shape (n, c)
+        Standstills of any lengths; c quantities.
+    step : float
+        s, between values.
+
+    Returns
+    -------
+    Colour
+    """
+    seen = variogram(windows)
+
+    def fitted(time: float) -> tuple[float, Array]:
+        shape = 1.0 - np.exp(-seen.lag * step / time)
+        fits = [_parts(value, shape, seen.freedom) for value in seen.value]
+        return sum(f[0] for f in fits), np.array([f[1] for f in fits])
+
+    longest = min(LONGEST_TIME, max(len(w) for w in windows) * step)
+    times = np.geomspace(max(SHORTEST_TIME, step), max(longest, 2 * step), 25)
+    for _ in range(2):  # the second grid is finer, about the best time of the first
+        best = int(np.argmin([fitted(t)[0] for t in times]))
+        centre = float(times[best])
+        times = np.geomspace(times[max(best - 1, 0)], times[min(best + 1, len(times) - 1)], 13)
+    parts = fitted(centre)[1]
+    return Colour(parts[:, 0], parts[:, 1], centre)
