@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much the data speak for an effect.
+
+For columns E (projected, whitened), residuals y with unit variance, and coefficients that are
+normal with mean zero and a spread that moves the target by a few micrometres, the logarithm of
+the Bayes factor against 'no effect' is
+
+    1/2 v' (I + M)^-1 v - 1/2 log det (I + M),   v = D E' y, M = D E' E D, D the spreads
+
+(the evidence of a linear Gaussian model). The second term is the price of parameters: a flexible
+effect does not win by number. Spreads, shapes and subsets of axes are averaged over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+from scipy.special import logsumexp
+
+from otf_core.effects import Effect, Shape, Terms
+
+Array = NDArray[np.float64]
+
+SPREADS = (5e-7, 2e-6, 8e-6)
+"""m; sizes of the displacement that an effect may have, each as likely as the other."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One way an effect may act: a shape and the terms that take part.
+
+    Attributes
+    ----------
+    effect : Effect
+    shape : mapping of str to float
+    terms : Terms
+        Of the first run; columns not to be relied on for others.
+    take : ndarray of int, shape (k,)
+        Terms that take part.
+    white : ndarray, shape (r, k)
+        Whitened columns less what tables, poses and the causes found so far can follow.
+    size : ndarray, shape (k,), m
+        See ``Rows.columns``.
+    own : ndarray, shape (r, k)
+        Whitened columns less what tables and poses can follow.
+    """
+
+    effect: Effect
+    shape: Shape
+    terms: Terms
+    take: NDArray[np.int64]
+    white: Array
+    size: Array
+    own: Array
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Machine axes of the terms that take part."""
+        return tuple(sorted({self.terms.axes[i] for i in self.take} - {''}))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Coefficients of one option.
+
+    Attributes
+    ----------
+    value : ndarray, shape (k,)
+    covariance : ndarray, shape (k, k)
+    gain : float
+        Fall of the sum of squares.
+    """
+
+    value: Array
+    covariance: Array
+    gain: float
+
+
+def log_evidence(white: Array, size: Array, residual: Array, variance: float) -> float:
+    """Average over ``SPREADS`` of the Bayes factor, as a logarithm.
+
+    Parameters
+    ----------
+    white : ndarray, shape (r, k)
+    size : ndarray, shape (k,), m
+    residual : ndarray, shape (r,)
+    variance : float
+        Of the noise left in the residual; 1 if it is as assumed.
+    """
+    normal, right = white.T @ white, white.T @ residual
+    scores = []
+    for spread in SPREADS:
+        width = spread / np.maximum(size, 1e-300)
+        matrix = np.eye(len(width)) + normal * np.outer(width, width) / variance
+        scaled = right * width / variance
+        factor = linalg.cholesky(matrix, lower=True)
+        half = linalg.solve_triangular(factor, scaled, lower=True)
+        scores.append(0.5 * float(half @ half) - float(np.log(np.diag(factor)).sum()))
+    return float(logsumexp(scores) - np.log(len(SPREADS)))
+
+
+def estimate(white: Array, size: Array, residual: Array) -> Estimate:
+    """Least-squares coefficients; the widest spread keeps blind directions at rest."""
+    normal, right = white.T @ white, white.T @ residual
+    ridge = np.diag((np.maximum(size, 1e-300) / (4 * SPREADS[-1])) ** 2)
+    covariance = linalg.inv(normal + ridge)
+    value = covariance @ right
+    fitted = white @ value
+    return Estimate(value, covariance, float(2 * residual @ fitted - fitted @ fitted))
+
+
+def axis_subsets(terms: Terms) -> list[NDArray[np.int64]]:
+    """All terms, and the terms of each single axis where terms belong to axes."""
+    everything = np.arange(len(terms.names))
+    subsets = [everything]
+    for axis in sorted(set(terms.axes) - {''}):
+        own = everything[[a == axis for a in terms.axes]]
+        if 0 < own.size < everything.size:
+            subsets.append(own)
+    return subsets
+
+
+def average(scores: Sequence[float]) -> float:
+    """Logarithm of the mean of Bayes factors given by their logarithms."""
+    return float(logsumexp(np.array(scores)) - np.log(len(scores)))
