@@ -107,6 +107,20 @@ class Whitener:
         self._step_variance[component, part.start + 1 : part.stop] = step
         return np.asarray(cholesky(total, lower=True, check_finite=False))
 
+    @property
+    def factors(self) -> tuple[tuple[Array, ...], ...]:
+        """Lower Cholesky factor of every leg and component, m."""
+        return tuple(tuple(leg) for leg in self._factors)
+
+    @property
+    def expected(self) -> Array:
+        """Standard deviation of the noise of every piece, shape (c, p), m."""
+        result = np.empty_like(self._step_variance)
+        for (low, high), leg in zip(self.bounds, self._factors, strict=True):
+            for component, factor in enumerate(leg):
+                result[component, low:high] = np.linalg.norm(factor, axis=1)
+        return result
+
     def floor_seen(self, residual: Array) -> float:
         """Independent uncertainty of pieces that the residuals call for, m.
 
@@ -120,6 +134,8 @@ class Whitener:
         residual : ndarray, shape (c, p), m
         """
         inside = self._step_variance > 0
+        if not inside.any():  # stops: no two pieces of one leg
+            return self.floor
         step = np.zeros_like(residual)
         step[:, 1:] = np.diff(residual, axis=1)
         excess = 0.5 * (step[inside] ** 2 - self._step_variance[inside])

@@ -7,7 +7,7 @@ samples loses nothing. Left out: corners, standstill and the moments around it, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -59,6 +59,10 @@ class Pieces:
         Samples left out as outliers.
     standstill : bool
         True if the pieces are standstills at ``origin``, where all three directions count.
+    samples : ndarray of int64, shape (u,)
+        Places in the recording of the samples averaged; empty if not kept.
+    piece : ndarray of int64, shape (u,)
+        Piece of each of them.
     """
 
     xyz: Array
@@ -72,6 +76,8 @@ class Pieces:
     used: int
     outliers: int
     standstill: bool = False
+    samples: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    piece: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __len__(self) -> int:
         """Return the number of pieces."""
@@ -81,8 +87,22 @@ class Pieces:
         """Return the pieces that are not marked in ``drop``, shape (p,)."""
         arrays = ('xyz', 'leg', 'origin', 'direction', 'count', 'time', 'duration', 'speed')
         kept = {name: getattr(self, name)[~drop] for name in arrays}
+        stays = ~drop[self.piece]
         lost = int(self.count[drop].sum())
-        return replace(self, **kept, used=self.used - lost, outliers=self.outliers + lost)
+        return replace(
+            self,
+            **kept,
+            samples=self.samples[stays],
+            piece=(np.cumsum(~drop) - 1)[self.piece[stays]],
+            used=self.used - lost,
+            outliers=self.outliers + lost,
+        )
+
+    def mean_of(self, values: Array) -> Array:
+        """Means over the pieces of values (u, ...) given for ``samples``."""
+        total = np.zeros((len(self), *values.shape[1:]))
+        np.add.at(total, self.piece, values)
+        return np.asarray(total / self.count.reshape(-1, *([1] * (values.ndim - 1))))
 
 
 def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
@@ -158,6 +178,43 @@ def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     return np.asarray(distance > max(limit * sigma, GROSS))
 
 
+def samples_on_lines(
+    samples: Samples, alignment: Alignment, config: CalibrationConfig
+) -> tuple[Index, Array, int]:
+    """Samples in steady motion on the lines of the path.
+
+    Returns
+    -------
+    index : ndarray of int64, shape (n,)
+        Neither near corners nor standing still nor outliers.
+    speed : ndarray, shape (n,), m/s
+    outliers : int
+        Samples left out as outliers.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    corners = alignment.corners
+    step = np.diff(corners, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    unit = step / length[:, None]
+    leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
+    points = alignment.T_machine_tracker.apply(samples.xyz)
+    along = np.einsum('ij,ij->i', points - corners[leg], unit[leg])
+    speed = _moving(samples, along, alignment.leg, config)
+    margin = np.minimum(config.corner_exclusion, 0.25 * length[leg])
+    keep = (alignment.leg != OFF_PATH) & (speed > 0)
+    keep &= (along > margin) & (along < length[leg] - margin)
+    chosen = np.flatnonzero(keep)
+    if not len(chosen):
+        raise InputError('no sample is left on the lines of the path away from corners and stops')
+    offset = points[chosen] - along[chosen, None] * unit[leg[chosen]]
+    far = _outliers(offset, leg[chosen], config.outlier_limit)
+    return chosen[~far], speed[chosen[~far]], int(far.sum())
+
+
 def reduce_to_pieces(
     samples: Samples, alignment: Alignment, nodes: tuple[Array, ...], config: CalibrationConfig
 ) -> Pieces:
@@ -176,30 +233,18 @@ def reduce_to_pieces(
     InputError
         If nothing is left.
     """
-    corners = alignment.corners
+    chosen, speed, outliers = samples_on_lines(samples, alignment, config)
+    corners, leg = alignment.corners, alignment.leg[chosen]
     step = np.diff(corners, axis=0)
     length = np.linalg.norm(step, axis=1)
     unit = step / length[:, None]
-    leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
-    points = alignment.T_machine_tracker.apply(samples.xyz)
+    points = alignment.T_machine_tracker.apply(samples.xyz[chosen])
     along = np.einsum('ij,ij->i', points - corners[leg], unit[leg])
-    speed = _moving(samples, along, alignment.leg, config)
-    margin = np.minimum(config.corner_exclusion, 0.25 * length[leg])
-    keep = (alignment.leg != OFF_PATH) & (speed > 0)
-    keep &= (along > margin) & (along < length[leg] - margin)
-    chosen = np.flatnonzero(keep)
-    if not len(chosen):
-        raise InputError('no sample is left on the lines of the path away from corners and stops')
-
     marks = [piece_boundaries(corners, j, nodes, config.piece_length) for j in range(len(length))]
     shift = np.concatenate([[0.0], np.cumsum(length + 1.0)])
     bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
-    piece = np.searchsorted(bounds, shift[leg[chosen]] + along[chosen], side='right') - 1
-
-    offset = points[chosen] - along[chosen, None] * unit[leg[chosen]]
-    far = _outliers(offset, leg[chosen], config.outlier_limit)
-    chosen, piece = chosen[~far], piece[~far]
-    return _collect(samples, chosen, piece, alignment, unit, speed, int(far.sum()))
+    piece = np.searchsorted(bounds, shift[leg] + along, side='right') - 1
+    return _collect(samples, chosen, piece, alignment, unit, speed, outliers)
 
 
 def _collect(
@@ -226,7 +271,9 @@ def _collect(
         count=means.count,
         time=means.mean(time[chosen]),
         duration=means.count / rate,
-        speed=means.mean(speed[chosen]),
+        speed=means.mean(speed),
+        samples=chosen,
+        piece=np.asarray(dense, dtype=np.int64),
         used=len(chosen),
         outliers=outliers,
     )

@@ -44,9 +44,11 @@ class Option:
     white : ndarray, shape (r, k)
         Whitened columns less what tables, poses and the causes found so far can follow.
     size : ndarray, shape (k,), m
-        See ``Rows.columns``.
+        Root mean square of ``plain`` where it acts at all.
     own : ndarray, shape (r, k)
         Whitened columns less what tables and poses can follow.
+    plain : ndarray, shape (r, k)
+        Columns as they are, m per unit.
     """
 
     effect: Effect
@@ -56,6 +58,7 @@ class Option:
     white: Array
     size: Array
     own: Array
+    plain: Array
 
     @property
     def axes(self) -> tuple[str, ...]:

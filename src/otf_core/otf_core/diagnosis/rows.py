@@ -9,7 +9,7 @@ remains of E once A is projected out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,11 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.effects import State
+from otf_core.diagnosis.samples import sample_state
+from otf_core.effects import Effect, Shape, State
 from otf_core.effects.state import state_on_path
-from otf_core.joint import JointSolution, SolvedRun
+from otf_core.joint import JointSolution, SolvedRun, tables_of
 from otf_core.runs import Run
 from otf_core.solution import TIE_BREAK, smoothness
+from otf_core.tables import ErrorTables
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -29,9 +31,9 @@ Index = NDArray[np.int64]
 FOLDS = 8
 
 
-def run_state(run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: object = None) -> State:
+def piece_state(run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables) -> State:
     """State of the pieces of one run."""
-    state = state_on_path(
+    return state_on_path(
         run.machine,
         run.alignment.corners,
         run.pieces.leg,
@@ -40,8 +42,9 @@ def run_state(run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: obje
         run.pieces.time,
         solved.pose,
         nodes,
+        tables,
+        float(run.recording.samples.time[-1]),
     )
-    return state
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,12 @@ class Rows:
     ----------
     runs : tuple of Run
     done : JointSolution
+    tables : ErrorTables
+        As solved.
     states : tuple of State
         One per run, one entry per piece.
+    plain_base, plain_deviation : ndarray, shape (r, b) and (r,), m
+        ``base`` and ``deviation`` before whitening.
     base : ndarray, shape (r, b)
         Whitened columns of the free unknowns that are solved for, in units of the
         identifiability limit.
@@ -67,39 +74,44 @@ class Rows:
 
     runs: tuple[Run, ...]
     done: JointSolution
+    tables: ErrorTables
     states: tuple[State, ...]
+    plain_base: Array
+    plain_deviation: Array
     base: Array
     deviation: Array
     fold: Index
     limit: float
 
-    def columns(self, terms: Callable[[State], Array]) -> tuple[Array, Array]:
-        """Whitened columns of displacements.
+    @cached_property
+    def sample_states(self) -> tuple[State, ...]:
+        """States of the samples in the pieces, one per run."""
+        nodes = self.done.unknowns.nodes
+        return tuple(
+            sample_state(r, s.pose, self.tables, nodes)
+            for r, s in zip(self.runs, self.done.runs, strict=True)
+        )
 
-        Parameters
-        ----------
-        terms : callable(State) -> ndarray, shape (n, 3, k)
+    def plain_columns(self, effect: Effect, shape: Shape) -> Array:
+        """Displacements across the path per unit of each term, shape (r, k)."""
+        parts = []
+        for k, (run, solved) in enumerate(zip(self.runs, self.done.runs, strict=True)):
+            if effect.sample_resolution:
+                columns = run.pieces.mean_of(effect.terms(self.sample_states[k], shape).columns)
+            else:
+                columns = effect.terms(self.states[k], shape).columns
+            across = np.einsum('cij,ijk->cik', solved.system.axes, columns)
+            parts.append(across.reshape(-1, across.shape[2]))
+        return np.concatenate(parts)
 
-        Returns
-        -------
-        white : ndarray, shape (r, k)
-        size : ndarray, shape (k,), m
-            Root mean square of the perpendicular displacement per unit where it acts at all.
-        """
-        parts, raw = [], []
-        for state, solved in zip(self.states, self.done.runs, strict=True):
-            plain = np.einsum('cij,ijk->cik', solved.system.axes, terms(state))
-            raw.append(plain.reshape(-1, plain.shape[2]))
-            white = np.empty_like(plain)
-            for leg, (low, high) in enumerate(solved.whitener.bounds):
-                for component in range(len(plain)):
-                    block = plain[component, low:high]
-                    white[component, low:high] = solved.whitener.leg_rows(leg, component, block)
-            parts.append(white.reshape(-1, plain.shape[2]))
-        plain = np.concatenate(raw)
-        acts = np.abs(plain) > 0.02 * np.abs(plain).max(axis=0, initial=1e-300)
-        size = np.sqrt((plain**2).sum(axis=0) / np.maximum(acts.sum(axis=0), 1))
-        return np.concatenate(parts), size
+    def whiten(self, columns: Array) -> Array:
+        """Whiten columns (r, k) of all runs."""
+        white, start = np.empty_like(columns), 0
+        for solved in self.done.runs:
+            stop = start + solved.system.deviation.size
+            white[start:stop] = _whitened(solved, columns[start:stop])
+            start = stop
+        return white
 
     @cached_property
     def factor(self) -> Array:
@@ -153,24 +165,37 @@ def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
         ``CalibrationConfig.unidentifiable_above``.
     """
     use = used_columns(done)
-    base, deviation, fold, offset = [], [], [], 0
+    plain, deviation, fold, offset = [], [], [], 0
     for run, solved in zip(runs, done.runs, strict=True):
-        design = (solved.system.design @ done.unknowns.gauge)[:, use].toarray() * limit
-        base.append(_whitened(solved, design))
-        deviation.append(solved.whitener.vector(solved.system.deviation).reshape(-1))
+        design = solved.system.design @ done.unknowns.gauge
+        plain.append(design[:, use].toarray() * limit)
+        deviation.append(solved.system.deviation.reshape(-1))
         # neighbouring legs go to different folds; laps of one line do not always share one
         number = np.unique(run.pieces.leg, return_inverse=True)[1] + offset
         fold.append(np.tile((number * 5 + number // FOLDS) % FOLDS, len(solved.system.axes)))
         offset += int(number.max()) + 1
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
     states = tuple(
-        run_state(r, s, done.unknowns.nodes) for r, s in zip(runs, done.runs, strict=True)
+        piece_state(r, s, done.unknowns.nodes, tables)
+        for r, s in zip(runs, done.runs, strict=True)
     )
+    white = [_whitened(s, p) for s, p in zip(done.runs, plain, strict=True)]
+    bare = [_whitened(s, d[:, None])[:, 0] for s, d in zip(done.runs, deviation, strict=True)]
     return Rows(
-        tuple(runs),
-        done,
-        states,
-        np.concatenate(base),
-        np.concatenate(deviation),
-        np.concatenate(fold),
-        limit,
+        runs=tuple(runs),
+        done=done,
+        tables=tables,
+        states=states,
+        plain_base=np.concatenate(plain),
+        plain_deviation=np.concatenate(deviation),
+        base=np.concatenate(white),
+        deviation=np.concatenate(bare),
+        fold=np.concatenate(fold),
+        limit=limit,
     )
+
+
+def column_size(plain: Array) -> Array:
+    """Root mean square of columns (r, k) over the rows where they act at all, shape (k,)."""
+    acts = np.abs(plain) > 0.02 * np.abs(plain).max(axis=0, initial=1e-300)
+    return np.asarray(np.sqrt((plain**2).sum(axis=0) / np.maximum(acts.sum(axis=0), 1)))

@@ -13,12 +13,10 @@ from otf_core.diagnosis.evidence import (
     Estimate,
     Option,
     average,
-    axis_subsets,
     estimate,
     log_evidence,
 )
 from otf_core.diagnosis.rows import Rows
-from otf_core.effects import Effect, Shape
 from otf_core.uncertainty import check_residuals
 
 Array = NDArray[np.float64]
@@ -31,8 +29,6 @@ SAME_TRACE = 0.03
 """An effect that can leave all but this share of the squared trace of another is not told
 from it."""
 MAX_CAUSES = 4
-NO_TRACE = 1e-9
-"""m per unit; terms that move the target less across the path have no trace at all."""
 
 
 @dataclass(frozen=True)
@@ -52,48 +48,6 @@ class Cause:
     score: float
     confidence: float
     indistinguishable: tuple[str, ...]
-
-
-def collect_options(
-    rows: Rows, effects: Sequence[Effect], shapes: Mapping[str, Sequence[Shape]]
-) -> tuple[dict[str, list[Option]], dict[str, float]]:
-    """Project all columns of all effects.
-
-    Parameters
-    ----------
-    rows : Rows
-    effects : sequence of Effect
-    shapes : mapping of effect name to shapes
-        Where not given, those of the effect itself.
-
-    Returns
-    -------
-    options : mapping of effect name to list of Option
-    visible : mapping of effect name to float
-        Largest share of a term that tables and poses leave.
-    """
-    options: dict[str, list[Option]] = {}
-    visible: dict[str, float] = {}
-    for effect in effects:
-        options[effect.name], visible[effect.name] = [], 0.0
-        for shape in shapes.get(effect.name, effect.shapes(rows.states[0])):
-            terms = effect.terms(rows.states[0], shape)
-            if not terms.names:
-                continue
-            white, size = rows.columns(lambda s, e=effect, p=shape: e.terms(s, p).columns)
-            before = np.einsum('ij,ij->j', white, white)
-            white = rows.project(white)
-            left = np.einsum('ij,ij->j', white, white) / np.maximum(before, 1e-300)
-            left = np.where(size > NO_TRACE, left, 0.0)
-            visible[effect.name] = max(visible[effect.name], float(left.max(initial=0.0)))
-            for subset in axis_subsets(terms):
-                take = subset[size[subset] > NO_TRACE]
-                if not take.size:
-                    continue
-                own = white[:, take]
-                part = Option(effect, shape, terms, take, own, size[take], own)
-                options[effect.name].append(part)
-    return options, visible
 
 
 def _noise_variance(rows: Rows, residual: Array) -> float:
@@ -136,15 +90,13 @@ def _same_trace(best: Option, other: Option, residual: Array) -> bool:
 
 def search(
     rows: Rows, options: Mapping[str, Sequence[Option]]
-) -> tuple[list[Cause], Array, list[tuple[str, float]]]:
+) -> tuple[list[Cause], list[tuple[str, float]]]:
     """Find effects one after the other.
 
     Returns
     -------
     causes : list of Cause
         In the order found.
-    residual : ndarray, shape (r,)
-        Whitened residual with all of them fitted jointly with tables and poses.
     considered : list of (name, score)
         The ranking of the last round.
     """
@@ -179,9 +131,11 @@ def search(
                 tuple(close[:4]),
             )
         )
-        remaining.pop(name)
+        group = remaining.pop(name)
+        if option.effect.sample_resolution:  # each axis has a period of its own
+            remaining[name] = [o for o in group if not set(o.axes) & set(option.axes) and o.axes]
         residual = _take_out(option, residual, remaining)
-    return causes, residual, considered
+    return causes, considered
 
 
 def _take_out(option: Option, residual: Array, remaining: dict[str, list[Option]]) -> Array:

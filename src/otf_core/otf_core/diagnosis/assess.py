@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sizes of the gap: residuals of path pieces with and without causes, on legs not fitted on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from otf_core.diagnosis.evidence import estimate
+from otf_core.diagnosis.rows import FOLDS, Rows
+from otf_core.diagnosis.search import Cause
+
+Array = NDArray[np.float64]
+
+RESAMPLES = 400
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Squared residual of every piece.
+
+    Attributes
+    ----------
+    square : ndarray, shape (p,), m^2
+    leg : ndarray of int, shape (p,)
+        Legs of all runs, numbered through.
+    rows : ndarray, shape (r,), m
+        Residuals of the rows they come from.
+    """
+
+    square: Array
+    leg: NDArray[np.int64]
+    rows: Array
+
+    @property
+    def rms_um(self) -> float:
+        """Root mean square over the pieces, um."""
+        return float(1e6 * np.sqrt(self.square.mean()))
+
+
+def _per_piece(rows: Rows, values: Array) -> Residuals:
+    square, legs, start, offset = [], [], 0, 0
+    for run, solved in zip(rows.runs, rows.done.runs, strict=True):
+        shape = solved.system.deviation.shape
+        part = values[start : start + shape[0] * shape[1]].reshape(shape)
+        square.append(np.sum(part**2, axis=0))
+        number = np.unique(run.pieces.leg, return_inverse=True)[1]
+        legs.append(number + offset)
+        offset += int(number.max()) + 1
+        start += shape[0] * shape[1]
+    return Residuals(np.concatenate(square), np.concatenate(legs), values)
+
+
+def _left_by_tables(rows: Rows, plain: Array) -> Array:
+    """Deviations (r,) less tables and poses fitted to them with full weight."""
+    white = rows.whiten(plain[:, None])[:, 0]
+    inner = linalg.cho_solve((rows.factor, True), rows.base.T @ white)
+    return np.asarray(plain - rows.plain_base @ inner)
+
+
+def plain_residuals(rows: Rows) -> Residuals:
+    """Residuals of the plain calibration."""
+    return _per_piece(rows, _left_by_tables(rows, rows.plain_deviation))
+
+
+def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True) -> Residuals:
+    """Residuals once causes are added.
+
+    Parameters
+    ----------
+    rows : Rows
+    causes : sequence of Cause
+    held_out : bool
+        Each leg is judged with coefficients fitted without the legs of its fold; tables and
+        poses are fitted to all legs, as in the calibration without the causes.
+    """
+    if not causes:
+        return plain_residuals(rows)
+    plain = np.concatenate([c.option.plain for c in causes], axis=1)
+    own = np.concatenate([c.option.own for c in causes], axis=1)
+    size = np.concatenate([c.option.size for c in causes])
+    values = np.zeros(len(rows.deviation))
+    for fold in range(FOLDS) if held_out else [-1]:
+        fit = rows.fold != fold
+        judge = ~fit if held_out else fit
+        if not judge.any():
+            continue
+        coefficients = estimate(own[fit], size, rows.residual[fit]).value
+        left = _left_by_tables(rows, rows.plain_deviation - plain @ coefficients)
+        values[judge] = left[judge]
+    return _per_piece(rows, values)
+
+
+def gap_um(measured_um: float, simulated_um: float) -> float:
+    """Gap between a measured and a simulated residual (INTERFACES section 6), um."""
+    return float(np.sqrt(max(0.0, measured_um**2 - simulated_um**2)))
+
+
+def shrink_percent(before_um: float, after_um: float) -> float:
+    """Share of a gap that is gone, percent; 0 where there was none."""
+    return float(np.clip(100.0 * (1.0 - after_um / before_um), 0.0, 100.0)) if before_um else 0.0
+
+
+def shrink_interval(
+    before: Residuals, after: Residuals, simulated_um: float
+) -> tuple[float, float]:
+    """95 % interval of the shrink, legs drawn anew with replacement (bootstrap)."""
+    legs = int(before.leg.max()) + 1
+    sums = [np.bincount(before.leg, r.square, legs) for r in (before, after)]
+    count = np.bincount(before.leg, minlength=legs)
+    rng = np.random.default_rng(0)
+    shrinks = []
+    for _ in range(RESAMPLES):
+        pick = rng.integers(legs, size=legs)
+        total = count[pick].sum()
+        sizes = [1e6 * np.sqrt(s[pick].sum() / total) for s in sums]
+        shrinks.append(shrink_percent(*(gap_um(float(x), simulated_um) for x in sizes)))
+    low, high = np.percentile(shrinks, [2.5, 97.5])
+    return float(low), float(high)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which effects and shapes to try in given runs, and which leave no trace in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from otf_core.diagnosis.evidence import Option, axis_subsets
+from otf_core.diagnosis.rows import Rows, column_size
+from otf_core.diagnosis.samples import sample_residuals
+from otf_core.diagnosis.spectral import Line, strongest_lines
+from otf_core.effects import REGISTRY, Effect, Shape
+
+DETECTABLE = 25.0
+"""Rise of the sum of squares at which an effect is found."""
+INVISIBLE_SHARE = 0.1
+"""Largest share of its amplitude that an effect leaves and still counts as not visible."""
+PLAUSIBLE = 5e-6
+"""m; an effect that would have to be larger to be found counts as not visible."""
+NO_TRACE = 1e-9
+"""m per unit; terms that move the target less across the path have no trace at all."""
+PROBES: Mapping[str, Shape] = {
+    'vibration': {'frequency': 10.0},
+    'cyclic_error': {'period': 0.01},
+}
+"""Shapes that stand for an effect whose own shapes are looked for in spectra."""
+LINE_SCORE = 8.0
+"""Least score of a spectral line to be tried as a shape."""
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """How well the data see an effect.
+
+    Attributes
+    ----------
+    share : float
+        Amplitude left by tables and poses, median over the terms.
+    smallest : float
+        m; smallest root mean square displacement that would be found, median over the terms.
+    """
+
+    share: float
+    smallest: float
+
+    @property
+    def visible(self) -> bool:
+        """False if the effect leaves no trace that could be told."""
+        return self.share > INVISIBLE_SHARE and self.smallest < PLAUSIBLE
+
+
+def shapes_from_lines(lines: Sequence[Line]) -> dict[str, list[Shape]]:
+    """Frequencies and periods of spectral lines as shapes of the effects that make them."""
+    shapes: dict[str, list[Shape]] = {'vibration': [], 'cyclic_error': []}
+    for line in lines:
+        if line.score > LINE_SCORE:
+            key = 'frequency' if line.kind == 'vibration' else 'period'
+            shapes[line.kind].append({key: line.place})
+    return shapes
+
+
+def spectral_lines(rows: Rows) -> list[Line]:
+    """Spectral lines of all runs, strongest first."""
+    nodes = rows.done.unknowns.nodes
+    lines: list[Line] = []
+    for run, solved in zip(rows.runs, rows.done.runs, strict=True):
+        if len(run.pieces.samples):
+            lines += strongest_lines(sample_residuals(run, solved.pose, rows.tables, nodes))
+    return sorted(lines, key=lambda line: -line.score)
+
+
+def effects_without(names: Sequence[str]) -> list[Effect]:
+    """Effects of the catalogue that displace, less the named ones."""
+    left = [e for e in REGISTRY.values() if e.name not in names]
+    return [e for e in left if e.name != 'tracker_noise']
+
+
+def collect_options(
+    rows: Rows, effects: Sequence[Effect], shapes: Mapping[str, Sequence[Shape]]
+) -> tuple[dict[str, list[Option]], dict[str, Visibility]]:
+    """Project all columns of all effects.
+
+    Parameters
+    ----------
+    rows : Rows
+    effects : sequence of Effect
+    shapes : mapping of effect name to shapes
+        Where not given, those of the effect itself.
+
+    Returns
+    -------
+    options : mapping of effect name to list of Option
+    visible : mapping of effect name to Visibility
+    """
+    options: dict[str, list[Option]] = {}
+    visible: dict[str, Visibility] = {}
+    for effect in effects:
+        name = effect.name
+        chosen = shapes[name] if name in shapes else effect.shapes(rows.states[0])
+        options[name], share, smallest = [], 0.0, np.inf
+        for shape in (*chosen, *(() if chosen else (PROBES[name],))):
+            terms = effect.terms(rows.states[0], shape)
+            if not terms.names:
+                continue
+            plain = rows.plain_columns(effect, shape)
+            white, size = rows.whiten(plain), column_size(plain)
+            whole = np.einsum('ij,ij->j', white, white)
+            white = rows.project(white)
+            left = np.einsum('ij,ij->j', white, white)
+            acts = size > NO_TRACE
+            if acts.any():
+                ratio = np.sqrt(left[acts] / np.maximum(whole[acts], 1e-300))
+                found = np.sqrt(DETECTABLE / np.maximum(left[acts], 1e-300)) * size[acts]
+                share = max(share, float(np.median(ratio)))
+                smallest = min(smallest, float(np.median(found)))
+            for subset in axis_subsets(terms) if chosen else ():
+                take = subset[acts[subset]]
+                if take.size:
+                    own = white[:, take]
+                    option = Option(effect, shape, terms, take, own, size[take], own, plain[:, take])
+                    options[name].append(option)
+        visible[name] = Visibility(share, smallest)
+    return options, visible

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where and why a real run departs from its simulation.
+
+Plain calibration; the same on the twin of the run (what would be left if nothing were
+unmodelled); search for effects that explain the rest; their size on legs they were not fitted
+on; what the data could not show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from otf_core.config import CalibrationConfig
+from otf_core.diagnosis.assess import (
+    Residuals,
+    gap_um,
+    plain_residuals,
+    residuals_with,
+    shrink_interval,
+    shrink_percent,
+)
+from otf_core.diagnosis.catalogue import (
+    Visibility,
+    collect_options,
+    effects_without,
+    shapes_from_lines,
+    spectral_lines,
+)
+from otf_core.diagnosis.rows import Rows, build_rows
+from otf_core.diagnosis.search import Cause, fit_jointly, search
+from otf_core.frames import RigidTransform
+from otf_core.joint import JointSolution, Progress, solve_jointly
+from otf_core.runs import Recording, Run, prepare_runs
+from otf_core.tables import ErrorTables
+from otf_core.unknowns import layout
+
+Array = NDArray[np.float64]
+Twin = Callable[[Run, RigidTransform, ErrorTables, int], Recording]
+
+MATERIAL_UM = 0.2
+"""um; a cause that changes the residual by less is not named."""
+MATERIAL_TABLES_UM = 0.45
+"""um; the same for table_resolution: smooth errors always leave a little between nodes."""
+MATERIAL_SHARE = 0.12
+"""Least share of a further cause in the gap, as amplitude."""
+NO_GAP_SHARE = 0.35
+"""Gap over simulated residual below which there is nothing to explain."""
+EXPLAINED_SHARE, KNOWN_SHARE = 0.45, 0.7
+"""Share of the gap left (as amplitude) up to which it counts as explained; as known at all."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything a diagnosis computed, for report and files.
+
+    Attributes
+    ----------
+    rows : Rows
+    causes : tuple of Cause
+        Named ones, in the order found.
+    simulated_um : float
+    steps : tuple of Residuals
+        Without causes, with the first, with the first two ... (held out).
+    fitted : Residuals
+        With all causes fitted to all legs.
+    visible : mapping of effect name to Visibility
+    considered : tuple of (name, log odds)
+    """
+
+    rows: Rows
+    causes: tuple[Cause, ...]
+    simulated_um: float
+    steps: tuple[Residuals, ...]
+    fitted: Residuals
+    visible: dict[str, Visibility]
+    considered: tuple[tuple[str, float], ...]
+
+
+def _solved(
+    recordings: Sequence[Recording], config: CalibrationConfig, progress: Progress
+) -> tuple[list[Run], JointSolution]:
+    runs, nodes = prepare_runs(recordings, config)
+    return runs, solve_jointly(runs, layout(nodes, len(runs)), config, progress)
+
+
+def simulated_residual_um(
+    rows: Rows, config: CalibrationConfig, twin: Twin, seed: int = 1
+) -> float:
+    """Residual that the same pipeline leaves on the twins of the runs, um."""
+    recordings = [
+        twin(run, solved.pose, rows.tables, seed + k)
+        for k, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True))
+    ]
+    _, done = _solved(recordings, config, lambda stage, fraction: None)
+    square = np.concatenate([np.sum(s.residual**2, axis=0) for s in done.runs])
+    return float(1e6 * np.sqrt(square.mean()))
+
+
+def _material(name: str, before: Residuals, after: Residuals, whole_um: float) -> bool:
+    """Tell whether a cause matters: by its own trace, and beside the whole gap."""
+    trace = float(np.sqrt(max(0.0, before.rms_um**2 - after.rms_um**2)))
+    least = MATERIAL_TABLES_UM if name == 'table_resolution' else MATERIAL_UM
+    return trace > least and trace > MATERIAL_SHARE * whole_um
+
+
+def find(
+    recordings: Sequence[Recording],
+    twin: Twin,
+    exclude: Sequence[str] = (),
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+) -> Findings:
+    """Search runs of one machine for effects.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    twin : callable
+        ``sim.twin.twin_recording``.
+    exclude : sequence of str
+        Effects taken out of the catalogue.
+    config : CalibrationConfig, optional
+    progress : callable(stage, fraction), optional
+    """
+    config = config or CalibrationConfig()
+    progress = progress or (lambda stage, fraction: None)
+    with threadpool_limits(1):
+        runs, done = _solved(recordings, config, progress)
+        progress('simulating', 0.0)
+        rows = build_rows(runs, done, config.unidentifiable_above)
+        simulated = simulated_residual_um(rows, config, twin)
+        progress('diagnosing', 0.0)
+        shapes = shapes_from_lines(spectral_lines(rows))
+        options, visible = collect_options(rows, effects_without(exclude), shapes)
+        progress('diagnosing', 0.5)
+        found, considered = search(rows, options)
+        progress('diagnosing', 0.8)
+        causes, steps = _named(rows, found, simulated)
+        fitted = residuals_with(rows, causes, held_out=False)
+    return Findings(
+        rows, tuple(causes), simulated, tuple(steps), fitted, visible, tuple(considered)
+    )
+
+
+def _named(
+    rows: Rows, found: Sequence[Cause], simulated: float
+) -> tuple[list[Cause], list[Residuals]]:
+    """Causes that matter, and the residuals step by step."""
+    causes: list[Cause] = []
+    steps = [plain_residuals(rows)]
+    whole = gap_um(steps[0].rms_um, simulated)
+    for cause in found:
+        after = residuals_with(rows, [*causes, cause])
+        if _material(cause.option.effect.name, steps[-1], after, whole):
+            causes.append(cause)
+            steps.append(after)
+    return causes, steps
+
+
+def verdict_of(findings: Findings) -> str:
+    """Verdict on the gap (INTERFACES section 6)."""
+    before = gap_um(findings.steps[0].rms_um, findings.simulated_um)
+    after = gap_um(findings.steps[-1].rms_um, findings.simulated_um)
+    if not findings.causes:
+        return 'none' if before < NO_GAP_SHARE * findings.simulated_um else 'unknown'
+    if after > KNOWN_SHARE * before and before > NO_GAP_SHARE * findings.simulated_um:
+        return 'unknown'
+    return 'explained' if after <= EXPLAINED_SHARE * before else 'partly_explained'
