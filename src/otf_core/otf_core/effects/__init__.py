@@ -3,14 +3,57 @@
 
 from __future__ import annotations
 
+from otf_core.effects.applied import AppliedEffect, total_displacement
 from otf_core.effects.backlash import Backlash
 from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.corner_rounding import CornerRounding
+from otf_core.effects.cross_coupling import CrossCoupling
+from otf_core.effects.cyclic_error import CyclicError
+from otf_core.effects.direction_dependent_tables import DirectionDependentTables
+from otf_core.effects.servo_mismatch import ServoMismatch
+from otf_core.effects.table_resolution import TableResolution
+from otf_core.effects.table_tilt import TableTilt
+from otf_core.effects.target_incidence import TargetIncidence
+from otf_core.effects.target_offset import TargetOffset
+from otf_core.effects.thermal_axis_expansion import ThermalAxisExpansion
+from otf_core.effects.thermal_structure_drift import ThermalStructureDrift
+from otf_core.effects.tracker_angles import TrackerAngles
+from otf_core.effects.tracker_noise import TrackerNoise
+from otf_core.effects.tracker_pose_drift import TrackerPoseDrift
+from otf_core.effects.tracker_range_offset import TrackerRangeOffset
+from otf_core.effects.tracker_scale import TrackerScale
+from otf_core.effects.vibration import Vibration
 
 REGISTRY: dict[str, Effect] = {
     effect.name: effect
     for effect in (
         Backlash(),
+        DirectionDependentTables(),
+        ThermalAxisExpansion(),
+        ThermalStructureDrift(),
+        CrossCoupling(),
+        ServoMismatch(),
+        CornerRounding(),
+        CyclicError(),
+        Vibration(),
+        TableResolution(),
+        TableTilt(),
+        TargetOffset(),
+        TargetIncidence(),
+        TrackerPoseDrift(),
+        TrackerScale(),
+        TrackerRangeOffset(),
+        TrackerAngles(),
+        TrackerNoise(),
     )
 }
 
-__all__ = ['REGISTRY', 'Effect', 'Shape', 'State', 'Terms']
+__all__ = [
+    'REGISTRY',
+    'AppliedEffect',
+    'Effect',
+    'Shape',
+    'State',
+    'Terms',
+    'total_displacement',
+]

@@ -28,13 +28,16 @@ class Backlash(Effect):
     name: ClassVar[str] = 'backlash'
     cause: ClassVar[str] = 'play and wind-up between drive and slide; the encoder does not see it'
     equation: ClassVar[str] = '1/2 B_a sign(d_a) e_a'
+    coefficients: ClassVar[str] = 'B_a: reversal value of axis a'
     typical: ClassVar[str] = '1 um to 10 um on production machines'
     source: ClassVar[str] = 'ISO 230-2:2014, 2.16 (reversal value)'
     signature: ClassVar[str] = (
         'a constant offset on every diagonal that flips with the sense of travel; none on lines '
         'along the axis itself'
     )
-    needs: ClassVar[str] = 'every line driven forward and reverse, and lines that are no box diagonals'
+    needs: ClassVar[str] = (
+        'every line driven forward and reverse, and lines that are no box diagonals'
+    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return B_X, B_Y, B_Z."""

@@ -8,9 +8,11 @@ use them as columns of the system of equations, the report quotes them.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -18,9 +20,15 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.machine import Machine
+from otf_core.tables import ErrorTables
 
 Array = NDArray[np.float64]
 Shape = Mapping[str, float]
+
+BLOCK = 20_000
+"""Points that are evaluated at once; bounds the memory of effects with many terms."""
+LISTED = 20
+"""Names that an error message lists at most."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,10 @@ class State:
         standing axis.
     nodes : mapping of axis to ndarray, m
         Table nodes.
+    tables : ErrorTables, optional
+        Error tables of the machine, where they are known.
+    duration : float, s
+        Length of the recording; 0 stands for the time of the last point.
     """
 
     machine: Machine
@@ -63,10 +75,23 @@ class State:
     beam: Array
     R_machine_tracker: Array
     nodes: Mapping[str, Array]
+    tables: ErrorTables | None = None
+    duration: float = 0.0
 
     def __len__(self) -> int:
         """Return the number of points."""
         return len(self.q)
+
+    @property
+    def end(self) -> float:
+        """Time of the end of the recording, s."""
+        return self.duration or float(self.time.max(initial=0.0))
+
+    def part(self, rows: slice) -> State:
+        """Return some of the points of the same recording."""
+        per_point = ('q', 'direction', 'speed', 'time', 'from_corner', 'to_corner')
+        chosen = {n: getattr(self, n)[rows] for n in (*per_point, 'before', 'after', 'beam')}
+        return replace(self, duration=self.end, **chosen)
 
 
 @dataclass(frozen=True)
@@ -98,6 +123,8 @@ class Effect(ABC):
     """Name in files and reports (INTERFACES section 6)."""
     cause: ClassVar[str]
     equation: ClassVar[str]
+    coefficients: ClassVar[str] = ''
+    """What its parameters are; the units stand in ``Terms`` and ``shape_units``."""
     typical: ClassVar[str]
     """Typical size, with unit."""
     source: ClassVar[str]
@@ -107,6 +134,14 @@ class Effect(ABC):
     """What measurement shows it where a run does not."""
     shape_names: ClassVar[tuple[str, ...]] = ()
     """Names of the parameters it is not linear in."""
+    shape_units: ClassVar[tuple[str, ...]] = ()
+    """Their units; '' for a number."""
+    shape_defaults: ClassVar[Shape] = MappingProxyType({})
+    """Shape parameters that a file may leave out."""
+    refine: ClassVar[str] = ''
+    """Shape parameter that a fit improves beyond the raster of ``shapes``; '' for none."""
+    refine_width: ClassVar[float] = 0.0
+    """Relative distance over which it may move."""
     sample_resolution: ClassVar[bool] = False
     """True if means over path pieces wash it out."""
 
@@ -118,14 +153,57 @@ class Effect(ABC):
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return the linear terms for one shape."""
 
-    def displacement(self, state: State, parameters: Mapping[str, float]) -> Array:
+    def complete_shape(self, parameters: Shape) -> dict[str, float]:
+        """Shape parameters with the defaults filled in.
+
+        Raises
+        ------
+        ConfigError
+            Names a shape parameter that is missing or not above zero.
+        """
+        shape = {}
+        for name in self.shape_names:
+            value = parameters.get(name, self.shape_defaults.get(name))
+            if value is None:
+                raise ConfigError(f'{self.name}: {name}: missing')
+            if value != self.shape_defaults.get(name) and not (value > 0 and math.isfinite(value)):
+                raise ConfigError(f'{self.name}: {name}: {value} is out of range; must be above 0')
+            shape[name] = float(value)
+        return shape
+
+    def units(self, state: State, parameters: Shape) -> dict[str, str]:
+        """Unit of every given parameter.
+
+        Parameters
+        ----------
+        state : State
+            Of the run or the machine that the parameters are for; any points will do.
+        parameters : mapping of str to float
+
+        Raises
+        ------
+        ConfigError
+            Names a parameter that is missing, unknown or out of range.
+        """
+        terms = self.terms(state, self.complete_shape(parameters))
+        known = dict(
+            zip((*self.shape_names, *terms.names), (*self.shape_units, *terms.units), strict=True)
+        )
+        for name in parameters:
+            if name not in known:
+                listed = ', '.join(list(known)[:LISTED])
+                rest = f', ... ({len(known)} in all)' if len(known) > LISTED else ''
+                raise ConfigError(f'{self.name}: {name}: unknown; possible: {listed}{rest}')
+        return {name: known[name] for name in parameters}
+
+    def displacement(self, state: State, parameters: Shape) -> Array:
         """Displacement of the measured point.
 
         Parameters
         ----------
         state : State
         parameters : mapping of str to float
-            Coefficients by their names in ``Terms`` (missing ones are zero) and all shape names.
+            Coefficients by their names in ``Terms`` (missing ones are zero) and the shape.
 
         Returns
         -------
@@ -134,15 +212,17 @@ class Effect(ABC):
         Raises
         ------
         ConfigError
-            Names a parameter that is missing or unknown.
+            Names a parameter that is missing, unknown or out of range.
         """
-        missing = [n for n in self.shape_names if n not in parameters]
-        if missing:
-            raise ConfigError(f'{self.name}: {missing[0]}: missing')
-        terms = self.terms(state, {n: parameters[n] for n in self.shape_names})
-        unknown = sorted(set(parameters) - set(terms.names) - set(self.shape_names))
-        if unknown:
-            known = ', '.join((*self.shape_names, *terms.names))
-            raise ConfigError(f'{self.name}: {unknown[0]}: unknown; possible: {known}')
-        coefficients = np.array([parameters.get(n, 0.0) for n in terms.names])
-        return np.asarray(terms.columns @ coefficients)
+        self.units(state.part(slice(0, 1)), parameters)
+        shape = self.complete_shape(parameters)
+        total = np.zeros((len(state), 3))
+        for start in range(0, len(state), BLOCK):
+            rows = slice(start, start + BLOCK)
+            total[rows] = self.block_displacement(state.part(rows), shape, parameters)
+        return total
+
+    def block_displacement(self, state: State, shape: Shape, parameters: Shape) -> Array:
+        """Displacement of a few points for checked parameters, shape (n, 3), m."""
+        terms = self.terms(state, shape)
+        return np.asarray(terms.columns @ np.array([parameters.get(n, 0.0) for n in terms.names]))

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from otf_core.effects.base import State
 from otf_core.frames import RigidTransform
-from otf_core.machine import Machine
+from otf_core.machine import AXES, Machine
+from otf_core.tables import ErrorTables
+from otf_core.unknowns import axis_nodes
 
 Array = NDArray[np.float64]
 
@@ -22,8 +24,10 @@ def state_on_path(
     q: Array,
     speed: Array,
     time: Array,
-    T_machine_tracker: RigidTransform,  # noqa: N803 - frame notation
+    T_machine_tracker: RigidTransform,
     nodes: Mapping[str, Array],
+    tables: ErrorTables | None = None,
+    duration: float = 0.0,
 ) -> State:
     """Describe points of a path.
 
@@ -39,6 +43,9 @@ def state_on_path(
     time : ndarray, shape (n,), s
     T_machine_tracker : RigidTransform
     nodes : mapping of axis to ndarray, m
+    tables : ErrorTables, optional
+    duration : float, s
+        Length of the recording; 0 stands for the time of the last point.
     """
     step = np.diff(corners, axis=0)
     length = np.linalg.norm(step, axis=1)
@@ -57,4 +64,22 @@ def state_on_path(
         beam=q - T_machine_tracker.translation,
         R_machine_tracker=T_machine_tracker.rotation,
         nodes=nodes,
+        tables=tables,
+        duration=duration,
     )
+
+
+def probe_state(machine: Machine) -> State:
+    """One point in the middle of the volume: for names and units of terms.
+
+    Parameters
+    ----------
+    machine : Machine
+    """
+    corners = np.stack([machine.lower, machine.upper])
+    middle = corners.mean(axis=0)
+    place = middle - np.array([1.0, 0.0, 0.0])
+    pose = RigidTransform(np.eye(3), place)
+    leg, ones = np.zeros(1, dtype=np.int64), np.ones(1)
+    nodes = {a: axis_nodes(machine.axes[a]) for a in AXES}
+    return state_on_path(machine, corners, leg, middle[None], ones, ones, pose, nodes)

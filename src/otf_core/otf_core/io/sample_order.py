@@ -2,8 +2,9 @@
 """Recorded points to samples with strictly increasing stamps, or a reason why that fails.
 
 Transport may swap, repeat and delay messages; the tracker's own stamp says what was measured when.
-What transport explains is repaired with a warning in the log. What it does not explain (clock set
-back, two trackers on one topic, no stamps, no numbers) is an error.
+What transport explains is repaired with a warning in the log; so are points in the tracker's
+origin, which some trackers give while the beam is broken. What neither explains (clock set back,
+two trackers on one topic, no stamps, no numbers) is an error.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ MAX_REORDER_NS = 1_000_000_000
 """ns; stamps that go back by more are no matter of transport."""
 MAX_CONFLICTS = 1e-3
 """Share of samples that may repeat a stamp with another point; they are dropped."""
+MAX_WITHOUT_BEAM = 0.5
+"""Share of points in the tracker's origin, which stand for a broken beam; they are dropped."""
 MAX_RANGE = 1000.0
 """m; beyond the reach of any laser tracker, so the unit is wrong or the data are damaged."""
 
@@ -31,7 +34,8 @@ def in_time_order(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float
     """Return samples with strictly increasing stamps.
 
     Points out of order by up to 1 s are sorted by stamp (stable), exact repetitions are dropped,
-    and so is a second point of the same stamp if that is rare (0.1 %); each with a warning.
+    and so are a second point of the same stamp if that is rare (0.1 %) and points in the
+    tracker's origin (no beam) unless they are most of all; each with a warning.
 
     Parameters
     ----------
@@ -44,8 +48,8 @@ def in_time_order(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float
     Raises
     ------
     InputError
-        No points, coordinates that no tracker measures, stamps not set, stamps that go back by
-        more than 1 s, or different points with the same stamp in many places.
+        No points, coordinates that no tracker measures, hardly any beam, stamps not set, stamps
+        that go back by more than 1 s, or different points with the same stamp in many places.
     """
     if not stamp_ns.size:
         raise InputError(f'{where}: no points; was the tracker measuring while it was recorded?')
@@ -55,6 +59,7 @@ def in_time_order(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float
             f'the driver has to fill in the time of measurement'
         )
     check_points(where, stamp_ns, xyz)
+    stamp_ns, xyz = _without_broken_beam(where, stamp_ns, xyz)
     _check_steps(where, stamp_ns)
     if np.any(np.diff(stamp_ns) < 0):
         late = int(np.count_nonzero(np.diff(stamp_ns) < 0))
@@ -65,24 +70,47 @@ def in_time_order(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float
 
 
 def check_points(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> None:
-    """Raise InputError if a point is not finite, out of reach or in the tracker's origin."""
+    """Raise InputError if a point is not finite or out of reach."""
     with np.errstate(invalid='ignore'):  # signalling nan
         reach = np.abs(xyz).max(axis=1, initial=0.0)
-        good = (reach > 0) & (reach < MAX_RANGE)  # both are false for nan
+        good = reach < MAX_RANGE  # false for nan
     if good.all():
         return
     i = int(np.flatnonzero(~good)[0])
     seconds = (int(stamp_ns[i]) - int(stamp_ns[0])) * 1e-9
     if not np.isfinite(reach[i]):
         why = 'not finite; do not publish points without a valid measurement'
-    elif reach[i] == 0:
-        why = 'the origin of the tracker; do not publish points while the beam is broken'
     else:
         why = f'beyond {MAX_RANGE:g} m; the unit is m'
     raise InputError(
         f'{where}: {np.count_nonzero(~good)} of {len(xyz)} points are unusable; the first is '
         f'sample {i}, {seconds:.6f} s after the start: {xyz[i].tolist()} is {why}'
     )
+
+
+def _without_broken_beam(
+    where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    lost = ~xyz.any(axis=1)
+    count = int(np.count_nonzero(lost))
+    if not count:
+        return stamp_ns, xyz
+    if count > MAX_WITHOUT_BEAM * lost.size:
+        raise InputError(
+            f'{where}: {count} of {lost.size} points lie in the origin of the tracker, as if the '
+            f'beam had been broken for most of the time; check target and tracker'
+        )
+    i = int(np.argmax(lost))
+    seconds = (int(stamp_ns[i]) - int(stamp_ns[0])) * 1e-9
+    _log.warning(
+        '%s: dropped %d of %d points in the origin of the tracker (no beam), the first %.6f s '
+        'after the start',
+        where,
+        count,
+        lost.size,
+        seconds,
+    )
+    return stamp_ns[~lost], xyz[~lost]
 
 
 def usable_path(where: str, points: NDArray[np.float64]) -> NominalPath:

@@ -3,18 +3,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import SimulationConfig
+from otf_core.effects import AppliedEffect
 from otf_core.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.frames import RigidTransform
 from otf_core.kinematics import displacement, exact_position
 from otf_core.machine import Machine
 from otf_core.observation import Samples
 from otf_core.planning import Plan
 from otf_core.sim.drive import Drive
+from otf_core.sim.effects import changed_noise, displaced, run_state
 from otf_core.sim.tracker import measure, place_tracker
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness, unit_of
 from otf_core.unknowns import axis_nodes
@@ -80,7 +84,11 @@ def random_tables(machine: Machine, size: float, rng: np.random.Generator) -> Er
 
 
 def simulate(
-    machine: Machine, plan: Plan, config: SimulationConfig, tables: ErrorTables | None = None
+    machine: Machine,
+    plan: Plan,
+    config: SimulationConfig,
+    tables: ErrorTables | None = None,
+    effects: Sequence[AppliedEffect] = (),
 ) -> SimulatedRun:
     """Simulate a run of the plan.
 
@@ -91,10 +99,18 @@ def simulate(
     config : SimulationConfig
     tables : ErrorTables, optional
         Errors of the truth machine; drawn from the seed if not given.
+    effects : sequence of AppliedEffect, optional
+        What else displaces the measured point, and how the noise departs from its specification;
+        all random numbers stay the same.
 
     Returns
     -------
     SimulatedRun
+
+    Raises
+    ------
+    ConfigError
+        If an effect's parameters are wrong.
     """
     rngs = [np.random.default_rng([config.seed, part]) for part in range(4)]
     truth = tables if tables is not None else random_tables(machine, config.error_size, rngs[0])
@@ -102,7 +118,13 @@ def simulate(
     drive = Drive(plan, config.acceleration)
     count = int(drive.duration * config.rate) + 1
     time = np.arange(count) / config.rate
-    true_points = (exact_position(truth, drive.position(time)) - place) @ rotation.T
-    xyz = measure(true_points, machine, config, rngs[2])
-    stamp_ns = EPOCH_NS + np.rint(time * (1 + config.clock_drift) * 1e9).astype(np.int64)
+    clock = time * (1 + config.clock_drift)
+    position = exact_position(truth, drive.position(time))
+    if effects:
+        pose = RigidTransform(rotation.T, place)
+        state = run_state(machine, plan, drive, time, clock, pose, truth)
+        position = position + displaced(state, effects)
+    colour, level = changed_noise(config, effects)
+    xyz = measure((position - place) @ rotation.T, machine, colour, rngs[2], level)
+    stamp_ns = EPOCH_NS + np.rint(clock * 1e9).astype(np.int64)
     return SimulatedRun(Samples(stamp_ns, xyz), truth, rotation, place)

@@ -45,13 +45,34 @@ class Drive:
         -------
         ndarray, shape (n, 3), m
         """
-        leg = np.clip(np.searchsorted(self._start, time, side='right') - 1, 0, None)
-        elapsed = np.clip(time - self._start[leg], 0.0, self._moving[leg])
+        leg, elapsed = self._departed(time)
         travelled = self._travelled(leg, elapsed)
         path = self._plan.path
         return np.asarray(path.points[leg] + travelled[:, None] * path.directions[leg])
 
-    def _travelled(self, leg: NDArray[np.intp], elapsed: Array) -> Array:
+    def leg_and_speed(self, time: Array) -> tuple[NDArray[np.int64], Array]:
+        """Which leg is driven how fast.
+
+        Parameters
+        ----------
+        time : ndarray, shape (n,), s
+
+        Returns
+        -------
+        leg : ndarray of int64, shape (n,)
+            Leg of the plan; while standing the one just driven, at the start the first.
+        speed : ndarray, shape (n,), m/s
+            Along the path.
+        """
+        leg, elapsed = self._departed(time)
+        ramp = np.minimum(elapsed, self._moving[leg] - elapsed)
+        return leg, np.minimum(self._peak[leg], self._acceleration * ramp)
+
+    def _departed(self, time: Array) -> tuple[NDArray[np.int64], Array]:
+        leg = np.clip(np.searchsorted(self._start, time, side='right') - 1, 0, None)
+        return leg, np.clip(time - self._start[leg], 0.0, self._moving[leg])
+
+    def _travelled(self, leg: NDArray[np.int64], elapsed: Array) -> Array:
         peak, acceleration = self._peak[leg], self._acceleration
         ramp = peak / acceleration
         left = self._moving[leg] - elapsed

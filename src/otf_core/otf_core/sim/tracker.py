@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -14,7 +17,33 @@ from otf_core.machine import Machine
 Array = NDArray[np.float64]
 
 
-def coloured_noise(rng: np.random.Generator, n: int, config: SimulationConfig) -> Array:
+@dataclass(frozen=True)
+class NoiseLevel:
+    """Departure of the noise from the specification.
+
+    Attributes
+    ----------
+    range, angle : float
+        Factors on u_range and u_angle.
+    dof : float
+        Degrees of freedom of Student's t that the white part follows; infinite: normal.
+    """
+
+    range: float = 1.0
+    angle: float = 1.0
+    dof: float = math.inf
+
+
+def _white(rng: np.random.Generator, n: int, dof: float) -> Array:
+    """White noise of unit variance."""
+    if math.isinf(dof):
+        return rng.standard_normal(n)
+    return np.asarray(rng.standard_t(dof, n) * math.sqrt((dof - 2.0) / dof))
+
+
+def coloured_noise(
+    rng: np.random.Generator, n: int, config: SimulationConfig, dof: float = math.inf
+) -> Array:
     """Noise of unit variance: white part plus first-order Gauss-Markov part.
 
     Parameters
@@ -23,6 +52,8 @@ def coloured_noise(rng: np.random.Generator, n: int, config: SimulationConfig) -
     n : int
     config : SimulationConfig
         Share, correlation time and rate.
+    dof : float
+        Degrees of freedom of the white part, above 2; infinite: normal.
 
     Returns
     -------
@@ -33,7 +64,7 @@ def coloured_noise(rng: np.random.Generator, n: int, config: SimulationConfig) -
     drive = rng.standard_normal(n) * np.sqrt(1.0 - decay**2)
     drive[0] = rng.standard_normal()
     slow = lfilter([1.0], [1.0, -decay], drive)
-    return np.asarray(np.sqrt(1.0 - share) * rng.standard_normal(n) + np.sqrt(share) * slow)
+    return np.asarray(np.sqrt(1.0 - share) * _white(rng, n, dof) + np.sqrt(share) * slow)
 
 
 def beam_frame(xyz: Array) -> tuple[Array, Array, Array]:
@@ -57,15 +88,19 @@ def beam_frame(xyz: Array) -> tuple[Array, Array, Array]:
 
 
 def measure(
-    xyz: Array, machine: Machine, config: SimulationConfig, rng: np.random.Generator
+    xyz: Array,
+    machine: Machine,
+    config: SimulationConfig,
+    rng: np.random.Generator,
+    level: NoiseLevel | None = None,
 ) -> Array:
     """Return noisy points for true points ``xyz`` (n, 3) in the tracker frame, m."""
+    level = level or NoiseLevel()
     distance, along_azimuth, along_elevation = beam_frame(xyz)
     n = len(xyz)
-    along = machine.tracker.u_range * coloured_noise(rng, n, config)
-    across = [
-        machine.tracker.u_angle * distance * coloured_noise(rng, n, config) for _ in range(2)
-    ]
+    along = level.range * machine.tracker.u_range * coloured_noise(rng, n, config, level.dof)
+    u_across = level.angle * machine.tracker.u_angle * distance
+    across = [u_across * coloured_noise(rng, n, config, level.dof) for _ in range(2)]
     return np.asarray(
         xyz
         + xyz / distance[:, None] * along[:, None]

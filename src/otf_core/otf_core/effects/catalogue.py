@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/effects.md from the registry: ``python3 -m otf_core.effects.catalogue docs/effects.md``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from otf_core.effects import REGISTRY, Effect
+from otf_core.effects.state import probe_state
+from otf_core.io.files import write_text
+from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
+
+LISTED = 18
+"""Names that are written out; of longer lists the first and the last."""
+
+INTRODUCTION = """<!-- Generated: python3 -m otf_core.effects.catalogue docs/effects.md -->
+# Effects
+
+What makes a real cell differ from the rigid-body simulation. Every effect is one file in
+`src/otf_core/otf_core/effects/` and one line in its registry; its `terms` are the only formula,
+used by simulation (`./otf simulate --effects effects.yaml`), fit, diagnosis and report alike.
+
+An effect displaces the measured point, in the machine frame, actual minus nominal: linear in its
+coefficients, not linear in its shape parameters. Symbols: q axis positions, u positions scaled to
+[-1, 1] over the axis range, d unit travel direction, v speed along the path, t time since the
+start of the recording, r beam from tracker to target, R, H, V its length, azimuth and zenith
+angle, e_R, e_H, e_V unit vectors to their growth, e_a unit vector of axis a. Only what lies across
+the path is seen on the fly.
+
+```yaml
+# effects.yaml: any number of effects; coefficients that are left out are zero, SI units
+- effect: backlash
+  parameters: {B_X: 5.0e-06, B_Z: -2.0e-06}
+- effect: cyclic_error
+  parameters: {period: 0.01, S_Y: 1.0e-06}
+  units: {period: m, S_Y: m}     # optional; checked where it stands
+```
+"""
+
+
+def _machine() -> Machine:
+    axes = {a: Axis(0.0, 0.6, 0.3) for a in AXES}
+    return Machine('', Chain.parse('w-b-X-Y-Z-t'), axes, np.zeros(3), TrackerSpec(1e-6, 1e-6))
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) > LISTED:
+        names = (*names[:3], '...', names[-1])
+    return ', '.join(n if n == '...' else f'`{n}`' for n in names)
+
+
+def _parameters(effect: Effect) -> str:
+    state = probe_state(_machine())
+    shape = {'tau': 1.0, 'l': 0.01, 'period': 0.01, 'frequency': 1.0}
+    terms = effect.terms(state, effect.complete_shape(shape))
+    parts = []
+    for unit in dict.fromkeys(terms.units):
+        names = [n for n, u in zip(terms.names, terms.units, strict=True) if u == unit]
+        parts.append(f'{_listed(names)} ({unit})')
+    shaped = [
+        f'`{n}` ({u or "number"}{", may be left out" if n in effect.shape_defaults else ""})'
+        for n, u in zip(effect.shape_names, effect.shape_units, strict=True)
+    ]
+    return '; '.join(parts + shaped)
+
+
+def _section(effect: Effect) -> str:
+    rows = (
+        ('Cause', effect.cause),
+        ('Displacement', f'`{effect.equation}`'),
+        ('Parameters', f'{effect.coefficients}: {_parameters(effect)}'),
+        ('Typical size', effect.typical),
+        ('Looks like', effect.signature),
+        ('Shown by', effect.needs),
+        ('Source', effect.source),
+    )
+    return '\n'.join([f'## {effect.name}', '', *(f'- **{k}**: {v}' for k, v in rows), ''])
+
+
+def catalogue_markdown() -> str:
+    """Return the text of docs/effects.md."""
+    rows = ['| effect | cause | typical size |', '|---|---|---|']
+    rows += [f'| [{n}](#{n}) | {e.cause} | {e.typical} |' for n, e in REGISTRY.items()]
+    sections = [_section(effect) for effect in REGISTRY.values()]
+    return '\n'.join([INTRODUCTION, *rows, '', *sections])
+
+
+if __name__ == '__main__':
+    write_text(Path(sys.argv[1]), catalogue_markdown())

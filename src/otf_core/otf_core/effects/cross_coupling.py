@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cross-coupling: an error that depends on the positions of two or three axes at once.
+
+delta = c u_x^i u_y^j u_z^k e_d with at least two of i, j, k above zero; u is the position scaled
+to [-1, 1] over the axis range, so c is the error at the corner of the volume.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import ClassVar
+
+import numpy as np
+
+from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.position import scaled_position
+from otf_core.machine import AXES
+
+POWERS = (
+    *((a, b) for a, b in combinations(range(3), 2)),
+    *((a, a, b) for a, b in combinations(range(3), 2)),
+    *((a, b, b) for a, b in combinations(range(3), 2)),
+    (0, 1, 2),
+)
+"""Monomials as the axes that are multiplied."""
+
+
+def _label(axes: tuple[int, ...]) -> str:
+    counts = [(AXES[a], axes.count(a)) for a in sorted(set(axes))]
+    return ''.join(name + (str(count) if count > 1 else '') for name, count in counts)
+
+
+class CrossCoupling(Effect):
+    """Smooth error field that no sum of one-axis functions makes."""
+
+    name: ClassVar[str] = 'cross_coupling'
+    cause: ClassVar[str] = (
+        'the structure is not rigid: it sags or yaws by the weight of another axis far out'
+    )
+    equation: ClassVar[str] = 'c u_x^i u_y^j u_z^k e_d, at least two powers above 0'
+    coefficients: ClassVar[str] = (
+        'c as direction_product, X_XY to Z_XYZ: error along the direction at the corner of the '
+        'volume where all positions are at their maximum'
+    )
+    typical: ClassVar[str] = '1 um on small machines, tens of um on large ones'
+    source: ClassVar[str] = (
+        'what the rigid-body model leaves out: Sanders et al., J. Manuf. Mater. Process. 2023, '
+        '7, 60, section 1.1'
+    )
+    signature: ClassVar[str] = 'slope or bend of lines along one axis changes with another axis'
+    needs: ClassVar[str] = (
+        'lines at several levels of every axis; a second tracker place, as offsets of the tracker '
+        'look alike from one'
+    )
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return X_XY ... Z_XYZ: direction, then the product of positions."""
+        place = scaled_position(state)
+        products = np.stack([np.prod(place[:, list(p)], axis=1) for p in POWERS], axis=1)
+        columns = np.concatenate([products[:, None, :] * e[:, None] for e in np.eye(3)], axis=2)
+        names = tuple(f'{d}_{_label(p)}' for d in AXES for p in POWERS)
+        return Terms(names, ('m',) * len(names), tuple(n[0] for n in names), columns)

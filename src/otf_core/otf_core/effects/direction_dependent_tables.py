@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Direction-dependent tables: errors of an axis that differ between forward and reverse travel.
+
+delta = 1/2 sign(d_a) sum_k c_k P_k(u_a) J_m(q), added over the six motions m of every axis a; u_a
+is the position scaled to [-1, 1] over the axis range, P_k are Legendre polynomials and J_m is the
+displacement per unit of the motion. The constant of the own axis' positioning is backlash.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from otf_core.effects.backlash import travel_sign
+from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.position import scaled_position
+from otf_core.kinematics import motion_influence
+from otf_core.machine import AXES
+from otf_core.tables import MOTIONS, is_positioning, unit_of
+
+ORDER = 3
+
+
+class DirectionDependentTables(Effect):
+    """Reversal errors of all six motions of an axis that change along it."""
+
+    name: ClassVar[str] = 'direction_dependent_tables'
+    cause: ClassVar[str] = (
+        'local wear of a screw, play in guideways: the slide shifts and turns when travel reverses'
+    )
+    equation: ClassVar[str] = '1/2 sign(d_a) c_k P_k(u_a) J_m(q), motion m of axis a'
+    coefficients: ClassVar[str] = (
+        'c_k of motion m as m_k, EXX_1 to ECZ_3; shape: highest order of the polynomials'
+    )
+    typical: ClassVar[str] = '1 um to 5 um, 1 urad to 10 urad between forward and reverse'
+    source: ClassVar[str] = (
+        'ISO 230-2:2014 (reversal value at each position); forward and reverse columns of '
+        'compensation files, e.g. LinuxCNC [JOINT_n]COMP_FILE'
+    )
+    signature: ClassVar[str] = (
+        'forward and reverse passes of one line differ by a smooth function of position'
+    )
+    needs: ClassVar[str] = 'every line driven forward and reverse'
+    shape_names: ClassVar[tuple[str, ...]] = ('order',)
+    shape_units: ClassVar[tuple[str, ...]] = ('',)
+    shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType({'order': float(ORDER)})
+
+    def shapes(self, state: State) -> Sequence[Shape]:
+        """Linear along the axis, and the full order."""
+        return ({'order': 1.0}, {'order': float(ORDER)})
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return EXX_1 ... ECZ_3: motion and order of its polynomial."""
+        sign, place = travel_sign(state), scaled_position(state)
+        names, columns = [], []
+        for motion in MOTIONS:
+            axis = AXES.index(motion[2])
+            influence = (
+                0.5 * sign[:, axis, None] * motion_influence(state.machine, motion, state.q)
+            )
+            for k in range(int(is_positioning(motion)), round(shape['order']) + 1):
+                names.append(f'{motion}_{k}')
+                along = legendre.legval(place[:, axis], np.eye(k + 1)[k])
+                columns.append(influence * along[:, None])
+        units = tuple(unit_of(n[:3]) for n in names)
+        return Terms(tuple(names), units, tuple(n[2] for n in names), np.stack(columns, axis=2))

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Smooth functions of time that slow effects share: exponential approach, then a general drift.
+
+g_1(t) = (1 - exp(-t / tau)) / (1 - exp(-until / tau)), so its coefficient is the size reached at
+``until``; g_k(t) = P_k(2 t / until - 1) - P_k(-1) for k = 2 to ``order``, Legendre polynomials
+less their value at the start. A time constant of many durations makes g_1 a straight line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from otf_core.effects.base import Array, Shape, State
+
+ORDER = 4
+SHAPE_NAMES = ('tau', 'until', 'order')
+SHAPE_UNITS = ('s', 's', '')
+SHAPE_DEFAULTS: Mapping[str, float] = MappingProxyType({'until': 0.0, 'order': float(ORDER)})
+"""``until`` 0 stands for the end of the recording."""
+
+TIME_CONSTANTS = (0.1, 0.3, 1.0)
+"""Time constants worth trying, in durations of the recording."""
+LINEAR = 100.0
+"""In durations of the recording; bends the line by less than 0.2 % of its end."""
+
+
+def time_functions(state: State, shape: Shape) -> list[tuple[str, Array]]:
+    """Functions of time with the suffix of their coefficients.
+
+    Parameters
+    ----------
+    state : State
+    shape : mapping
+        tau and until in s, order.
+
+    Returns
+    -------
+    list of (str, ndarray of shape (n,))
+        '' for the exponential approach, '_2' to '_order' for the polynomials.
+    """
+    until = shape['until'] or state.end or 1.0
+    functions = [('', np.expm1(-state.time / shape['tau']) / np.expm1(-until / shape['tau']))]
+    place = 2.0 * state.time / until - 1.0
+    for k in range(2, round(shape['order']) + 1):
+        unit = np.eye(k + 1)[k]
+        functions.append((f'_{k}', legendre.legval(place, unit) - (-1.0) ** k))
+    return functions
+
+
+def drift_shapes(state: State) -> Sequence[Shape]:
+    """Exponential approaches of several time constants, a line, and a general slow drift."""
+    until = state.end or 1.0
+    simple = [{'tau': f * until, 'until': until, 'order': 1.0} for f in (*TIME_CONSTANTS, LINEAR)]
+    return (*simple, {'tau': LINEAR * until, 'until': until, 'order': float(ORDER)})

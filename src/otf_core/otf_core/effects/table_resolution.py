@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Table resolution: errors with waves shorter than the tables can follow.
+
+Between two nodes the truth departs from the straight line by
+delta = (c 4 s (1 - s) + c' 12 sqrt(3) s (1 - s) (1/2 - s)) J_m(q), s from 0 to 1 between the
+nodes; each function reaches 1, J_m is the displacement per unit of the motion. The first is what
+a steady curvature leaves, the second what a full wave between two nodes leaves.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.errors import ConfigError
+from otf_core.kinematics import motion_influence
+from otf_core.machine import AXES
+from otf_core.tables import MOTIONS, unit_of
+
+NAME = re.compile(r'(E[XYZABC][XYZ])@(-?[\d.e-]+?)\.\.(-?[\d.e-]+?)(_2)?')
+TRANSLATIONS = tuple(m for m in MOTIONS if unit_of(m) == 'm')
+
+
+def _label(motion: str, low: float, high: float, wave: bool) -> str:
+    return f'{motion}@{low:.6g}..{high:.6g}' + ('_2' if wave else '')
+
+
+def _bump(q: Array, low: float, high: float, wave: bool) -> Array:
+    s = np.clip((q - low) / (high - low), 0.0, 1.0)
+    return 12.0 * np.sqrt(3.0) * s * (1 - s) * (0.5 - s) if wave else 4.0 * s * (1 - s)
+
+
+def _parsed(name: str) -> tuple[str, float, float, bool]:
+    match = NAME.fullmatch(name)
+    if match is None:
+        raise ConfigError(
+            f'table_resolution: {name}: unknown; write motion@from..to, m, as in EYX@0.03..0.06'
+        )
+    motion, low, high, wave = match.groups()
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        raise ConfigError(f'table_resolution: {name}: {low}..{high} is no interval') from None
+    if not ends[1] > ends[0]:
+        raise ConfigError(f'table_resolution: {name}: the interval is empty')
+    return motion, *ends, wave is not None
+
+
+class TableResolution(Effect):
+    """What motions do between the nodes of their tables."""
+
+    name: ClassVar[str] = 'table_resolution'
+    cause: ClassVar[str] = 'nodes too far apart for the waves of a motion'
+    equation: ClassVar[str] = (
+        "(c 4 s (1 - s) + c' 12 sqrt(3) s (1 - s) (1/2 - s)) J_m(q), s = 0..1 between two nodes"
+    )
+    coefficients: ClassVar[str] = (
+        "c as motion@from..to with the ends of the interval in m, c' with _2 behind it; shape: "
+        'order 1 bows, 2 waves as well, 3 rotations as well'
+    )
+    typical: ClassVar[str] = '0.5 um to 5 um with nodes 30 mm to 60 mm apart'
+    source: ClassVar[str] = (
+        'remainder of linear interpolation, h^2 / 8 times the curvature (e.g. Stoer and Bulirsch, '
+        'Introduction to Numerical Analysis, section 2.1)'
+    )
+    signature: ClassVar[str] = (
+        'bows between nodes, at the same axis position on all lines that cross it'
+    )
+    needs: ClassVar[str] = 'closer table nodes, and lines crossing every interval more than once'
+    shape_names: ClassVar[tuple[str, ...]] = ('order',)
+    shape_units: ClassVar[tuple[str, ...]] = ('',)
+    shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType({'order': 2.0})
+
+    def shapes(self, state: State) -> Sequence[Shape]:
+        """Order 1: bows of the translations; 2: waves as well; (3: rotations as well)."""
+        return ({'order': 1.0}, {'order': 2.0})
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return one term per motion and node interval, named by its ends: EYX@0.03..0.06."""
+        order = round(shape['order'])
+        names, columns = [], []
+        for motion in MOTIONS if order > 2 else TRANSLATIONS:
+            influence = motion_influence(state.machine, motion, state.q)
+            q = state.q[:, AXES.index(motion[2])]
+            nodes = np.round(state.nodes[motion[2]], 6)
+            for low, high in pairwise(nodes):
+                for wave in (False, True)[:order]:
+                    names.append(_label(motion, low, high, wave))
+                    columns.append(_bump(q, low, high, wave)[:, None] * influence)
+        units = tuple(unit_of(n[:3]) for n in names)
+        stacked = np.stack(columns, axis=2) if columns else np.zeros((len(state), 3, 0))
+        return Terms(tuple(names), units, tuple(n[2] for n in names), stacked)
+
+    def units(self, state: State, parameters: Shape) -> dict[str, str]:
+        """Unit of every given parameter; any interval will do, not only those of the nodes."""
+        self.complete_shape(parameters)
+        own = dict(zip(self.shape_names, self.shape_units, strict=True))
+        return {n: own[n] if n in own else unit_of(_parsed(n)[0]) for n in parameters}
+
+    def block_displacement(self, state: State, shape: Shape, parameters: Shape) -> Array:
+        """Displacement of a few points for checked parameters, shape (n, 3), m."""
+        total = np.zeros((len(state), 3))
+        for name in parameters:
+            if name not in self.shape_names:
+                motion, low, high, wave = _parsed(name)
+                along = _bump(state.q[:, AXES.index(motion[2])], low, high, wave)
+                influence = motion_influence(state.machine, motion, state.q)
+                total += parameters[name] * along[:, None] * influence
+        return total

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Table tilt: the moving weight of an axis tilts table and tracker.
+
+delta = c (q_a - q0_a) e_k x r, added over tilts k about X and Y and axes a; r is the beam from
+the tracker to the target, q0_a the zero position of the axis, else its minimum.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.position import travel_from_reference
+from otf_core.machine import AXES
+
+
+class TableTilt(Effect):
+    """Rotation of all that is measured, in proportion to axis positions."""
+
+    name: ClassVar[str] = 'table_tilt'
+    cause: ClassVar[str] = 'a moving mass shifts the load on levelling elements or foundation'
+    equation: ClassVar[str] = 'c (q_a - q0_a) e_k x r, k = X, Y'
+    coefficients: ClassVar[str] = 'c as tilt_k_by_a: tilt about k per travel of axis a'
+    typical: ClassVar[str] = '1 urad to 20 urad over the travel'
+    source: ClassVar[str] = (
+        'Sanders et al., J. Manuf. Mater. Process. 2023, 7, 60, section 1.2.2 (why the tracker '
+        'stands on the table)'
+    )
+    signature: ClassVar[str] = 'as an angular error of the axis, but about the tracker'
+    needs: ClassVar[str] = 'a second tracker place, or a level sensor on the table'
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return tilt_X_by_X ... tilt_Y_by_Z: axis of the tilt, axis that moves."""
+        travel = travel_from_reference(state)
+        names, columns = [], []
+        for k in (0, 1):
+            turned = np.cross(np.eye(3)[k], state.beam)
+            for a, axis in enumerate(AXES):
+                names.append(f'tilt_{AXES[k]}_by_{axis}')
+                columns.append(travel[:, a, None] * turned)
+        return Terms(tuple(names), ('rad/m',) * 6, AXES * 2, np.stack(columns, axis=2))

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Thermal expansion of the axes: screw or scale grows during the run.
+
+delta = S_a g(t) (q_a - q0_a) e_a, added over the axes a; g as in ``drift``, q0_a the zero position
+of the axis, else its minimum. S_a = expansion coefficient times warming.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from otf_core.effects import drift
+from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.position import travel_from_reference
+from otf_core.machine import AXES
+
+
+class ThermalAxisExpansion(Effect):
+    """Strain of each axis that grows with time."""
+
+    name: ClassVar[str] = 'thermal_axis_expansion'
+    cause: ClassVar[str] = 'screw, scale or bed of an axis warms up while the run lasts'
+    equation: ClassVar[str] = 'S_a g(t) (q_a - q0_a) e_a'
+    coefficients: ClassVar[str] = (
+        'S_a: strain of axis a reached at until; S_a_2, ...: further functions of time; shape: '
+        'time constant tau, until (0: end of the run), order of the last function'
+    )
+    typical: ClassVar[str] = (
+        '5 um/m to 50 um/m in a run: steel 11.7 um/(m K), time constants 10 min to 60 min'
+    )
+    source: ClassVar[str] = (
+        'ISO 230-3:2020 (thermal distortion by moving linear axes); Mayr et al., '
+        'CIRP Annals 61 (2012) 771'
+    )
+    signature: ClassVar[str] = (
+        'diagonals turn and bend more and more with time; repeated lines differ by a slope'
+    )
+    needs: ClassVar[str] = (
+        'one reference line repeated every few minutes, one line along the beam, axis temperatures'
+    )
+    shape_names: ClassVar[tuple[str, ...]] = drift.SHAPE_NAMES
+    shape_units: ClassVar[tuple[str, ...]] = drift.SHAPE_UNITS
+    shape_defaults: ClassVar[Mapping[str, float]] = drift.SHAPE_DEFAULTS
+
+    def shapes(self, state: State) -> Sequence[Shape]:
+        """Time constants around the duration, a line, and a general slow course."""
+        return drift.drift_shapes(state)
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return S_X, S_Y, S_Z: strain at ``until``; S_X_2 ...: further functions of time."""
+        travel = travel_from_reference(state)
+        functions = drift.time_functions(state, shape)
+        columns = [(travel * g[:, None])[:, :, None] * np.eye(3) for _, g in functions]
+        names = tuple(f'S_{a}{suffix}' for suffix, _ in functions for a in AXES)
+        count = len(functions)
+        return Terms(names, ('m/m',) * 3 * count, AXES * count, np.concatenate(columns, axis=2))

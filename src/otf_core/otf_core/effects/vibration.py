@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Vibration: target and table swing against each other at a fixed frequency.
+
+delta = S sin(2 pi f t) + C cos(2 pi f t) with vectors S and C; t on the clock of the tracker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.machine import AXES
+
+SECONDS = 2.0
+"""Stretch over which the shapes to try keep their phase; a search refines them from there."""
+
+
+class Vibration(Effect):
+    """Oscillation in time."""
+
+    name: ClassVar[str] = 'vibration'
+    cause: ClassVar[str] = 'pumps, fans, hydraulics, or a position loop that hums'
+    equation: ClassVar[str] = 'S sin(2 pi f t) + C cos(2 pi f t)'
+    coefficients: ClassVar[str] = (
+        'S_a, C_a: amplitudes of sine and cosine along a; shape: frequency f'
+    )
+    typical: ClassVar[str] = '0.5 um to 5 um, 5 Hz to 200 Hz'
+    source: ClassVar[str] = 'ISO/TR 230-8:2010 (vibrations of machine tools)'
+    signature: ClassVar[str] = (
+        'a narrow line in the spectrum of the samples, at standstill as well'
+    )
+    needs: ClassVar[str] = (
+        'more than two samples per oscillation; two feeds, as at one feed a cyclic error looks '
+        'like it'
+    )
+    shape_names: ClassVar[tuple[str, ...]] = ('frequency',)
+    shape_units: ClassVar[tuple[str, ...]] = ('Hz',)
+    refine: ClassVar[str] = 'frequency'
+    refine_width: ClassVar[float] = 2e-4
+    sample_resolution: ClassVar[bool] = True
+
+    def shapes(self, state: State) -> Sequence[Shape]:
+        """Frequencies up to half the sample rate, 1 / (2 * SECONDS) apart."""
+        step = np.diff(state.time)
+        rate = 1.0 / float(np.median(step)) if len(step) and np.median(step) > 0 else 1.0
+        count = int(rate * SECONDS)
+        return tuple({'frequency': k / (2.0 * SECONDS)} for k in range(1, count))
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return S_X, S_Y, S_Z, C_X, C_Y, C_Z; directions of the swing, no moving axis."""
+        phase = 2.0 * np.pi * shape['frequency'] * state.time
+        columns = [wave[:, None, None] * np.eye(3) for wave in (np.sin(phase), np.cos(phase))]
+        names = tuple(f'{part}_{a}' for part in 'SC' for a in AXES)
+        return Terms(names, ('m',) * 6, AXES * 2, np.concatenate(columns, axis=2))
