@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -28,6 +28,10 @@ from otf_core.uncertainty import check_residuals
 from otf_core.unknowns import Unknowns, layout
 
 Array = NDArray[np.float64]
+Preparation = Callable[
+    [Sequence[Recording], CalibrationConfig], tuple[list[Run], dict[str, Array]]
+]
+"""From recordings to runs reduced to pieces, and the table nodes."""
 
 GAUGE = (
     'positioning and rotations zero at axis position 0, else at the minimum; '
@@ -202,6 +206,7 @@ def calibrate_runs(
     recordings: Sequence[Recording],
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
+    prepare: Preparation = prepare_runs,
 ) -> CalibrationResult:
     """Calibrate on the fly: only deviations perpendicular to the path are used.
 
@@ -213,6 +218,8 @@ def calibrate_runs(
     config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
         Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
+    prepare : callable, optional
+        ``standstill_method.prepare_stops`` for the standstill method.
 
     Returns
     -------
@@ -231,7 +238,7 @@ def calibrate_runs(
     progress = progress or (lambda stage, fraction: None)
     with threadpool_limits(1):  # the matrices are small: threads cost more than they give
         progress('aligning', 0.0)
-        runs, nodes = prepare_runs(recordings, config)
+        runs, nodes = prepare(recordings, config)
         progress('solving', 0.0)
         runs, done = solve_robustly(runs, layout(nodes, len(runs)), config, progress)
         return _assemble(runs, done, config)

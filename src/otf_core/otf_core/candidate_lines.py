@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.drive_time import DriveTimes, leg_time
-from otf_core.evaluation import lattice
-from otf_core.forecast import Setup, free_rows, lay_out, tracker_pose
-from otf_core.machine import AXES, Machine
+from otf_core.forecast import Setup, covered_grid, free_rows, lay_out, tracker_pose
+from otf_core.machine import Machine
 from otf_core.normal import NormalEquations, Whitener, leg_bounds, sum_groups
 from otf_core.solution import TIE_BREAK, identifiable_blocks, smoothness
 from otf_core.system import build_system
@@ -52,6 +51,8 @@ class CandidateLines:
         Tie-breaker of the solution.
     target : ndarray, shape (u, u)
         trace(target @ covariance) is the mean variance of the grid, in the same units.
+    visible : tuple of str
+        Squareness errors and motions that all lines together can show.
     """
 
     points: Array
@@ -61,6 +62,18 @@ class CandidateLines:
     information: Array
     prior: Array
     target: Array
+    visible: tuple[str, ...]
+
+    def at_feeds(self, kept: NDArray[np.bool_]) -> CandidateLines:
+        """Return the lines at some of the feeds only."""
+        size = self.prior.shape[0]
+        information = self.information.reshape(*self.cost.shape, size, size)[:, kept]
+        return replace(
+            self,
+            feeds=self.feeds[kept],
+            cost=self.cost[:, kept],
+            information=np.ascontiguousarray(information.reshape(-1, size, size)),
+        )
 
 
 def coarse(machine: Machine) -> Machine:
@@ -95,9 +108,9 @@ def _line_matrices(
     return np.stack([s.matrix for s in sums]), moving
 
 
-def _target(machine: Machine, unknowns: Unknowns, use: Index) -> Array:
+def _target(machine: Machine, points: Array, unknowns: Unknowns, use: Index) -> Array:
     """Quadratic form of the mean variance on the grid, rigid motion taken out."""
-    grid = lattice(machine, _JUDGED)
+    grid = covered_grid(machine, points, _JUDGED)
     rows = prediction_rows(machine, {m: unknowns.nodes[m[2]] for m in MOTIONS}, grid)
     flat = free_rows(rows.reshape(-1, rows.shape[2]), grid)
     order = [unknowns.blocks[n] for n in (*SQUARENESS, *MOTIONS)]
@@ -130,8 +143,12 @@ def candidate_lines(
     unknowns = layout(nodes)
     ends = np.array(list(combinations(range(len(points)), 2)))
     starts_m, ends_m = points[ends[:, 0]], points[ends[:, 1]]
-    use = _visible(setup, unknowns, starts_m, ends_m, float(feeds[0]))
-    information = np.empty((len(ends), len(feeds), use.size, use.size), )
+    accepted = _visible(setup, unknowns, starts_m, ends_m, float(feeds[0]))
+    blocks = [unknowns.free_blocks[n] for n in accepted]
+    use = np.concatenate([np.arange(b.start, b.stop) for b in blocks])
+    information = np.empty(
+        (len(ends), len(feeds), use.size, use.size),
+    )
     cost = np.empty((len(ends), len(feeds)))
     for low in range(0, len(ends), _BATCH):
         part = slice(low, low + _BATCH)
@@ -148,18 +165,19 @@ def candidate_lines(
         cost,
         information.reshape(-1, use.size, use.size),
         TIE_BREAK * smoothness(unknowns)[np.ix_(use, use)],
-        _target(machine, unknowns, use),
+        _target(machine, points, unknowns, use),
+        tuple(n for n in accepted if n in SQUARENESS or n in MOTIONS),
     )
 
 
-def _visible(setup: Setup, unknowns: Unknowns, starts: Array, ends: Array, feed: float) -> Index:
-    """Free unknowns of the blocks that all lines together can show."""
+def _visible(
+    setup: Setup, unknowns: Unknowns, starts: Array, ends: Array, feed: float
+) -> tuple[str, ...]:
+    """Blocks of unknowns that all lines together can show."""
     total = np.zeros((unknowns.free, unknowns.free))
     for low in range(0, len(starts), _BATCH):
         part = slice(low, low + _BATCH)
         matrices, _ = _line_matrices(setup, unknowns, starts[part], ends[part], feed, True)
         total += matrices.sum(axis=0)
     normal = NormalEquations(total, np.zeros(unknowns.free), 0.0, 0)
-    accepted = identifiable_blocks(normal, unknowns, setup.calibration.unidentifiable_above)
-    blocks = [unknowns.free_blocks[n] for n in accepted]
-    return np.concatenate([np.arange(b.start, b.stop) for b in blocks])
+    return identifiable_blocks(normal, unknowns, setup.calibration.unidentifiable_above)

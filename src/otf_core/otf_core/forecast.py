@@ -93,7 +93,7 @@ class Forecast:
     covariance : ndarray, shape (m, m)
         In the order of ``uncertainty.prediction_rows``.
     grid : ndarray, shape (n, 3), m
-        Points of the volume that are judged.
+        Points that are judged, over the part of the axis ranges that the plan covers.
     grid_u : ndarray, shape (n, 3), m
         Standard uncertainty there, in the gauge of the tables.
     grid_u_free : ndarray, shape (n, 3), m
@@ -182,7 +182,9 @@ def lay_out(
     """
     tables = tuple(nodes[a] for a in AXES)
     legs = np.flatnonzero(times.length > MIN_LEG)
-    parts = [_leg_pieces(times, np.stack([starts[j], ends[j]]), j, tables, setup) for j in legs]
+    parts = [
+        _leg_pieces(times, np.stack([starts[j], ends[j]]), int(j), tables, setup) for j in legs
+    ]
     middle, time, duration, count = (np.concatenate(p) for p in zip(*parts, strict=True))
     leg = np.repeat(legs, [len(p[0]) for p in parts])
     direction = (ends[leg] - starts[leg]) / times.length[leg, None]
@@ -195,6 +197,8 @@ def lay_out(
         time=time,
         duration=duration,
         speed=times.peak[leg],
+        samples=np.arange(count.sum()),
+        piece=np.repeat(np.arange(len(count)), count),
         used=int(count.sum()),
         outliers=0,
     )
@@ -240,7 +244,7 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     index = np.concatenate([np.arange(b.start, b.stop) for b in order])
     covariance = solution.covariance[np.ix_(index, index)]
     deviation = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0))
-    grid = lattice(machine, setup.config.grid)
+    grid = covered_grid(machine, points, setup.config.grid)
     grid_u, grid_u_free = grid_uncertainty(machine, nodes, covariance, grid)
     return Forecast(
         unknowns=unknowns,
@@ -256,9 +260,23 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     )
 
 
+def covered_grid(machine: Machine, points: Array, count: int) -> Array:
+    """Lattice over the part of the axis ranges that points (n, 3) cover, m.
+
+    Beyond it tables are held constant: no noise tells how wrong that is.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    axes = {
+        a: replace(machine.axes[a], min=float(low[k]), max=float(high[k]))
+        for k, a in enumerate(AXES)
+    }
+    return lattice(replace(machine, axes=axes), count)
+
+
 def free_rows(rows: Array, grid: Array) -> Array:
     """Take the best-fitting rigid motion of the grid out of the columns (3 n, k)."""
-    rigid, _ = np.linalg.qr(rigid_columns(grid).reshape(-1, 6))
+    basis, size, _ = np.linalg.svd(rigid_columns(grid).reshape(-1, 6), full_matrices=False)
+    rigid = basis[:, size > 1e-9 * size[0]]
     return np.asarray(rows - rigid @ (rigid.T @ rows))
 
 

@@ -145,9 +145,18 @@ def _far_pieces(run: SolvedRun, limit: float) -> NDArray[np.bool_]:
 
 
 def solve_jointly(
-    runs: Sequence[Run], unknowns: Unknowns, config: CalibrationConfig, progress: Progress
+    runs: Sequence[Run],
+    unknowns: Unknowns,
+    config: CalibrationConfig,
+    progress: Progress,
+    *,
+    nodal_lever: bool = True,
 ) -> JointSolution:
     """Solve, move the poses, re-derive the positions on the paths; until nothing changes.
+
+    With ``nodal_lever`` false, rotations that only the bend of the tables between nodes tells
+    from translations are solved for as well: of no use as tables, but their trace is not taken
+    for something else.
 
     Raises
     ------
@@ -157,12 +166,10 @@ def solve_jointly(
     machine, limit = runs[0].machine, config.unidentifiable_above
     poses = [run.pose for run in runs]
     first = [
-        build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
+        build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=nodal_lever)
         for k, run in enumerate(runs)
     ]
-    whiteners = [
-        Whitener(s, r.pieces, r.noise, r.floor) for s, r in zip(first, runs, strict=True)
-    ]
+    whiteners = [Whitener(s, r.pieces, r.noise, r.floor) for s, r in zip(first, runs, strict=True)]
     accepted = identifiable_blocks(_summed(first, unknowns, whiteners), unknowns, limit)
     tables, rest, change = None, [np.inf] * len(runs), np.inf
     for iteration in range(1, config.max_iterations + 1):

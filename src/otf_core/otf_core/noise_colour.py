@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colour of noise: its white part and its slow part (first-order Gauss-Markov), from short windows.
+"""Colour of noise: its white and its slow part (first-order Gauss-Markov), from short windows.
 
 Half the mean square of the differences at lag k is w + s (1 - exp(-k dt / tau)) for white noise
 of variance w and slow noise of variance s (variogram, Matheron 1963). Unlike the autocovariance it

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import InputError
 from otf_core.noise_colour import Variogram, variogram
-from otf_core.noise_spectrum import Peak, Spectrum, find_peaks, spectrum
+from otf_core.noise_spectrum import Peak, Spectrum, expected_density, find_peaks, spectrum
 from otf_core.noise_tails import Tails, tails
 from otf_core.observation import Samples
 from otf_core.standstill import (
@@ -24,13 +23,14 @@ from otf_core.standstill import (
 
 Array = NDArray[np.float64]
 
-SCHEMA = 'otf-noise/1'
 MIN_TOTAL = 1.0
 """s; with less standstill there is nothing to report."""
 ENOUGH = 5.0
 """s; with less, level and colour are rough."""
 JACKKNIFE = 10
 """Groups of windows, each left out once, that tell how well level and colour are known."""
+SHORTEST_PART = 0.2
+"""s; fewer windows than groups are cut, but not shorter than this."""
 REPEATED = 0.2
 """Share of successive samples without any change beyond which the recording is coarse."""
 QUANTITIES = ('range', 'horizontal angle', 'vertical angle')
@@ -44,8 +44,8 @@ class NoiseReport:
     ----------
     noise : StandstillNoise
     u_total, u_white : ndarray, shape (3,), m, rad, rad
-        Standard uncertainties of the levels by leaving out part of the windows; nan for one
-        window.
+        Standard uncertainties of the levels by leaving out part of the windows; nan if there is
+        too little to leave out.
     u_correlation_time : float
         s.
     standstills : int
@@ -80,6 +80,9 @@ class NoiseReport:
 
 def _jackknife(windows: list[Array], step: float) -> tuple[Array, Array, float]:
     """Standard uncertainties of total, white and correlation time."""
+    parts = -(-JACKKNIFE // len(windows))
+    cut = [p for w in windows for p in np.array_split(w, parts) if len(p) * step > SHORTEST_PART]
+    windows = cut if parts > 1 else windows
     groups = min(JACKKNIFE, len(windows))
     if groups < 2:
         return np.full(3, np.nan), np.full(3, np.nan), float('nan')
@@ -92,17 +95,14 @@ def _jackknife(windows: list[Array], step: float) -> tuple[Array, Array, float]:
     return u[:3], u[3:6], float(u[6])
 
 
-def _warnings(
-    noise: StandstillNoise, windows: list[Array], duration: float
-) -> tuple[str, ...]:
+def _warnings(noise: StandstillNoise, windows: list[Array], duration: float) -> tuple[str, ...]:
     found = []
-    same = np.mean(np.concatenate([np.diff(w, axis=0) == 0 for w in windows]), axis=0)
-    for name, share in zip(QUANTITIES, same, strict=True):
-        if share > REPEATED:
-            found.append(
-                f'{name}: unchanged in {100 * share:.0f} % of successive samples: the recording '
-                f'is rounded, its white part and tails are those of the rounding'
-            )
+    same = np.mean(np.concatenate([~np.diff(w, axis=0).any(axis=1) for w in windows]))
+    if same > REPEATED:
+        found.append(
+            f'{100 * same:.0f} % of successive samples are identical: the recording is rounded; '
+            f'white part and tails are those of the rounding'
+        )
     if duration < ENOUGH:
         found.append(
             f'only {duration:.1f} s of standstill: levels and colour are rough; {ENOUGH:g} s or '
@@ -142,6 +142,8 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
     noise = noise_of_windows(windows, step, left_out)
     u_total, u_white, u_time = _jackknife(windows, step)
     seen = spectrum(windows, step)
+    slow = noise.total**2 - noise.white**2
+    shape = expected_density(seen.frequency, noise.white**2, slow, noise.correlation_time)
     still = np.concatenate([np.arange(a, b) for a, b in runs])
     return NoiseReport(
         noise=noise,
@@ -153,93 +155,8 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
         rate=1.0 / step,
         distance=float(np.linalg.norm(samples.xyz[still], axis=1).mean()),
         tails=tails(windows, step),
-        peaks=find_peaks(seen),
+        peaks=find_peaks(seen, shape),
         variogram=variogram(windows),
         spectrum=seen,
         warnings=_warnings(noise, windows, duration),
     )
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def noise_to_dict(report: NoiseReport) -> dict[str, Any]:
-    """Return a report as plain data in the layout of noise.json."""
-    noise = report.noise
-    return {
-        'schema': SCHEMA,
-        'u_range': float(noise.total[0]),
-        'u_angle': noise.total[1:].tolist(),
-        'white_range': float(noise.white[0]),
-        'white_angle': noise.white[1:].tolist(),
-        'correlation_time': noise.correlation_time,
-        'standstills': report.standstills,
-        'samples': noise.samples,
-        'uncertainty': {
-            'u_range': _number(report.u_total[0]),
-            'u_angle': [_number(v) for v in report.u_total[1:]],
-            'white_range': _number(report.u_white[0]),
-            'white_angle': [_number(v) for v in report.u_white[1:]],
-            'correlation_time': _number(report.u_correlation_time),
-        },
-        'windows': noise.standstills,
-        'windows_left_out': noise.left_out,
-        'duration': report.duration,
-        'rate': report.rate,
-        'distance': report.distance,
-        'tails': {
-            name: {
-                'excess_kurtosis': tail.excess_kurtosis,
-                'student_freedom': tail.freedom,
-                'beyond_4_sigma': tail.beyond,
-            }
-            for name, tail in zip(QUANTITIES, report.tails, strict=True)
-        },
-        'peaks': [
-            {'of': QUANTITIES[p.quantity], 'frequency': p.frequency, 'rms': p.rms}
-            for p in report.peaks
-        ],
-        'warnings': list(report.warnings),
-    }
-
-
-def _level_rows(report: NoiseReport) -> list[str]:
-    rows = []
-    for k, name in enumerate(QUANTITIES):
-        tail, unit = report.tails[k], 'um' if k == 0 else 'urad'
-        freedom = 'normal' if tail.freedom is None else f't({tail.freedom:.0f})'
-        rows.append(
-            f'{name:<18}{unit:<5}{1e6 * report.noise.total[k]:>8.3f}'
-            f'{1e6 * report.u_total[k]:>8.3f}{1e6 * report.noise.white[k]:>9.3f}'
-            f'{1e6 * report.u_white[k]:>8.3f}{tail.excess_kurtosis:>11.2f}  {freedom}'
-        )
-    return rows
-
-
-def format_noise(report: NoiseReport) -> str:
-    """Return the text for a terminal: warnings first."""
-    noise = report.noise
-    colour = (
-        f'correlation time of the slow part {noise.correlation_time:.2f} s '
-        f'(+/- {report.u_correlation_time:.2f})'
-        if noise.correlation_time
-        else 'the noise is white'
-    )
-    lines = [f'WARNING {text}' for text in report.warnings]
-    lines += [
-        f'{report.standstills} standstills; used {report.duration:.1f} s, {noise.samples} samples '
-        f'at {report.rate:.0f} Hz in {noise.standstills} windows, {noise.left_out} louder ones '
-        f'left out; beam {report.distance:.2f} m',
-        '',
-        'noise (k = 1)     unit    total     +/-    white     +/-   kurtosis  tails',
-        *_level_rows(report),
-        '',
-        colour,
-    ]
-    lines += [
-        f'peak of the {QUANTITIES[p.quantity]} at {p.frequency:.1f} Hz: {1e6 * p.rms:.3f} '
-        f'{"um" if p.quantity == 0 else "urad"} rms'
-        for p in report.peaks
-    ] or ['no peaks in the spectrum']
-    return '\n'.join(lines)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import welch
 from scipy.stats import chi2
+from scipy.stats import f as f_ratio
 
 Array = NDArray[np.float64]
 
@@ -22,6 +23,7 @@ SKIPPED = 3
 """lowest bins, where slow noise is no peak."""
 FALSE_ALARM = 0.01
 """Probability that noise without peaks shows any."""
+MEDIAN_EFFICIENCY = 2.0 / np.pi
 MIN_RATIO = 3.0
 """A peak stands out of the background by at least this factor, however long the recording."""
 
@@ -64,17 +66,46 @@ def spectrum(windows: Sequence[Array], step: float) -> Spectrum:
     return Spectrum(parts[0][0], np.asarray(density.T), int(sum(number)))
 
 
-def find_peaks(seen: Spectrum) -> tuple[Peak, ...]:
-    """Lines that stand out of their neighbourhood more than chance allows."""
+def expected_density(frequency: Array, white: Array, slow: Array, time: float) -> Array:
+    """One-sided density of white and slow noise sampled fast, shape (c, m).
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (m,), Hz
+        From zero to half the sampling rate.
+    white, slow : ndarray, shape (c,)
+        Variances.
+    time : float
+        s, correlation time of the slow part; zero if there is none.
+    """
+    level = np.outer(white, np.ones_like(frequency)) / frequency[-1]
+    if time:
+        level += np.outer(slow, 4.0 * time / (1.0 + (2.0 * np.pi * frequency * time) ** 2))
+    return level
+
+
+def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:
+    """Lines that stand out of their neighbourhood more than chance allows.
+
+    Parameters
+    ----------
+    seen : Spectrum
+    expected : ndarray, shape (c, m)
+        Shape of the density without peaks, see ``expected_density``; its size does not matter.
+    """
     bins = seen.frequency.size
     if bins < 2 * NEIGHBOURS:
         return ()
     freedom = 2.0 * max(1.0, seen.segments / 1.06)  # half overlap, Hann window
-    chance = chi2.isf(FALSE_ALARM / (bins * len(seen.density)), freedom) / chi2.median(freedom)
+    # the background is a median over neighbours of which two out of three tell something new
+    of_background = freedom * (2 * NEIGHBOURS + 1) * (2.0 / 3.0) * MEDIAN_EFFICIENCY
+    chance = f_ratio.isf(FALSE_ALARM / (bins * len(seen.density)), freedom, of_background)
+    chance *= freedom / chi2.median(freedom)
     width = seen.frequency[1]
     found = []
     for quantity, density in enumerate(seen.density):
-        background = median_filter(density, 2 * NEIGHBOURS + 1, mode='nearest')
+        shape = np.maximum(expected[quantity], 1e-9 * expected[quantity].max() + 1e-300)
+        background = shape * median_filter(density / shape, 2 * NEIGHBOURS + 1, mode='nearest')
         excess = density > max(chance, MIN_RATIO) * background
         excess[:SKIPPED] = False
         edges = np.flatnonzero(np.diff(np.concatenate([[False], excess, [False]]).astype(int)))

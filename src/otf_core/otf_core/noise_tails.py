@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 
 SMOOTHING = 0.1
 """s; slower noise is taken off first, so that its wandering does not count as tails."""
-MAX_VALUES = 20_000
+MAX_VALUES = 5_000
 """Values that the likelihood is taken over."""
-FREEDOMS = np.geomspace(2.2, 60.0, 60)
+FREEDOMS = np.geomspace(2.2, 60.0, 30)
 """Degrees of freedom tried; more are not told from normal."""
 
 
@@ -43,7 +43,7 @@ class Tails:
 def _log_likelihood(square: Array, freedom: float) -> float:
     """Largest log-likelihood over the scale, found by expectation and maximisation."""
     scale = float(np.median(square)) or 1.0
-    for _ in range(30):
+    for _ in range(20):
         scale = float(np.mean((freedom + 1) * square / (freedom + square / scale)))
     constant = gammaln(0.5 * (freedom + 1)) - gammaln(0.5 * freedom)
     constant -= 0.5 * np.log(np.pi * freedom * scale)

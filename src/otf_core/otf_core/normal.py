@@ -143,7 +143,9 @@ class Whitener:
         mean = float(np.mean(excess))
         if mean < SIGNIFICANT * float(np.std(excess)) / np.sqrt(excess.size):
             return self.floor
-        return float(np.hypot(MODEL_FLOOR, COHERENCE * np.sqrt((self.floor / COHERENCE) ** 2 + mean)))
+        return float(
+            np.hypot(MODEL_FLOOR, COHERENCE * np.sqrt((self.floor / COHERENCE) ** 2 + mean))
+        )
 
     def leg_rows(self, leg: int, component: int, rows: Array) -> Array:
         """Whiten the rows (m, k) of one component of one leg."""

@@ -64,6 +64,16 @@ def _unit_lap(levels: int) -> NDArray[np.float64]:
     return np.asarray(lap[moved])
 
 
+def inner_range(
+    machine: Machine, config: PlannerConfig
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Ends of the axis ranges less the margin, m; ConfigError if it leaves nothing."""
+    low, high = machine.lower + config.margin, machine.upper - config.margin
+    if np.any(high - low <= 0.1 * (machine.upper - machine.lower)):
+        raise ConfigError(f'margin: {config.margin} m leaves too little of the axis ranges')
+    return low, high
+
+
 def plan_path(machine: Machine, config: PlannerConfig) -> Plan:
     """Create the path for one machine.
 
@@ -81,9 +91,7 @@ def plan_path(machine: Machine, config: PlannerConfig) -> Plan:
     ConfigError
         If the margin leaves nothing of an axis.
     """
-    low, high = machine.lower + config.margin, machine.upper - config.margin
-    if np.any(high - low <= 0.1 * (machine.upper - machine.lower)):
-        raise ConfigError(f'margin: {config.margin} m leaves too little of the axis ranges')
+    low, high = inner_range(machine, config)
     lap = low + _unit_lap(config.levels) * (high - low)
     laps = [lap if k % 2 == 0 else lap[::-1][1:] for k in range(config.passes)]
     # lap starts and ends at the same corner, so forward laps after a reverse one join up too

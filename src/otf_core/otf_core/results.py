@@ -65,6 +65,14 @@ def _tidy_rows(result: CalibrationResult) -> str:
     return '\n'.join(lines) + '\n'
 
 
+_MOVING, _STANDING = ('2', '3'), ('1', '2', '3')
+"""Names of the components of a deviation: two across the path; along the beam and two across."""
+
+
+def _component_names(run: RunResult) -> tuple[str, ...]:
+    return _STANDING if run.pieces.standstill else _MOVING
+
+
 def _residual_columns(number: int, run: RunResult) -> NDArray[np.float64]:
     pieces = run.pieces
     return np.column_stack(
@@ -75,33 +83,19 @@ def _residual_columns(number: int, run: RunResult) -> NDArray[np.float64]:
             pieces.count,
             pieces.speed,
             run.q,
-            run.axes[0],
-            run.axes[1],
-            run.deviation[:2].T,
-            run.residual[:2].T,
+            *run.axes,
+            run.deviation.T,
+            run.residual.T,
         ]
     )
 
 
-_RESIDUAL_HEADER = ','.join(
-    [
-        'run',
-        'time',
-        'leg',
-        'count',
-        'speed',
-        'x',
-        'y',
-        'z',
-        'a2x',
-        'a2y',
-        'a2z',
-        'a3x',
-        'a3y',
-        'a3z',
-    ]
-    + ['deviation2', 'deviation3', 'residual2', 'residual3']
-)
+def _residual_header(run: RunResult) -> str:
+    names = _component_names(run)
+    columns = ['run', 'time', 'leg', 'count', 'speed', 'x', 'y', 'z']
+    columns += [f'a{k}{axis}' for k in names for axis in 'xyz']
+    columns += [f'{what}{k}' for what in ('deviation', 'residual') for k in names]
+    return ','.join(columns)
 
 
 def write_calibration(result: CalibrationResult, folder: str | Path) -> list[Path]:
@@ -125,7 +119,7 @@ def write_calibration(result: CalibrationResult, folder: str | Path) -> list[Pat
     folder = ensure_folder(folder)
     write_text(folder / 'error_tables.csv', _tidy_rows(result))
     rows = [_residual_columns(k, run) for k, run in enumerate(result.runs)]
-    write_csv(folder / 'residuals.csv', _RESIDUAL_HEADER, np.concatenate(rows))
+    write_csv(folder / 'residuals.csv', _residual_header(result.runs[0]), np.concatenate(rows))
     write_text(folder / 'summary.txt', format_result(result) + '\n')
     write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result), indent=1) + '\n')
     names = (TABLES_FILE, 'error_tables.csv', 'residuals.csv', 'summary.txt')

@@ -27,14 +27,16 @@ WINDOW = 4.0
 LONG = 1.0
 """s; windows of this length are preferred to shorter ones."""
 LOUD = 4.0
-"""Ratio to the quietest windows beyond which the target itself must have moved, if they are long."""
+"""Ratio of long windows to the quietest beyond which the target itself must have moved."""
+HELD = 1e-11
+"""m and rad; points that differ by less are one point repeated."""
 NO_COLOUR = 0.02
 """Share of the variance below which a slow part is not told from none."""
 RESOLUTION = 0.2e-6
 """m and rad; levels below are not told apart: recordings are often rounded to 1 um and 1 urad."""
 
 
-def find_standstills(samples: Samples, speed: float) -> Index:
+def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_DURATION) -> Index:
     """Find where the target stands still.
 
     Parameters
@@ -42,6 +44,8 @@ def find_standstills(samples: Samples, speed: float) -> Index:
     samples : Samples
     speed : float
         m/s; slower counts as standstill. Taken over 0.1 s, so that noise does not hide it.
+    min_duration : float
+        s; shorter standstills, settling times left out, are not reported.
 
     Returns
     -------
@@ -61,7 +65,7 @@ def find_standstills(samples: Samples, speed: float) -> Index:
     runs = edges.reshape(-1, 2) + half
     guard = max(0, round(GUARD / step) - half)
     runs += np.array([guard, -guard])
-    long = runs[:, 1] - runs[:, 0] >= MIN_DURATION / step
+    long = runs[:, 1] - runs[:, 0] >= min_duration / step
     return np.asarray(runs[long], dtype=np.int64)
 
 
@@ -130,7 +134,8 @@ def _windows(runs: Index, step: float) -> list[Index]:
 
 def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
     """Leave out windows that are too short or in which the target itself seems to have moved."""
-    windows = [w for w in windows if w.any()]  # else the last point is held, not measured
+    # else the last point is held, not measured
+    windows = [w for w in windows if np.ptp(w, axis=0).max() > HELD]
     long = [w for w in windows if len(w) * step >= LONG]
     enough = sum(len(w) for w in long) * step >= MIN_TOTAL
     chosen = long if enough else windows

@@ -530,7 +530,6 @@ def test_topics_without_messages_are_explained(tmp_path):
         (np.frombuffer(struct.pack('<Q', 0x7FF0000000000001))[0], 'not finite'),  # signalling
         (np.inf, 'not finite'),
         (4321.0, 'the unit is m'),
-        (0.0, 'origin of the tracker'),
     ],
 )
 def test_unusable_points_are_counted_and_the_first_located(tmp_path, value, text):
@@ -539,6 +538,28 @@ def test_unusable_points_are_counted_and_the_first_located(tmp_path, value, text
     file = write_mcap(tmp_path / 'a.mcap', [PATH_MESSAGE, *point_messages(samples)])
     seconds = f'{samples.time[17]:.6f}'
     with pytest.raises(InputError, match=f'2 of 200 .* sample 17, {seconds} s .*{text}'):
+        read_bag(file)
+
+
+def test_points_without_beam_are_dropped_and_counted(tmp_path, caplog):
+    samples = some_samples()
+    samples.xyz[[17, 99]] = [[0.0, 0.0, 0.0], [-0.0, 0.0, 0.0]]
+    file = write_mcap(tmp_path / 'a.mcap', [PATH_MESSAGE, *point_messages(samples)])
+    with caplog.at_level('WARNING'):
+        found = read_bag(file).samples
+    np.testing.assert_array_equal(found.stamp_ns, np.delete(samples.stamp_ns, [17, 99]))
+    np.testing.assert_array_equal(found.xyz, np.delete(samples.xyz, [17, 99], axis=0))
+    assert (
+        f'dropped 2 of 200 points in the origin of the tracker (no beam), the first '
+        f'{samples.time[17]:.6f} s' in caplog.text
+    )
+
+
+def test_a_beam_broken_most_of_the_time_is_an_error(tmp_path):
+    samples = some_samples()
+    samples.xyz[:101] = 0.0
+    file = write_mcap(tmp_path / 'a.mcap', [PATH_MESSAGE, *point_messages(samples)])
+    with pytest.raises(InputError, match='101 of 200 points lie in the origin of the tracker'):
         read_bag(file)
 
 

@@ -121,7 +121,10 @@ def _add(named: list[NamedCause], cause: NamedCause) -> None:
             named[k] = replace(
                 other,
                 axes=(*other.axes, *cause.axes),
-                parameters={**other.parameters, **{renamed[n]: v for n, v in cause.parameters.items()}},
+                parameters={
+                    **other.parameters,
+                    **{renamed[n]: v for n, v in cause.parameters.items()},
+                },
                 u={**other.u, **{renamed[n]: v for n, v in cause.u.items()}},
                 units={**other.units, **{renamed[n]: v for n, v in cause.units.items()}},
                 after_um=cause.after_um,

@@ -16,7 +16,8 @@ from otf_core.diagnosis.search import Cause
 
 Array = NDArray[np.float64]
 
-RESAMPLES = 400
+JACKKNIFE = 20
+"""Groups of legs."""
 
 
 @dataclass(frozen=True)
@@ -108,16 +109,20 @@ def shrink_percent(before_um: float, after_um: float) -> float:
 def shrink_interval(
     before: Residuals, after: Residuals, simulated_um: float
 ) -> tuple[float, float]:
-    """95 % interval of the shrink, legs drawn anew with replacement (bootstrap)."""
-    legs = int(before.leg.max()) + 1
-    sums = [np.bincount(before.leg, r.square, legs) for r in (before, after)]
-    count = np.bincount(before.leg, minlength=legs)
-    rng = np.random.default_rng(0)
-    shrinks = []
-    for _ in range(RESAMPLES):
-        pick = rng.integers(legs, size=legs)
-        total = count[pick].sum()
-        sizes = [1e6 * np.sqrt(s[pick].sum() / total) for s in sums]
-        shrinks.append(shrink_percent(*(gap_um(float(x), simulated_um) for x in sizes)))
-    low, high = np.percentile(shrinks, [2.5, 97.5])
+    """95 % interval of the shrink, from leaving out groups of legs in turn (jackknife)."""
+    group = before.leg % JACKKNIFE
+    sums = [np.bincount(group, r.square, JACKKNIFE) for r in (before, after)]
+    count = np.bincount(group, minlength=JACKKNIFE)
+
+    def shrink(keep: NDArray[np.bool_]) -> float:
+        sizes = (1e6 * np.sqrt(s[keep].sum() / count[keep].sum()) for s in sums)
+        return shrink_percent(*(gap_um(float(x), simulated_um) for x in sizes))
+
+    used = np.flatnonzero(count)
+    if len(used) < 2:
+        return 0.0, 100.0
+    whole = shrink(count > 0)
+    left = np.array([shrink((count > 0) & (np.arange(JACKKNIFE) != k)) for k in used])
+    u = float(np.sqrt((len(used) - 1) / len(used) * np.sum((left - left.mean()) ** 2)))
+    low, high = np.clip([whole - 2 * u, whole + 2 * u], 0.0, 100.0)
     return float(low), float(high)

@@ -8,6 +8,7 @@ the squares of all bands add up to the square of the residual, and the noise is 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,16 +99,14 @@ def band_groups(
 
 def time_bands(views: Sequence[RunView], residuals: Sequence[Array]) -> list[Group]:
     """Groups by frequency along time."""
-    low = (f'{a:g} Hz to {b:g} Hz' for a, b in zip(TIME_BANDS, TIME_BANDS[1:], strict=False))
-    labels = [f'below {TIME_BANDS[0]:g} Hz', *low, f'above {TIME_BANDS[-1]:g} Hz']
+    low = (f'{a:g} Hz to {b:g} Hz' for a, b in pairwise(TIME_BANDS))
+    labels = [f'0 Hz to {TIME_BANDS[0]:g} Hz', *low, f'{TIME_BANDS[-1]:g} Hz and more']
     return band_groups(views, residuals, None, np.array(TIME_BANDS), labels)
 
 
 def wave_bands(views: Sequence[RunView], residuals: Sequence[Array], axis: int) -> list[Group]:
     """Groups by length of waves along an axis."""
     mm = [f'{1e3 * w:g} mm' for w in WAVE_BANDS]
-    middle = (f'{b} to {a}' for a, b in zip(mm, mm[1:], strict=False))
-    labels = [
-        f'{AXES[axis]}: {text}' for text in (f'above {mm[0]}', *middle, f'below {mm[-1]}')
-    ]
+    middle = (f'{b} to {a}' for a, b in pairwise(mm))
+    labels = [f'{AXES[axis]}: {text}' for text in (f'above {mm[0]}', *middle, f'below {mm[-1]}')]
     return band_groups(views, residuals, axis, 1.0 / np.array(WAVE_BANDS), labels)

@@ -120,7 +120,9 @@ def collect_options(
                 take = subset[acts[subset]]
                 if take.size:
                     own = white[:, take]
-                    option = Option(effect, shape, terms, take, own, size[take], own, plain[:, take])
+                    option = Option(
+                        effect, shape, terms, take, own, size[take], own, plain[:, take]
+                    )
                     options[name].append(option)
         visible[name] = Visibility(share, smallest)
     return options, visible

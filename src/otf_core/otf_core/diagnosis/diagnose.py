@@ -21,8 +21,6 @@ from otf_core.diagnosis.assess import (
     gap_um,
     plain_residuals,
     residuals_with,
-    shrink_interval,
-    shrink_percent,
 )
 from otf_core.diagnosis.catalogue import (
     Visibility,
@@ -32,7 +30,7 @@ from otf_core.diagnosis.catalogue import (
     spectral_lines,
 )
 from otf_core.diagnosis.rows import Rows, build_rows
-from otf_core.diagnosis.search import Cause, fit_jointly, search
+from otf_core.diagnosis.search import Cause, search
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, solve_jointly
 from otf_core.runs import Recording, Run, prepare_runs
@@ -85,7 +83,8 @@ def _solved(
     recordings: Sequence[Recording], config: CalibrationConfig, progress: Progress
 ) -> tuple[list[Run], JointSolution]:
     runs, nodes = prepare_runs(recordings, config)
-    return runs, solve_jointly(runs, layout(nodes, len(runs)), config, progress)
+    unknowns = layout(nodes, len(runs))
+    return runs, solve_jointly(runs, unknowns, config, progress, nodal_lever=False)
 
 
 def simulated_residual_um(

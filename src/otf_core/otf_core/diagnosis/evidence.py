@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 SPREADS = (5e-7, 2e-6, 8e-6)
 """m; sizes of the displacement that an effect may have, each as likely as the other."""
+BLIND = 2e-5
+"""m; standard uncertainty of a displacement beyond which a combination is not seen."""
 
 
 @dataclass(frozen=True)
@@ -107,13 +109,20 @@ def log_evidence(white: Array, size: Array, residual: Array, variance: float) ->
 
 
 def estimate(white: Array, size: Array, residual: Array) -> Estimate:
-    """Least-squares coefficients; the widest spread keeps blind directions at rest."""
-    normal, right = white.T @ white, white.T @ residual
-    ridge = np.diag((np.maximum(size, 1e-300) / (4 * SPREADS[-1])) ** 2)
-    covariance = linalg.inv(normal + ridge)
-    value = covariance @ right
-    fitted = white @ value
-    return Estimate(value, covariance, float(2 * residual @ fitted - fitted @ fitted))
+    """Least-squares coefficients; combinations that the data do not see stay zero.
+
+    A combination counts as not seen if the data leave its displacement more than ``BLIND``
+    uncertain, such as equal servo lag on all axes.
+    """
+    scale = np.maximum(size, 1e-300)
+    scaled = white / scale
+    values, vectors = linalg.eigh(scaled.T @ scaled)
+    seen = vectors[:, values > BLIND**-2]
+    inverse = (seen / values[values > BLIND**-2]) @ seen.T
+    value = inverse @ (scaled.T @ residual)
+    fitted = scaled @ value
+    gain = float(2 * residual @ fitted - fitted @ fitted)
+    return Estimate(value / scale, inverse / np.outer(scale, scale), gain)
 
 
 def axis_subsets(terms: Terms) -> list[NDArray[np.int64]]:

@@ -38,7 +38,7 @@ class Group:
     excess, u_excess : float
         m^2; mean square beyond noise and its standard deviation.
     significance : float
-        Standard deviations of the excess.
+        Standard deviations of the excess, as of a normal quantity.
     pieces, legs : int
     """
 
@@ -126,6 +126,21 @@ def leg_sums(rows: Sequence[LegRows], member: NDArray[np.bool_], pieces: Array) 
     return LegSums(square, noise, variance, pieces)
 
 
+def normal_score(square: float, noise: float, variance: float) -> float:
+    """Standard deviations of a normal quantity that is as unlikely as a sum of squares.
+
+    The sum is taken as chi-square with as many degrees of freedom as its mean and variance call
+    for, and turned by its cube root (Wilson and Hilferty 1931).
+
+    Parameters
+    ----------
+    square, noise, variance : float
+        Sum of squares, its mean and its variance if there is only noise.
+    """
+    spread = variance / (9.0 * noise**2)
+    return float((np.cbrt(square / noise) - (1.0 - spread)) / np.sqrt(spread))
+
+
 def make_groups(labels: Sequence[str], kind: str, sums: Sequence[LegSums]) -> list[Group]:
     """Groups with at least one piece, from the sums of all legs of all runs."""
     square, noise, variance, pieces = (
@@ -145,6 +160,9 @@ def make_groups(labels: Sequence[str], kind: str, sums: Sequence[LegSums]) -> li
             legs = part.sum()
             spread = max(spread, float(((difference - mean) ** 2).sum()) * legs / (legs - 1))
         excess, deviation = float(difference.sum()), float(np.sqrt(spread))
+        chance = normal_score(
+            float(square[g].sum()), float(noise[g].sum()), float(variance[g].sum())
+        )
         groups.append(
             Group(
                 label,
@@ -153,7 +171,7 @@ def make_groups(labels: Sequence[str], kind: str, sums: Sequence[LegSums]) -> li
                 float(np.sqrt(noise[g].sum() / count)),
                 excess / count,
                 deviation / count,
-                excess / max(deviation, 1e-300),
+                float(min(chance, excess / max(deviation, 1e-300), key=abs)),
                 round(count),
                 int(part.sum()),
             )
@@ -196,11 +214,11 @@ def unevenness(groups: Sequence[Group]) -> float:
     Returns
     -------
     float
-        Weighted mean square of the differences over their variance, less 1; about 0 if even.
+        Sum of squared differences over their variances, less three times what chance gives.
     """
     if len(groups) < 2:
         return 0.0
     excess = np.array([g.excess for g in groups])
     weight = 1.0 / np.maximum([g.u_excess for g in groups], 1e-300) ** 2
     mean = float((weight * excess).sum() / weight.sum())
-    return float((weight * (excess - mean) ** 2).sum() / (len(groups) - 1)) - 1.0
+    return float((weight * (excess - mean) ** 2).sum() - 3.0 * (len(groups) - 1))

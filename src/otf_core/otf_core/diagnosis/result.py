@@ -136,3 +136,29 @@ class Diagnosis:
             'table_change_um': self.table_change_um,
             **self.extra,
         }
+
+
+def format_diagnosis(diagnosis: Diagnosis) -> str:
+    """Return the text for a terminal."""
+    gap = diagnosis.gap
+    lines = [
+        f'verdict: {diagnosis.verdict}',
+        diagnosis.sentence,
+        f'residual {gap.measured_um:.2f} um, simulated {gap.simulated_um:.2f} um; gap '
+        f'{gap.before_um:.2f} um -> {gap.after_um:.2f} um',
+        '',
+    ]
+    for cause in diagnosis.causes:
+        axes = f' ({", ".join(cause.axes)})' if cause.axes else ''
+        lines.append(
+            f'cause {cause.effect}{axes}: gap {cause.before_um:.2f} um -> '
+            f'{cause.after_um:.2f} um, confidence {100 * cause.confidence:.0f} %'
+        )
+        for name, value in cause.parameters.items():
+            u = f' +/- {cause.u[name]:.2g} (k = 1)' if name in cause.u else ''
+            lines.append(f'    {name} = {value:.4g}{u} {cause.units.get(name, "")}'.rstrip())
+        if cause.indistinguishable_from:
+            lines.append(f'    not told from {", ".join(cause.indistinguishable_from)}')
+    lines += ['', diagnosis.where.summary, f'unexplained: {diagnosis.unexplained_where}', '']
+    lines += [f'not visible: {e}; needs {n}' for e, n in diagnosis.not_visible]
+    return '\n'.join(lines)

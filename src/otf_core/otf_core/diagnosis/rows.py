@@ -31,7 +31,9 @@ Index = NDArray[np.int64]
 FOLDS = 8
 
 
-def piece_state(run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables) -> State:
+def piece_state(
+    run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
+) -> State:
     """State of the pieces of one run."""
     return state_on_path(
         run.machine,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from otf_core.diagnosis.evidence import (
     Estimate,
@@ -16,7 +17,7 @@ from otf_core.diagnosis.evidence import (
     estimate,
     log_evidence,
 )
-from otf_core.diagnosis.rows import Rows
+from otf_core.diagnosis.rows import Rows, column_size
 from otf_core.uncertainty import check_residuals
 
 Array = NDArray[np.float64]
@@ -88,6 +89,37 @@ def _same_trace(best: Option, other: Option, residual: Array) -> bool:
     return float(rest @ rest) < max(SAME_TRACE * power, 4.0)
 
 
+def _refined(option: Option, found: Sequence[Cause], rows: Rows, residual: Array) -> Option:
+    """Improve the shape of an option: its spectral line or length is only known to a raster."""
+    name = option.effect.refine
+    if not name:
+        return option
+    start = float(option.shape[name])
+
+    def at(place: float) -> Option:
+        shape = {**option.shape, name: place}
+        plain = rows.plain_columns(option.effect, shape)[:, option.take]
+        own = rows.project(rows.whiten(plain))
+        white = own
+        for cause in found:
+            white = _reduced(cause.option.white, white)
+        return replace(
+            option, shape=shape, plain=plain, own=own, white=white, size=column_size(plain)
+        )
+
+    def loss(logarithm: float) -> float:
+        trial = at(start * float(np.exp(logarithm)))
+        return -estimate(trial.white, trial.size, residual).gain
+
+    width = option.effect.refine_width
+    best = minimize_scalar(
+        loss, bounds=(-width, width), method='bounded', options={'xatol': width / 200}
+    )
+    refined = at(start * float(np.exp(best.x)))
+    better = estimate(refined.white, refined.size, residual).gain
+    return refined if better > estimate(option.white, option.size, residual).gain else option
+
+
 def search(
     rows: Rows, options: Mapping[str, Sequence[Option]]
 ) -> tuple[list[Cause], list[tuple[str, float]]]:
@@ -115,10 +147,12 @@ def search(
         score, option = ranking[0]
         if score < NEEDED_EVIDENCE:
             break
+        option = _refined(option, causes, rows, residual)
         close = [
             o.effect.name
             for s, o in ranking[1:]
-            if s > score - CLOSE_EVIDENCE or (s > NEEDED_EVIDENCE and _same_trace(option, o, residual))
+            if s > score - CLOSE_EVIDENCE
+            or (s > NEEDED_EVIDENCE and _same_trace(option, o, residual))
         ]
         odds = np.array([0.0] + [s for s, _ in ranking])
         confidence = float(np.exp(score - np.logaddexp.reduce(odds)))
@@ -138,18 +172,20 @@ def search(
     return causes, considered
 
 
+def _reduced(taken: Array, columns: Array) -> Array:
+    """Columns less what the columns of a cause can follow."""
+    normal = taken.T @ taken
+    ridge = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
+    return np.asarray(columns - taken @ np.linalg.solve(normal + ridge, taken.T @ columns))
+
+
 def _take_out(option: Option, residual: Array, remaining: dict[str, list[Option]]) -> Array:
     """Project an effect out of the residual and of all other effects."""
-    normal = option.white.T @ option.white
-    ridge = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
-    inverse = np.linalg.inv(normal + ridge)
-
-    def reduced(columns: Array) -> Array:
-        return np.asarray(columns - option.white @ (inverse @ (option.white.T @ columns)))
-
     for name, group in remaining.items():
-        remaining[name] = [replace(other, white=reduced(other.white)) for other in group]
-    return reduced(residual)
+        remaining[name] = [
+            replace(other, white=_reduced(option.white, other.white)) for other in group
+        ]
+    return _reduced(option.white, residual)
 
 
 def fit_jointly(causes: Sequence[Cause], rows: Rows) -> Estimate:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +18,22 @@ from otf_core.diagnosis.views import RunView
 from otf_core.machine import AXES
 
 Array = NDArray[np.float64]
-Columns = Callable[[RunView], Array]
+Scales = Callable[[RunView], Array]
 
+SETTLING = (0.05, 0.1, 0.2, 0.4)
+"""Time constants of drifts, in lengths of the run."""
 MAX_STEPS = 60
 """Moments per run at which a step is looked for."""
 SLOWEST_WAVE, FASTEST_WAVE = 1.5, 40.0
 """Waves in time: cycles per run."""
-MOST_WAVES = 120
+MOST_WAVES = 400
 """Lengths of waves looked for along an axis."""
 WAVES_PER_AXIS = 3.0
 """Longer waves are for the tables."""
 SHORTEST_WAVE = 2.2
 """Spacings of the pieces along the axis on the slowest lines."""
 MOVING = 0.05
+PER_FEED = 'um per 0.1 m/s'
 
 
 @dataclass(frozen=True)
@@ -39,19 +43,25 @@ class Shape:
     Attributes
     ----------
     family : str
-    columns : callable(RunView) -> ndarray, shape (p, 3, k)
-        Displacement per coefficient; coefficients come in threes: along X, Y, Z.
+    scales : callable(RunView) -> ndarray, shape (p, m)
+        Displacements along X, Y and Z are in proportion to each of the m scales; coefficients
+        are those of the first scale, X, Y, Z, then of the next.
     words : callable(coefficients) -> str
     """
 
     family: str
-    columns: Columns
+    scales: Scales
     words: Callable[[Array], str]
 
 
-def _vector(scale: Array) -> Array:
-    """Displacement along X, Y, Z in proportion to ``scale``, shape (p, 3, 3)."""
-    return np.asarray(scale[:, None, None] * np.eye(3))
+def one(scale: NDArray[Any]) -> Array:
+    """Return a single scale, shape (p, 1)."""
+    return np.asarray(scale, dtype=np.float64)[:, None]
+
+
+def wave(phase: Array) -> Array:
+    """Sine and cosine, shape (p, 2)."""
+    return np.stack([np.sin(phase), np.cos(phase)], axis=1)
 
 
 def direction_words(vector: Array, scale: float = 1e6, unit: str = 'um') -> str:
@@ -79,29 +89,51 @@ def _amplitude_words(value: Array) -> str:
     return f'amplitudes along X, Y, Z of ({parts}) um'
 
 
+def _in_run(views: Sequence[RunView], view: RunView) -> str:
+    return f' in {view.name}' if len(views) > 1 else ''
+
+
 def step_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
     """A step between two legs."""
+
+    def shape(run: RunView, start: float) -> Shape:
+        def words(c: Array) -> str:
+            return f'since {start:.0f} s{_in_run(views, run)}, step of {direction_words(c)}'
+
+        return Shape('step', lambda v: one((v.time >= start) & (v is run)), words)
+
     for view in views:
         starts = np.array([view.time[low] for low, _ in view.bounds])[2:-2]
         chosen = starts[:: max(1, -(-len(starts) // MAX_STEPS))]
-        where = f' in {view.name}' if len(views) > 1 else ''
-        for start in chosen:
-            yield Shape(
-                'step',
-                lambda v, t=start, r=view: _vector(((v.time >= t) & (v is r)).astype(float)),
-                lambda c, t=start, w=where: f'since {t:.0f} s{w}, step of {direction_words(c)}',
-            )
+        yield from (shape(view, float(start)) for start in chosen)
 
 
 def drift_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
-    """A steady drift."""
+    """A steady drift, and one that settles."""
+
+    def steady(run: RunView) -> Shape:
+        def words(c: Array) -> str:
+            return f'drift of {direction_words(c, 1e6, "um/min")}{_in_run(views, run)}'
+
+        return Shape('drift', lambda v: one(v.time / 60.0 * (v is run)), words)
+
+    def settling(run: RunView, tau: float) -> Shape:
+        def words(c: Array) -> str:
+            return (
+                f'drift to {direction_words(c)} that settles with a time constant of about '
+                f'{tau:.2g} s{_in_run(views, run)}'
+            )
+
+        return Shape('drift', lambda v: one((1.0 - np.exp(-v.time / tau)) * (v is run)), words)
+
     for view in views:
-        where = f' in {view.name}' if len(views) > 1 else ''
-        yield Shape(
-            'drift',
-            lambda v, r=view: _vector((v.time - v.time.mean()) / 60.0 * (v is r)),
-            lambda c, w=where: f'drift of {direction_words(c, 1e6, "um/min")}{w}',
-        )
+        yield steady(view)
+        yield from (settling(view, share * float(np.ptp(view.time))) for share in SETTLING)
+
+
+def _sense(view: RunView, axis: int) -> Array:
+    d = view.direction[:, axis]
+    return np.where(np.abs(d) < MOVING, 0.0, np.sign(d))
 
 
 def travel_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
@@ -109,33 +141,31 @@ def travel_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
     speeds = np.concatenate([v.speed for v in views])
     two_feeds = np.quantile(speeds, 0.9) > 1.2 * np.quantile(speeds, 0.1)
 
-    def sense(view: RunView, axis: int) -> Array:
-        d = view.direction[:, axis]
-        return np.where(np.abs(d) < MOVING, 0.0, np.sign(d))
-
-    for axis, name in enumerate(AXES):
-        yield Shape(
-            'sense',
-            lambda v, a=axis: _vector(sense(v, a)),
-            lambda c, n=name: (
-                f'flips with the sense of travel of {n}: {direction_words(c)} forward, '
-                f'the opposite backward'
-            ),
-        )
-        if two_feeds:
-            yield Shape(
-                'feed',
-                lambda v, a=axis: _vector(v.speed * v.direction[:, a]),
-                lambda c, n=name: (
-                    f'flips with the sense of travel of {n} and grows with its feed: '
-                    f'{direction_words(c, 1e5, "um per 0.1 m/s")} forward'
-                ),
+    def flipping(axis: int) -> Shape:
+        def words(c: Array) -> str:
+            return (
+                f'flips with the sense of travel of {AXES[axis]}: {direction_words(c)} forward, '
+                'the opposite backward'
             )
+
+        return Shape('sense', lambda v: one(_sense(v, axis)), words)
+
+    def growing(axis: int) -> Shape:
+        def words(c: Array) -> str:
+            return (
+                f'flips with the sense of travel of {AXES[axis]} and grows with its feed: '
+                f'{direction_words(c, 1e5, PER_FEED)} forward'
+            )
+
+        return Shape('feed', lambda v: one(v.speed * v.direction[:, axis]), words)
+
+    yield from (flipping(axis) for axis in range(3))
     if two_feeds:
+        yield from (growing(axis) for axis in range(3))
         yield Shape(
             'feed',
-            lambda v: _vector(v.speed - v.speed.mean()),
-            lambda c: f'changes with the feed, {direction_words(c, 1e5, "um per 0.1 m/s")}',
+            lambda v: one(v.speed - v.speed.mean()),
+            lambda c: f'changes with the feed: {direction_words(c, 1e5, PER_FEED)}',
         )
 
 
@@ -148,76 +178,70 @@ def _spacing(view: RunView, axis: int) -> Array:
     return length
 
 
-def wave_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
+def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[Shape]:
     """Waves along the position of an axis; means over pieces weaken short ones."""
-    for axis, name in enumerate(AXES):
-        q = np.concatenate([v.q[:, axis] for v in views])
-        spacing = np.concatenate([_spacing(v, axis) for v in views])
-        moving = spacing[spacing > 1e-6]
-        length = float(np.ptp(q))
-        if not moving.size or length < 1e-3:
-            continue
-        low, high = WAVES_PER_AXIS / length, 1.0 / (SHORTEST_WAVE * np.quantile(moving, 0.1))
-        count = min(MOST_WAVES, int((high - low) * 2 * length))
-        for frequency in np.linspace(low, high, max(count, 1)):
+    spacing = {id(v): _spacing(v, axis) for v in views}
+    every = np.concatenate(list(spacing.values()))
+    moving = every[every > 1e-6]
+    length = float(np.ptp(np.concatenate([v.q[:, axis] for v in views])))
+    if not moving.size or length < 1e-3:
+        return
 
-            def columns(view: RunView, f: float = frequency, a: int = axis) -> Array:
-                weak = np.sinc(f * _spacing(view, a))
-                phase = 2.0 * np.pi * f * view.q[:, a]
-                parts = [_vector(weak * np.sin(phase)), _vector(weak * np.cos(phase))]
-                return np.concatenate(parts, axis=2)
+    def shape(frequency: float) -> Shape:
+        def scales(view: RunView) -> Array:
+            weak = np.sinc(frequency * spacing[id(view)])
+            return np.asarray(weak[:, None] * wave(2.0 * np.pi * frequency * view.q[:, axis]))
 
-            yield Shape(
-                f'wave {name}',
-                columns,
-                lambda c, f=frequency, n=name: (
-                    f'period {1e3 / f:.1f} mm of axis {n}, {_amplitude_words(c)}'
-                ),
-            )
+        def words(c: Array) -> str:
+            return f'period {1e3 / frequency:.1f} mm of axis {AXES[axis]}, {_amplitude_words(c)}'
+
+        return Shape(f'wave {AXES[axis]}', scales, words)
+
+    low, high = WAVES_PER_AXIS / length, 1.0 / (SHORTEST_WAVE * float(np.quantile(moving, 0.1)))
+    count = min(MOST_WAVES, int((high - low) * 4 * length))
+    yield from (shape(float(f)) for f in np.linspace(low, high, max(count, 1)))
 
 
 def slow_wave_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
     """Waves in time, slower than legs."""
     longest = max(float(np.ptp(v.time)) for v in views)
     legs = max(len(v.bounds) for v in views)
-    for cycles in np.arange(SLOWEST_WAVE, min(FASTEST_WAVE, 0.4 * legs), 0.5):
-        omega = 2.0 * np.pi * cycles / longest
 
-        def columns(view: RunView, w: float = omega) -> Array:
-            parts = [_vector(np.sin(w * view.time)), _vector(np.cos(w * view.time))]
-            return np.concatenate(parts, axis=2)
-
-        yield Shape(
+    def shape(period: float) -> Shape:
+        return Shape(
             'slow wave',
-            columns,
-            lambda c, w=omega: f'period {2 * np.pi / w:.0f} s, {_amplitude_words(c)}',
+            lambda v: wave(2.0 * np.pi / period * v.time),
+            lambda c: f'period {period:.0f} s, {_amplitude_words(c)}',
         )
+
+    cycles = np.arange(SLOWEST_WAVE, min(FASTEST_WAVE, 0.4 * legs), 0.5)
+    yield from (shape(longest / float(n)) for n in cycles)
 
 
 def product_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
     """What changes along one axis with the position of another."""
     q = np.concatenate([v.q for v in views])
     middle, half = 0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0)
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        if min(half[a], half[b]) < 1e-3:
-            continue
 
-        def columns(view: RunView, i: int = a, j: int = b) -> Array:
-            u = (view.q - middle) / np.maximum(half, 1e-3)
-            return _vector(u[:, i] * u[:, j])
+    def shape(a: int, b: int) -> Shape:
+        def words(c: Array) -> str:
+            return (
+                f'grows with the product of the positions of {AXES[a]} and {AXES[b]}, '
+                f'to {direction_words(c)}'
+            )
 
-        yield Shape(
-            'product',
-            columns,
-            lambda c, m=f'{AXES[a]} and {AXES[b]}': (
-                f'grows with the product of the positions of {m}, to {direction_words(c)}'
-            ),
-        )
+        def scales(view: RunView) -> Array:
+            u = (view.q - middle) / half.clip(1e-3)
+            return one(u[:, a] * u[:, b])
+
+        return Shape('product', scales, words)
+
+    pairs = ((0, 1), (0, 2), (1, 2))
+    yield from (shape(a, b) for a, b in pairs if min(half[a], half[b]) > 1e-3)
 
 
 def all_shapes(views: Sequence[RunView]) -> list[list[Shape]]:
     """All shapes, one list a family that is scanned together."""
     families = (step_shapes, drift_shapes, travel_shapes, slow_wave_shapes, product_shapes)
     found = [list(family(views)) for family in families]
-    waves = list(wave_shapes(views))
-    return found + [[w for w in waves if w.family == f'wave {a}'] for a in AXES]
+    return found + [list(wave_shapes(views, axis)) for axis in range(3)]

@@ -20,6 +20,8 @@ from otf_core.uncertainty import check_residuals
 
 Array = NDArray[np.float64]
 Projection = Callable[[Array], Array]
+_Family = tuple[list['_Candidate'], int]
+"""Candidates, and how many shapes were looked at."""
 
 MAX_STRUCTURES = 3
 NEEDED_SCORE = 9.0
@@ -28,8 +30,10 @@ NEEDED_SHARE = 0.1
 """Share of the excess that a shape must explain to be worth a word."""
 SEVERAL = ('sense', 'product')
 """Families that may be found more than once."""
-KEPT = 8
-"""Shapes of a family that are tried again on what the first ones leave."""
+KEPT = 12
+"""Of many shapes of a family so many are fitted exactly."""
+EXACT = 60
+"""Families of more shapes are screened."""
 
 
 @dataclass(frozen=True)
@@ -58,25 +62,44 @@ class _Candidate:
     white: Array
 
 
-def _white(views: Sequence[RunView], shapes: Sequence[Shape], project: Projection) -> list[Array]:
-    """Whitened columns of shapes less what tables and poses can follow."""
+def _candidates(
+    views: Sequence[RunView], shapes: Sequence[Shape], project: Projection
+) -> list[_Candidate]:
+    """Shapes of equal numbers of scales with their whitened columns, less what tables follow."""
     wide = []
     for view in views:
-        columns = np.concatenate([s.columns(view) for s in shapes], axis=2)
-        wide.append(view.whiten(np.einsum('cpi,pik->cpk', view.axes, columns)))
+        scales = np.concatenate([s.scales(view) for s in shapes], axis=1)
+        columns = scales[None, :, :, None] * view.axes[:, :, None, :]
+        wide.append(view.whiten(columns.reshape(*view.axes.shape[:2], -1)))
     joined = project(np.concatenate(wide))
-    width = joined.shape[1] // len(shapes)
-    return [joined[:, k * width : (k + 1) * width] for k in range(len(shapes))]
+    parts = np.split(joined, len(shapes), axis=1)
+    return [_Candidate(s, w) for s, w in zip(shapes, parts, strict=True)]
 
 
-def _families(views: Sequence[RunView], project: Projection) -> list[list[_Candidate]]:
-    """All shapes with their columns; shapes of one family have the same number of them."""
-    found = []
-    for family in all_shapes(views):
-        if family:
-            columns = _white(views, family, project)
-            found.append([_Candidate(s, w) for s, w in zip(family, columns, strict=True)])
-    return found
+def _screened(
+    views: Sequence[RunView], shapes: Sequence[Shape], residual: Array, project: Projection
+) -> list[_Candidate]:
+    """Most promising of many shapes: exact products with the residual, sizes interpolated."""
+    if len(shapes) <= EXACT:
+        return _candidates(views, shapes, project)
+    pull, start = [], 0
+    for view in views:
+        size = view.expected.size
+        part = residual[start : start + size].reshape(view.expected.shape)
+        pull.append(view.vectors(view.whiten_transposed(part)))
+        start += size
+    sample = np.unique(np.linspace(0, len(shapes) - 1, EXACT // 2).round().astype(int))
+    exact = _candidates(views, [shapes[k] for k in sample], project)
+    normals = np.array([(c.white.T @ c.white).ravel() for c in exact])
+    gains = []
+    for number, shape in enumerate(shapes):
+        products = sum(shape.scales(v).T @ p for v, p in zip(views, pull, strict=True))
+        right = np.asarray(products).ravel()
+        normal = np.array([np.interp(number, sample, n) for n in normals.T])
+        diagonal = normal.reshape(right.size, right.size).diagonal()
+        gains.append(float((right**2 / np.maximum(diagonal, 1e-300)).sum()))
+    best = np.argsort(gains)[::-1][:KEPT]
+    return _candidates(views, [shapes[k] for k in np.sort(best)], project)
 
 
 def _fit(white: Array, residual: Array) -> tuple[Array, float]:
@@ -102,34 +125,39 @@ def _inflation(views: Sequence[RunView], residual: Array) -> float:
 
 
 def _best(
-    families: Sequence[Sequence[_Candidate]], views: Sequence[RunView], residual: Array
-) -> tuple[_Candidate, Array, float, float]:
-    """Best shape: candidate, coefficients, gain, logarithm of the odds."""
+    families: Sequence[_Family], views: Sequence[RunView], residual: Array
+) -> tuple[_Candidate, Array, float]:
+    """Best shape: candidate, coefficients, logarithm of the odds."""
     legs = sum(len(v.bounds) for v in views)
     ranked = []
-    for family in families:
+    for family, looked in families:
         fits = [_fit(c.white, residual) for c in family]
         best = int(np.argmax([gain for _, gain in fits]))
-        price = 0.5 * family[best].white.shape[1] * np.log(legs) + np.log(len(family))
+        price = 0.5 * family[best].white.shape[1] * np.log(legs) + np.log(looked)
         ranked.append((family[best], *fits[best], float(price)))
     candidate, value, gain, price = max(ranked, key=lambda r: 0.5 * r[2] - r[3])
     variance = _inflation(views, residual - candidate.white @ value)
-    return candidate, value, gain, 0.5 * gain / variance - price
+    return candidate, value, 0.5 * gain / variance - price
 
 
-def _shortened(family: Sequence[_Candidate], residual: Array) -> list[_Candidate]:
-    gains = [-_fit(c.white, residual)[1] for c in family]
-    return [family[k] for k in np.argsort(gains)[:KEPT]]
-
-
-def _take_out(taken: Array, families: Sequence[Sequence[_Candidate]]) -> list[list[_Candidate]]:
+def _take_out(taken: Array, families: Sequence[_Family]) -> list[_Family]:
     """Candidates less what a shape that was taken can follow of them."""
     basis, size, _ = np.linalg.svd(taken, full_matrices=False)
     basis = basis[:, size > 1e-3 * size.max(initial=1e-300)]
     return [
-        [_Candidate(c.shape, c.white - basis @ (basis.T @ c.white)) for c in family]
-        for family in families
+        ([_Candidate(c.shape, c.white - basis @ (basis.T @ c.white)) for c in family], looked)
+        for family, looked in families
     ]
+
+
+def _squares(views: Sequence[RunView], white: Array) -> float:
+    """Sum of squares of whitened values turned back, m^2."""
+    total, start = 0.0, 0
+    for view in views:
+        part = white[start : start + view.expected.size].reshape(view.expected.shape)
+        total += float((view.unwhiten(part) ** 2).sum())
+        start += view.expected.size
+    return total
 
 
 def _without_means(views: Sequence[RunView]) -> Projection:
@@ -165,19 +193,26 @@ def find_structures(
     residual = project(
         np.concatenate([v.whiten(r[:, :, None]) for v, r in zip(views, given, strict=True)])
     )[:, 0]
-    excess = max(float(residual @ residual) - residual.size, 1e-9)
-    families = _families(views, project)
-    families = [_shortened(f, residual) if f[0].shape.family != 'step' else f for f in families]
+    noise = sum(float((v.expected**2).sum()) for v in views)
+    first = _squares(views, residual)
+    families = [
+        (_screened(views, family, residual, project), len(family))
+        for family in all_shapes(views)
+        if family
+    ]
     found: list[Structure] = []
     while families and len(found) < MAX_STRUCTURES:
-        candidate, value, gain, score = _best(families, views, residual)
-        share = gain / excess
+        candidate, value, score = _best(families, views, residual)
+        before = _squares(views, residual)
+        residual = residual - candidate.white @ value
+        gain = before - _squares(views, residual)
+        share = gain / max(first - noise, 0.1 * noise)
         if score < NEEDED_SCORE or share < NEEDED_SHARE:
             break
         words = candidate.shape.words(value)
         found.append(Structure(candidate.shape.family, words, min(share, 1.0), score))
-        residual = residual - candidate.white @ value
         # axes may each have their own sense of travel; a second step or wave is a refinement
-        families = [f for f in families if f[0].shape.family in SEVERAL or candidate not in f]
+        several = candidate.shape.family in SEVERAL
+        families = [(f, n) for f, n in families if several or candidate not in f]
         families = _take_out(candidate.white, families)
-    return found
+    return sorted(found, key=lambda s: -s.share)

@@ -107,6 +107,23 @@ class RunView:
                 white[component, low:high] = solve_triangular(factor, part, lower=True)
         return white.reshape(-1, columns.shape[2])
 
+    def unwhiten(self, white: Array) -> Array:
+        """Undo ``whiten`` for values of shape (c, p)."""
+        plain = np.empty_like(white)
+        for (low, high), leg in zip(self.bounds, self.noise_factors, strict=True):
+            for component, factor in enumerate(leg):
+                plain[component, low:high] = factor @ white[component, low:high]
+        return plain
+
+    def whiten_transposed(self, white: Array) -> Array:
+        """Apply the transpose of ``whiten`` to values (c, p): for products with columns."""
+        pull = np.empty_like(white)
+        for (low, high), leg in zip(self.bounds, self.noise_factors, strict=True):
+            for component, factor in enumerate(leg):
+                part = white[component, low:high]
+                pull[component, low:high] = solve_triangular(factor, part, trans='T', lower=True)
+        return pull
+
     def vectors(self, residual: Array) -> Array:
         """Residual (c, p) as vectors in the machine frame, shape (p, 3)."""
         return np.asarray(np.einsum('cp,cpk->pk', residual, self.axes))

@@ -30,12 +30,14 @@ Rows = list[dict[str, Any]]
 
 SIGNIFICANT = 4.0
 """Standard deviations of an excess that is worth a word; some hundred groups are looked at."""
-UNEVEN = 4.0
+UNEVEN = 10.0
 """See ``groups.unevenness``."""
 CONTRAST = 1.3
 """The largest group of a kind is named if its gap is this many times that of the rest."""
 MOST_KINDS = 2
-FEWEST_PIECES = 0.02
+MOSTLY = 0.7
+"""Share of the excess from which shapes say enough."""
+FEWEST_PIECES = 0.01
 """Share of all pieces below which a group is not named in words."""
 
 
@@ -102,7 +104,7 @@ def _largest(kinds: Mapping[str, Sequence[Group]], pieces: int) -> list[tuple[Gr
     """Of the kinds along which the gap is most uneven: largest and smallest group."""
     found = []
     for kind, groups in kinds.items():
-        if kind in ('path piece', 'points'):
+        if kind in ('path piece', 'points') or kind.startswith('waves'):
             continue
         big = [g for g in groups if g.pieces >= FEWEST_PIECES * pieces]
         worth = unevenness(big)
@@ -129,13 +131,21 @@ def _pointing_words(points: Sequence[Group]) -> str:
     return f', along {parts}'
 
 
+PLACES = {
+    'time': 'from {}',
+    'line': 'on {} lines',
+    'sense': 'with {}',
+    'frequency': 'at {}',
+}
+
+
 def _contrast_words(most: Group, least: Group) -> str:
+    sizes = f'({_um(_gap(most))}; {least.label}: {_um(_gap(least))})'
+    place = PLACES.get(most.kind.split()[0], 'at {}').format(most.label)
     if most.kind == 'distance':
         far = float(most.label.split()[1]) > float(least.label.split()[1])
-        word = 'larger far from the tracker' if far else 'larger close to the tracker'
-        return f'{word} ({most.label}: {_um(_gap(most))}; {least.label}: {_um(_gap(least))})'
-    place = f'between {most.label}' if 'Hz' in most.label else f'at {most.label}'
-    return f'largest {place} ({_um(_gap(most))}; {least.label}: {_um(_gap(least))})'
+        return f'larger {"far from" if far else "close to"} the tracker, {place} {sizes}'
+    return f'largest {place} {sizes}'
 
 
 def _kinds(groups: Sequence[Group]) -> dict[str, list[Group]]:
@@ -145,9 +155,7 @@ def _kinds(groups: Sequence[Group]) -> dict[str, list[Group]]:
     return kinds
 
 
-def _all_groups(
-    views: Sequence[RunView], residuals: Sequence[Array]
-) -> dict[str, list[Group]]:
+def _all_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[str, list[Group]]:
     groups = {
         name: [g for p in parts for g in partition(views, p.indices, p.labels, p.kind, residuals)]
         for name, parts in groupings_of(views).items()
@@ -159,24 +167,26 @@ def _all_groups(
     return groups
 
 
-def _residuals(views: Sequence[RunView], after: bool) -> list[Array]:
-    return [v.residual_after if after else v.residual_before for v in views]
+def _residuals(views: Sequence[RunView], residual: str) -> list[Array]:
+    return [getattr(v, residual) for v in views]
 
 
 def describe_structure(
-    views: Sequence[RunView], project: Projection | None = None, after: bool = False
+    views: Sequence[RunView],
+    residual: str = 'residual_before',
+    project: Projection | None = None,
 ) -> str:
     """Shape of a gap without a known cause, in words.
 
     Parameters
     ----------
     views : sequence of RunView
+    residual : str
+        'residual_before' or 'residual_after': without or with the causes.
     project : callable, optional
         ``Rows.project``, so that sizes are true ones; see ``structure.find_structures``.
-    after : bool
-        Look at what the causes leave.
     """
-    residuals = _residuals(views, after)
+    residuals = _residuals(views, residual)
     return _structure_words(views, residuals, _all_groups(views, residuals), project)
 
 
@@ -191,12 +201,11 @@ def _structure_words(
         g.significance > SIGNIFICANT for part in groups.values() for g in part
     ):
         return 'no structure beyond noise'
-    parts = [
-        f'{s.words} ({100 * s.share:.0f} % of the excess)'
-        for s in find_structures(views, residuals, project)
-    ]
-    kinds = _kinds([g for part in groups.values() for g in part])
-    parts += [_contrast_words(*pair) for pair in _largest(kinds, total.pieces)]
+    found = find_structures(views, residuals, project)
+    parts = [f'{s.words} ({100 * s.share:.0f} % of the excess)' for s in found]
+    if sum(s.share for s in found) < MOSTLY:
+        kinds = _kinds([g for part in groups.values() for g in part])
+        parts += [_contrast_words(*pair) for pair in _largest(kinds, total.pieces)]
     return '; '.join(parts) or 'spread evenly over time, path, volume and beam'
 
 
@@ -213,18 +222,20 @@ def _summary(total: Group, groups: Mapping[str, Sequence[Group]], shape: str) ->
     return f'{size}; the gap is {_um(_gap(total))}{points}. Where and how: {shape}.'
 
 
-def locate(
-    views: Sequence[RunView], project: Projection | None = None, after: bool = False
+def where_of(
+    views: Sequence[RunView],
+    residual: str = 'residual_before',
+    project: Projection | None = None,
 ) -> Where:
     """Tell where the gap lies.
 
     Parameters
     ----------
     views : sequence of RunView
-    project, after
+    residual, project
         See ``describe_structure``.
     """
-    residuals = _residuals(views, after)
+    residuals = _residuals(views, residual)
     groups = _all_groups(views, residuals)
     shape = _structure_words(views, residuals, groups, project)
     rows: dict[str, Rows] = {k: [g.row() for g in part] for k, part in groups.items()}

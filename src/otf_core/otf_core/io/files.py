@@ -22,6 +22,15 @@ def ensure_folder(folder: str | Path) -> Path:
     return folder
 
 
+def check_folder(folder: str | Path) -> None:
+    """Refuse a folder that cannot be made, before any work; makes nothing itself."""
+    nearest = Path(folder).absolute()
+    while not nearest.exists() and nearest != nearest.parent:
+        nearest = nearest.parent
+    if not nearest.is_dir():
+        raise ConfigError(f'{folder}: cannot be made a folder ({nearest} is a file)')
+
+
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
     """Yield a temporary name beside ``path``; it takes the final name if the block succeeds."""

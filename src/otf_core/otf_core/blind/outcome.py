@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an answer is worth once the key is open, cell by cell.
+
+Right is: the true effect is the first cause, or named as indistinguishable from it in a short
+list; tracker_noise may be named besides. An effect that leaves next to nothing in the residual is
+answered rightly by listing it as not visible and blaming no other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+NOISE = 'tracker_noise'
+SHORT_LIST = 4
+"""Effects a cause may be said to be indistinguishable from."""
+VISIBLE_SNR = 6.0
+VISIBLE_UM = 0.25
+"""From here on an effect counts as visible: to a perfect observer, and in the residual."""
+BENDS_UM = 0.1
+"""um; where smooth tables leave more between the nodes, naming table_resolution is no error."""
+CONFIDENT = 0.5
+
+RIGHT = ('right', 'listed', 'quiet', 'not_visible', 'unknown')
+"""Outcomes that count as right."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One cell, scored.
+
+    Attributes
+    ----------
+    cell, kind : str
+    truth : tuple of str
+        Names of the hidden effects.
+    size_um : tuple of float
+        What each leaves in the residual.
+    visible : tuple of bool
+    named : tuple of str
+        Causes of the answer but ``tracker_noise``, first the first.
+    verdict : str
+    result : str
+        right, listed (in the short list of the first cause), second (named, but not first),
+        wrong (another is named), unseen (none named), called_unknown; quiet or false_alarm
+        without effect; unknown, forced (a name given) or unseen for one out of the catalogue;
+        not_visible, silent (neither named nor listed) or wrong for an invisible one.
+    found : tuple of bool
+        Which parts are named anywhere.
+    extra : tuple of str
+        Named, but neither hidden nor indistinguishable from what is.
+    """
+
+    cell: str
+    kind: str
+    truth: tuple[str, ...]
+    size_um: tuple[float, ...]
+    visible: tuple[bool, ...]
+    named: tuple[str, ...]
+    verdict: str
+    result: str
+    found: tuple[bool, ...]
+    extra: tuple[str, ...]
+
+    @property
+    def is_right(self) -> bool:
+        """Whether the answer counts as right."""
+        return self.result in RIGHT
+
+
+def is_visible(part: Mapping[str, Any]) -> bool:
+    """Tell whether an effect of the key leaves enough to be seen."""
+    if part['effect'] == NOISE:
+        return True
+    blurred = part['effect'] in ('vibration', 'cyclic_error')
+    size = max(part['size_um'], part['raw_um'] if blurred else 0.0)
+    return bool(part['snr'] >= VISIBLE_SNR and size >= VISIBLE_UM)
+
+
+def known_names(cause: Mapping[str, Any]) -> tuple[str, ...]:
+    """Name of a cause and, if it is short, the list it cannot be told from."""
+    others = tuple(cause['indistinguishable_from'])
+    return (cause['effect'], *(others if len(others) <= SHORT_LIST else ()))
+
+
+def _one(truth: str, causes: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> str:
+    if not causes:
+        return 'called_unknown' if answer['verdict'] == 'unknown' else 'unseen'
+    if causes[0]['effect'] == truth:
+        return 'right'
+    if truth in known_names(causes[0]):
+        return 'listed'
+    return 'second' if any(truth in known_names(c) for c in causes) else 'wrong'
+
+
+def _invisible(truth: str, causes: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> str:
+    if causes:
+        return _one(truth, causes, answer)
+    listed = {e['effect'] for e in answer['not_visible']}
+    return 'not_visible' if truth in listed else 'silent'
+
+
+def _result(
+    parts: Sequence[Mapping[str, Any]],
+    causes: Sequence[Mapping[str, Any]],
+    answer: Mapping[str, Any],
+    exclude: Sequence[str],
+) -> str:
+    names = [p['effect'] for p in parts]
+    if not names:
+        return 'false_alarm' if causes or answer['verdict'] == 'unknown' else 'quiet'
+    if exclude or names[0].startswith('unknown_'):
+        if causes:
+            return 'forced'
+        return 'unknown' if answer['verdict'] == 'unknown' else 'unseen'
+    if len(names) > 1:
+        everything = {n for c in causes for n in known_names(c)}
+        hits = sum(n in everything for n in names)
+        return ('wrong' if causes else 'unseen', 'half', 'right')[hits]
+    if not is_visible(parts[0]):
+        return _invisible(names[0], causes, answer)
+    return _one(names[0], causes, answer)
+
+
+def outcome(
+    entry: Mapping[str, Any],
+    answer: Mapping[str, Any],
+    exclude: Sequence[str] = (),
+    *,
+    first_place: bool = False,
+) -> Outcome:
+    """Score one answer.
+
+    Parameters
+    ----------
+    entry : mapping
+        Of the key.
+    answer : mapping
+        gap.json.
+    exclude : sequence of str
+        Effects that were taken out of the catalogue.
+    first_place : bool
+        Only the first of several tracker places was asked about.
+    """
+    parts = entry['first_place_only' if first_place else 'parts']
+    truth = tuple(p['effect'] for p in parts)
+    kept = {NOISE} - set(truth)
+    causes = [c for c in answer.get('causes', ()) if c['effect'] not in kept]
+    allowed = set(truth)
+    if entry['bends_um'] > BENDS_UM and 'table_resolution' not in truth:
+        causes = [c for c in causes if c['effect'] != 'table_resolution']
+    everything = {n for c in causes for n in known_names(c)}
+    extra = tuple(c['effect'] for c in causes if not allowed & set(known_names(c)))
+    failed = 'failed' in answer
+    return Outcome(
+        cell=entry['cell'],
+        kind=entry['kind'],
+        truth=truth,
+        size_um=tuple(p['size_um'] for p in parts),
+        visible=tuple(is_visible(p) for p in parts),
+        named=tuple(c['effect'] for c in causes),
+        verdict='failed' if failed else answer['verdict'],
+        result='failed' if failed else _result(parts, causes, answer, exclude),
+        found=tuple(t in everything for t in truth),
+        extra=() if failed else extra,
+    )

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sizes recovered: parameters within their uncertainty, gap and shrink against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from otf_core.blind.draw import draw_trial
+from otf_core.blind.trace import Ruler, make_ruler
+from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
+from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.errors import ConfigError
+
+LOOSE_SHAPE = ('order', 'until')
+SAME_SHAPE = 0.02
+"""Shapes that agree to this share count as the same."""
+TIME_CONSTANT = 'tau'
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What one answer says about sizes, and what is true.
+
+    Attributes
+    ----------
+    cell : str
+    deviations : tuple of float
+        (Fitted less true) parameters over their standard uncertainties.
+    gap_um, true_gap_um : float
+    shrink_percent : float
+        Predicted by the answer.
+    interval_percent : tuple of two floats
+    achieved_percent : float
+        Share of what the effects leave that the fitted causes really take away.
+    """
+
+    cell: str
+    deviations: tuple[float, ...]
+    gap_um: float
+    true_gap_um: float
+    shrink_percent: float
+    interval_percent: tuple[float, float]
+    achieved_percent: float
+
+    @property
+    def covered(self) -> bool:
+        """Whether the interval of the shrink holds the truth."""
+        low, high = self.interval_percent
+        return low - 1e-9 <= self.achieved_percent <= high + 1e-9
+
+
+def _comparable(effect: str, true: Mapping[str, float], fitted: Mapping[str, float]) -> bool:
+    """Tell whether two sets of parameters have the same shape."""
+    names = [n for n in REGISTRY[effect].shape_names if n not in LOOSE_SHAPE]
+    if TIME_CONSTANT in names:
+        return False
+    return all(
+        n in true and n in fitted and abs(fitted[n] / true[n] - 1.0) < SAME_SHAPE for n in names
+    )
+
+
+def parameter_deviations(
+    parts: Sequence[Mapping[str, Any]], causes: Sequence[Mapping[str, Any]]
+) -> tuple[float, ...]:
+    """Deviations of all parameters of rightly named causes, in standard uncertainties."""
+    found = []
+    for part in parts:
+        for cause in causes:
+            if cause['effect'] != part['effect'] or not cause['u']:
+                continue
+            true, fitted = part['parameters'], cause['parameters']
+            if _comparable(part['effect'], true, fitted):
+                found += [
+                    (fitted[n] - true.get(n, 0.0)) / u for n, u in cause['u'].items() if u > 0
+                ]
+    return tuple(found)
+
+
+def ruler_of(entry: Mapping[str, Any]) -> Ruler:
+    """Build the cell of an entry of the key again, without effects."""
+    rng = np.random.default_rng([entry['seed'], entry['number'] + 1])
+    return make_ruler(draw_trial(entry['cell'], rng, entry['places']))
+
+
+def _applied(rows: Sequence[Mapping[str, Any]]) -> list[AppliedEffect]:
+    every = {**REGISTRY, **UNKNOWN_EFFECTS}
+    return [
+        AppliedEffect(every[r['effect']], r['parameters'])
+        for r in rows
+        if r['effect'] != 'tracker_noise'
+    ]
+
+
+def recover(entry: Mapping[str, Any], answer: Mapping[str, Any], ruler: Ruler) -> Recovery | None:
+    """Compare one answer with the truth; None if its parameters cannot be simulated."""
+    true = ruler.displacement(_applied(entry['parts']))
+    try:
+        fitted = ruler.displacement(_applied(answer['causes']))
+    except ConfigError:
+        return None
+    left = [t - f for t, f in zip(true, fitted, strict=True)]
+    before = max(ruler.size(true), 1e-12)
+    gap = answer['gap']
+    true_gap = max(0.0, entry['measured_um'] ** 2 - entry['simulated_um'] ** 2) ** 0.5
+    return Recovery(
+        cell=entry['cell'],
+        deviations=parameter_deviations(entry['parts'], answer['causes']),
+        gap_um=gap['before_um'],
+        true_gap_um=true_gap,
+        shrink_percent=gap['shrink_percent'],
+        interval_percent=tuple(gap['shrink_interval_percent']),
+        achieved_percent=float(100.0 * max(0.0, 1.0 - ruler.size(left) / before)),
+    )

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a displacement leaves in the residual once tables and poses have followed it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve
+from threadpoolctl import threadpool_limits
+
+from otf_core.blind.draw import Trial
+from otf_core.config import CalibrationConfig
+from otf_core.diagnosis.rows import Rows, build_rows, used_columns
+from otf_core.effects import AppliedEffect, State
+from otf_core.frames import RigidTransform
+from otf_core.joint import solve_jointly
+from otf_core.observation import Samples
+from otf_core.pieces import reduce_to_pieces
+from otf_core.runs import Recording, prepare_runs
+from otf_core.sim.cell import SimulatedRun
+from otf_core.sim.drive import Drive
+from otf_core.sim.effects import displaced, run_state
+from otf_core.unknowns import layout
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ruler:
+    """The runs of a trial without effects, solved: measures what displacements leave.
+
+    Attributes
+    ----------
+    trial : Trial
+    runs : tuple of SimulatedRun
+    states : tuple of State
+        Of all samples of each run.
+    rows : Rows
+    nodes : tuple of ndarray
+    """
+
+    trial: Trial
+    runs: tuple[SimulatedRun, ...]
+    states: tuple[State, ...]
+    rows: Rows
+    nodes: tuple[Array, ...]
+
+    def displacement(self, effects: Sequence[AppliedEffect]) -> list[Array]:
+        """Displacement of all samples of each run, (n, 3), m."""
+        return [displaced(s, effects) for s in self.states]
+
+    def raw(self, moved: Sequence[Array]) -> float:
+        """Root mean square of a displacement itself, m."""
+        return float(np.sqrt(np.mean(np.concatenate([(m**2).sum(axis=1) for m in moved]))))
+
+    def left(self, moved: Sequence[Array]) -> Array:
+        """Perpendicular displacement of all pieces that tables and poses leave, shape (r,), m."""
+        plain = np.concatenate([self._on_pieces(k, m).reshape(-1) for k, m in enumerate(moved)])
+        white = self._white(plain)
+        inner = cho_solve((self.rows.factor, True), self.rows.base.T @ white)
+        use = used_columns(self.rows.done)
+        unknowns, limit = self.rows.done.unknowns, self.rows.limit
+        design = [
+            (s.system.design @ unknowns.gauge)[:, use] @ inner * limit for s in self.rows.done.runs
+        ]
+        return np.asarray(plain - np.concatenate(design))
+
+    def size(self, moved: Sequence[Array]) -> float:
+        """Root mean square per piece of what is left, m."""
+        left = self.left(moved)
+        pieces = sum(len(r.pieces) for r in self.rows.runs)
+        return float(np.sqrt(np.sum(left**2) / pieces))
+
+    def snr(self, moved: Sequence[Array]) -> float:
+        """Length of what is left, freed of the noise: standard deviations of a perfect test."""
+        plain = np.concatenate([self._on_pieces(k, m).reshape(-1) for k, m in enumerate(moved)])
+        white = self._white(plain)
+        return float(np.linalg.norm(self.rows.project(white[:, None])))
+
+    def residual(self, moved: Sequence[Array] | None = None) -> float:
+        """Root mean square residual per piece, m, with a displacement added to the runs."""
+        rest = np.concatenate([s.residual.reshape(-1) for s in self.rows.done.runs])
+        if moved is not None:
+            rest = rest + self.left(moved)
+        return float(np.sqrt(np.sum(rest**2) / sum(len(r.pieces) for r in self.rows.runs)))
+
+    def _on_pieces(self, k: int, moved: Array) -> Array:
+        run, solved, simulated = self.rows.runs[k], self.rows.done.runs[k], self.runs[k]
+        samples = simulated.samples
+        shifted = Samples(samples.stamp_ns, samples.xyz + moved @ simulated.rotation.T)
+        pieces = reduce_to_pieces(shifted, run.alignment, self.nodes, CalibrationConfig())
+        if len(pieces) != len(run.pieces):
+            keep = _matching(run.pieces.time, pieces.time)
+            pieces = replace(pieces, xyz=pieces.xyz[keep])
+        change = solved.pose.rotate(pieces.xyz - run.pieces.xyz)
+        return np.asarray(np.einsum('cij,ij->ci', solved.system.axes, change))
+
+    def _white(self, plain: Array) -> Array:
+        parts, start = [], 0
+        for solved in self.rows.done.runs:
+            shape = solved.system.deviation.shape
+            stop = start + shape[0] * shape[1]
+            parts.append(solved.whitener.vector(plain[start:stop].reshape(shape)).reshape(-1))
+            start = stop
+        return np.concatenate(parts)
+
+
+def _matching(time: Array, other: Array) -> NDArray[np.int64]:
+    """Index in ``other`` of the nearest time, for every time."""
+    right = np.clip(np.searchsorted(other, time), 1, len(other) - 1)
+    left = right - 1
+    nearer = np.abs(other[left] - time) < np.abs(other[right] - time)
+    return np.where(nearer, left, right)
+
+
+def sample_state(trial: Trial, k: int, run: SimulatedRun) -> State:
+    """State of all samples of a simulated run, as the simulation itself uses it."""
+    config = trial.configs[k]
+    drive = Drive(trial.plan, config.acceleration)
+    time = np.arange(len(run.samples)) / config.rate
+    pose = RigidTransform(run.rotation.T, run.place)
+    clock = time * (1 + config.clock_drift)
+    return run_state(trial.machine, trial.plan, drive, time, clock, pose, run.truth)
+
+
+def make_ruler(trial: Trial) -> Ruler:
+    """Simulate a trial without effects and solve it."""
+    config = CalibrationConfig()
+    simulated = trial.runs()
+    recordings = [Recording(r.samples, trial.plan.path, trial.machine) for r in simulated]
+    with threadpool_limits(1):
+        runs, nodes = prepare_runs(recordings, config)
+        done = solve_jointly(runs, layout(nodes, len(runs)), config, lambda *_: None)
+        rows = build_rows(runs, done, config.unidentifiable_above)
+    states = tuple(sample_state(trial, k, r) for k, r in enumerate(simulated))
+    return Ruler(trial, tuple(simulated), states, rows, tuple(nodes[a] for a in 'XYZ'))

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The blind trial: draw and seal, diagnose, open the key, score."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from otf_core.blind.answers import Answer, Question, ask_all
+from otf_core.blind.outcome import Outcome, outcome
+from otf_core.blind.recovery import Recovery, recover, ruler_of
+from otf_core.blind.score import leave_one_out_report, report, score_to_dict
+from otf_core.blind.seal import SEAL, Entry, Order, open_key, orders, seal
+from otf_core.errors import ConfigError
+from otf_core.io.files import ensure_folder, write_text
+
+Progress = Callable[[str], None]
+
+WHOLE, FIRST, WITHOUT = 'answers', 'answers_first_place', 'answers_without'
+
+
+def _bags(folder: Path, cell: str) -> tuple[str, ...]:
+    return tuple(sorted(p.name for p in (folder / 'cells' / cell).glob('bag*')))
+
+
+def _blind_questions(folder: Path, cells: Sequence[str]) -> list[Question]:
+    """All bags of every cell; where there are several, the first alone as well."""
+    questions = []
+    for cell in cells:
+        bags = _bags(folder, cell)
+        questions.append(Question(cell, bags))
+        if len(bags) > 1:
+            questions.append(Question(cell, bags[:1], label=FIRST))
+    return questions
+
+
+def _recover(entry: Entry, answer: Answer) -> Recovery | None:
+    return recover(entry, answer, ruler_of(entry))
+
+
+def _score(
+    folder: Path, entries: Sequence[Entry], answers: dict[tuple[str, str], Answer], jobs: int
+) -> str:
+    outcomes, alone = [], []
+    for entry in entries:
+        outcomes.append(outcome(entry, answers[WHOLE, entry['cell']]))
+        if (FIRST, entry['cell']) in answers:
+            answer = answers[FIRST, entry['cell']]
+            alone.append(outcome(entry, answer, first_place=True))
+    sized = [e for e in entries if e['parts'] and 'failed' not in answers[WHOLE, e['cell']]]
+    sized = [e for e in sized if all(p['effect'] != 'tracker_noise' for p in e['parts'])]
+    with ProcessPoolExecutor(jobs) as pool:
+        results = pool.map(_recover, sized, [answers[WHOLE, e['cell']] for e in sized])
+        recovered = [r for r in results if r is not None]
+    data = json.dumps(score_to_dict(outcomes, recovered, alone), indent=1)
+    write_text(folder / 'score.json', data)
+    return report(outcomes, recovered, f'{len(outcomes)} cells', alone)
+
+
+def _draw(wanted: Sequence[Order], folder: Path, jobs: int, progress: Progress) -> None:
+    """Draw the cells, unless they are there from a trial that was interrupted."""
+    if (folder / SEAL).exists():
+        drawn = [(e['seed'], e['cell'], e['kind']) for e in open_key(folder)]
+        if drawn != [(o.seed, o.cell, o.kind) for o in wanted]:
+            raise ConfigError(f'{folder}: holds another trial; choose another folder')
+        return
+    digest = seal(wanted, folder, jobs, progress)
+    progress(f'key sealed, SHA-256 {digest}')
+
+
+def run_trial(
+    trials: int,
+    seed: int,
+    folder: str | Path,
+    jobs: int = 2,
+    progress: Progress = lambda text: None,
+) -> str:
+    """Run a blind trial; an interrupted one goes on where it was.
+
+    Parameters
+    ----------
+    trials : int
+        Cells.
+    seed : int
+    folder : str or Path
+    jobs : int
+        Processes at once.
+    progress : callable(str)
+
+    Returns
+    -------
+    str
+        The table; ``score.txt`` and ``score.json`` hold it too.
+    """
+    folder = ensure_folder(folder)
+    _draw(orders(trials, seed), folder, jobs, progress)
+    cells = sorted(p.name for p in (folder / 'cells').iterdir())
+    answers = ask_all(_blind_questions(folder, cells), folder, jobs, progress)
+    text = _score(folder, open_key(folder), answers, jobs)
+    write_text(folder / 'score.txt', text + '\n')
+    return text
+
+
+def run_leave_one_out(
+    trials: int,
+    seed: int,
+    folder: str | Path,
+    jobs: int = 2,
+    progress: Progress = lambda text: None,
+) -> str:
+    """Diagnose runs with their own effect taken out of the catalogue; as ``run_trial``."""
+    folder = ensure_folder(folder)
+    _draw(orders(trials, seed, leave_one_out=True), folder, jobs, progress)
+    entries = open_key(folder)
+    questions = [
+        Question(e['cell'], ('bag',), tuple(p['effect'] for p in e['parts']), WITHOUT)
+        for e in entries
+    ]
+    answers = ask_all(questions, folder, jobs, progress)
+    outcomes: list[Outcome] = []
+    for entry, question in zip(entries, questions, strict=True):
+        outcomes.append(outcome(entry, answers[WITHOUT, entry['cell']], question.exclude))
+    text = leave_one_out_report(outcomes, answers_of(answers))
+    write_text(folder / 'score.txt', text + '\n')
+    return text
+
+
+def answers_of(answers: dict[tuple[str, str], Answer]) -> dict[str, Answer]:
+    """Answers by cell alone."""
+    return {cell: answer for (_, cell), answer in answers.items()}

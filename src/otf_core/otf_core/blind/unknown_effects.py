@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects that the catalogue does not hold: the right answer to them is 'unknown'.
+
+None of them is registered, so no diagnosis can find them by name. They depend on what happened
+before, so they are evaluated on all samples of a run at once.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import numpy as np
+
+from otf_core.effects import Effect, Shape, State, Terms
+from otf_core.effects.base import Array
+from otf_core.machine import AXES
+
+
+class UnknownEffect(Effect):
+    """An effect outside the registry; its size is the coefficient vector (A_X, A_Y, A_Z)."""
+
+    signature: ClassVar[str] = ''
+    typical: ClassVar[str] = '1 um to 10 um'
+    source: ClassVar[str] = 'made for the blind trial'
+    needs: ClassVar[str] = ''
+    vector: ClassVar[tuple[str, ...]] = ('A_X', 'A_Y', 'A_Z')
+
+    @abstractmethod
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Displacement per unit of A, shape (n,), or (n, 3) axis by axis."""
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return A_X, A_Y, A_Z."""
+        factor = self.factor(state, shape)
+        factor = factor[:, None] if factor.ndim == 1 else factor
+        columns = factor[:, :, None] * np.eye(3)
+        return Terms(self.vector, ('m',) * 3, AXES, columns)
+
+    def displacement(self, state: State, parameters: Shape) -> Array:
+        """Displacement of all samples at once, shape (n, 3), m."""
+        return self.block_displacement(state, self.complete_shape(parameters), parameters)
+
+
+class MachineStep(UnknownEffect):
+    """The target jumps against the table: a bolt gives way, somebody touches the target."""
+
+    name: ClassVar[str] = 'unknown_machine_step'
+    cause: ClassVar[str] = 'something moves by a jolt'
+    equation: ClassVar[str] = 'A [t > t0]'
+    shape_names: ClassVar[tuple[str, ...]] = ('t0',)
+    shape_units: ClassVar[tuple[str, ...]] = ('s',)
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """One after t0."""
+        return (state.time > shape['t0']).astype(float)
+
+
+class TrackerStep(UnknownEffect):
+    """The tracker turns by a jolt; A is the shift of a point 1 m away."""
+
+    name: ClassVar[str] = 'unknown_tracker_step'
+    cause: ClassVar[str] = 'somebody knocks against the tracker'
+    equation: ClassVar[str] = '(A / 1 m) x r [t > t0]'
+    shape_names: ClassVar[tuple[str, ...]] = ('t0',)
+    shape_units: ClassVar[tuple[str, ...]] = ('s',)
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Not used: the terms are turns."""
+        return (state.time > shape['t0']).astype(float)
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return A_X, A_Y, A_Z: turns about the axes, rad."""
+        after = self.factor(state, shape)[:, None]
+        columns = np.stack([after * np.cross(e, state.beam) for e in np.eye(3)], axis=2)
+        return Terms(self.vector, ('rad',) * 3, AXES, columns)
+
+
+class SlowSwing(UnknownEffect):
+    """The structure swings slowly: an air conditioner or a chiller that switches."""
+
+    name: ClassVar[str] = 'unknown_slow_swing'
+    cause: ClassVar[str] = 'air conditioning, chiller'
+    equation: ClassVar[str] = 'A sin(2 pi (t - t0) / period)'
+    shape_names: ClassVar[tuple[str, ...]] = ('period', 't0')
+    shape_units: ClassVar[tuple[str, ...]] = ('s', 's')
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Sine of time."""
+        return np.asarray(np.sin(2.0 * np.pi * (state.time - shape['t0']) / shape['period']))
+
+
+def since_reversal(q: Array) -> tuple[Array, Array]:
+    """Sign of the last motion of an axis and its travel since it last reversed.
+
+    Parameters
+    ----------
+    q : ndarray, shape (n,), m
+
+    Returns
+    -------
+    sign : ndarray, shape (n,)
+    travel : ndarray, shape (n,), m
+    """
+    step = np.diff(q, prepend=q[0])
+    moving = np.abs(step) > 1e-10
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(q)), -1))
+    first = int(np.argmax(moving)) if moving.any() else 0
+    sign = np.sign(step)[np.where(last < 0, first, last)]
+    total = np.cumsum(np.abs(step))
+    turned = np.concatenate([[True], np.diff(sign) != 0])
+    start = np.maximum.accumulate(np.where(turned, np.arange(len(q)), 0))
+    return sign, total - total[start]
+
+
+class PlayTakenUp(UnknownEffect):
+    """Reversal error that is taken up over some travel, and remembered across corners."""
+
+    name: ClassVar[str] = 'unknown_play_taken_up'
+    cause: ClassVar[str] = 'elastic wind-up with friction'
+    equation: ClassVar[str] = '-A_a sign(d_a) exp(-s_a / l) e_a, s_a travel since reversal'
+    shape_names: ClassVar[tuple[str, ...]] = ('l',)
+    shape_units: ClassVar[tuple[str, ...]] = ('m',)
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Decay after each reversal, axis by axis."""
+        parts = [since_reversal(state.q[:, k]) for k in range(3)]
+        return np.stack([-s * np.exp(-t / shape['l']) for s, t in parts], axis=1)
+
+
+class LocalBump(UnknownEffect):
+    """A place in the volume where the machine is off: a dent in a guideway, a loose cover."""
+
+    name: ClassVar[str] = 'unknown_local_bump'
+    cause: ClassVar[str] = 'a dent, a chip under the cover'
+    equation: ClassVar[str] = 'A exp(-|q - q0|^2 / (2 w^2))'
+    shape_names: ClassVar[tuple[str, ...]] = ('x', 'y', 'z', 'width')
+    shape_units: ClassVar[tuple[str, ...]] = ('', '', '', 'm')
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Bell curve about a place given in shares of the ranges."""
+        low, high = state.machine.lower, state.machine.upper
+        centre = low + np.array([shape[k] for k in 'xyz']) * (high - low)
+        distance = np.linalg.norm(state.q - centre, axis=1)
+        return np.asarray(np.exp(-0.5 * (distance / shape['width']) ** 2))
+
+
+class StickSlip(UnknownEffect):
+    """Sawtooth over the travel of each axis: it sticks, then slips."""
+
+    name: ClassVar[str] = 'unknown_stick_slip'
+    cause: ClassVar[str] = 'friction in the guideways'
+    equation: ClassVar[str] = 'A_a (2 frac(s_a / p) - 1) e_a, s_a travel so far'
+    shape_names: ClassVar[tuple[str, ...]] = ('period',)
+    shape_units: ClassVar[tuple[str, ...]] = ('m',)
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Sawtooth, axis by axis."""
+        step = np.abs(np.diff(state.q, axis=0, prepend=state.q[:1]))
+        return np.asarray(2.0 * np.mod(np.cumsum(step, axis=0) / shape['period'], 1.0) - 1.0)
+
+
+class FeedOffset(UnknownEffect):
+    """Offset that grows with the square of the feed: coolant or air drag, oil film."""
+
+    name: ClassVar[str] = 'unknown_feed_offset'
+    cause: ClassVar[str] = 'slides float up on their oil film'
+    equation: ClassVar[str] = 'A (v / 0.2 m/s)^2'
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Square of the feed."""
+        return np.asarray((state.speed / 0.2) ** 2)
+
+
+class InertiaNod(UnknownEffect):
+    """The head nods with acceleration: forwards when braking, backwards when speeding up."""
+
+    name: ClassVar[str] = 'unknown_inertia_nod'
+    cause: ClassVar[str] = 'a soft head or column'
+    equation: ClassVar[str] = 'A times the sign of the acceleration along the path'
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Sign of the change of speed."""
+        change = np.gradient(state.speed, state.time)
+        return np.where(np.abs(change) > 0.1, np.sign(change), 0.0)
+
+
+class DirectionPair(UnknownEffect):
+    """Shift that depends on whether two axes travel in the same or in opposite sense."""
+
+    name: ClassVar[str] = 'unknown_direction_pair'
+    cause: ClassVar[str] = 'the frame racks when two drives push against each other'
+    equation: ClassVar[str] = 'A sign(d_X) sign(d_Y) where both move'
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Product of the senses of travel of X and Y."""
+        moves = np.abs(state.direction) > 1e-6
+        sign = np.where(moves, np.sign(state.direction), 0.0)
+        return np.asarray(sign[:, 0] * sign[:, 1])
+
+
+UNKNOWN_EFFECTS: dict[str, UnknownEffect] = {
+    effect.name: effect
+    for effect in (
+        MachineStep(),
+        TrackerStep(),
+        SlowSwing(),
+        PlayTakenUp(),
+        LocalBump(),
+        StickSlip(),
+        FeedOffset(),
+        InertiaNod(),
+        DirectionPair(),
+    )
+}

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From options to a judged plan: which path, forecast, what it cannot show, where the tracker."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from otf_core.config import ForecastConfig, PlannerConfig
+from otf_core.errors import ConfigError
+from otf_core.forecast import Forecast, Setup, forecast
+from otf_core.machine import Machine
+from otf_core.nc import on_increment
+from otf_core.noise import NoiseModel
+from otf_core.observability import findings
+from otf_core.optimised_planning import PathOptimiser
+from otf_core.plan_report import PlanReport
+from otf_core.planning import Plan, plan_path
+from otf_core.tracker_places import advice, check_place, compare_places, rough
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """What is wanted.
+
+    Attributes
+    ----------
+    given : Plan, optional
+        Judge this plan instead of making one.
+    time_budget : float, optional
+        s; make the grid best known in this time.
+    wanted_uncertainty : float, optional
+        m; make the mean grid uncertainty no larger, in the least time.
+    tracker_place : tuple of 3 floats, optional
+        m, machine frame.
+    noise : NoiseModel, optional
+        As specified in machine.yaml if not given.
+    """
+
+    given: Plan | None = None
+    time_budget: float | None = None
+    wanted_uncertainty: float | None = None
+    tracker_place: tuple[float, float, float] | None = None
+    noise: NoiseModel | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the wishes go together; ConfigError names those that do not."""
+        wishes = [
+            name
+            for name, value in (
+                ('path', self.given),
+                ('time_budget', self.time_budget),
+                ('wanted_uncertainty', self.wanted_uncertainty),
+            )
+            if value is not None
+        ]
+        if len(wishes) > 1:
+            raise ConfigError(f'{" and ".join(wishes)}: give one of them')
+        for name in ('time_budget', 'wanted_uncertainty'):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ConfigError(f'{name}: {value:g} is not above 0')
+
+
+def read_place(text: str) -> tuple[float, float, float]:
+    """Read 'x,y,z' in m; ConfigError if it is none."""
+    try:
+        x, y, z = (float(part) for part in text.split(','))
+    except ValueError:
+        raise ConfigError(f"tracker_place: '{text}' is not x,y,z in m") from None
+    if not np.all(np.isfinite([x, y, z])) or max(abs(x), abs(y), abs(z)) > 200:
+        raise ConfigError(f"tracker_place: '{text}' is no place near a machine; unit is m")
+    return x, y, z
+
+
+def read_noise(path: str | Path) -> NoiseModel:
+    """Read a noise.json of ``otf noise``; ConfigError if it is none."""
+    try:
+        data = json.loads(Path(path).read_text(encoding='utf-8'))
+        u_range, u_angle = float(data['u_range']), np.array(data['u_angle'], dtype=float)
+        white_range, white_angle = float(data['white_range']), np.array(data['white_angle'])
+        time = float(data['correlation_time'])
+        level = float(np.sqrt(np.mean(u_angle**2)))
+        share = float(np.mean(white_angle.astype(float) ** 2)) / level**2
+        model = NoiseModel(u_range, level, (white_range / u_range) ** 2, share, time)
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
+    except (ValueError, TypeError, KeyError, ZeroDivisionError) as error:
+        raise ConfigError(f'{path}: not a noise.json ({error!r})') from None
+    if not (u_range > 0 and level > 0 and time > 0):
+        raise ConfigError(f'{path}: levels and correlation_time must be above 0')
+    return replace(
+        model,
+        white_range=min(max(model.white_range, 0.0), 1.0),
+        white_angle=min(max(share, 0.0), 1.0),
+    )
+
+
+def _choose(request: PlanRequest, setup: Setup, config: PlannerConfig) -> tuple[Plan, str]:
+    """Plan as requested, and a line that says how it came about."""
+    if request.given is not None:
+        return request.given, 'the path given'
+    if request.time_budget is None and request.wanted_uncertainty is None:
+        passes = 'one pass' if config.passes == 1 else f'{config.passes} passes'
+        return plan_path(setup.machine, config), f'path creator, {passes}'
+    optimiser = PathOptimiser(setup, config)
+    if request.time_budget is not None:
+        best = optimiser.for_time(request.time_budget)
+        aim = f'least mean grid uncertainty in {request.time_budget:g} s'
+    else:
+        assert request.wanted_uncertainty is not None
+        best = optimiser.for_uncertainty(request.wanted_uncertainty)
+        aim = f'mean grid uncertainty of {1e6 * request.wanted_uncertainty:g} um in a short time'
+    passes = 'driven once' if best.passes == 1 else f'{best.passes} passes, every second reverse'
+    return best.plan, f'{aim}; {passes}; {_worth(best.efficiency)}'
+
+
+def _worth(efficiency: float) -> str:
+    return f'{100 * efficiency:.0f} % of the information of an ideal share of the time among lines'
+
+
+def make_plan(
+    machine: Machine, request: PlanRequest, config: PlannerConfig, judged: ForecastConfig
+) -> PlanReport:
+    """Make or take a plan and judge it.
+
+    Parameters
+    ----------
+    machine : Machine
+    request : PlanRequest
+    config : PlannerConfig
+    judged : ForecastConfig
+
+    Returns
+    -------
+    PlanReport
+    """
+    place = None if request.tracker_place is None else np.array(request.tracker_place)
+    setup = Setup.of(machine, place, request.noise, judged)
+    with threadpool_limits(1):  # the matrices are small: threads cost more than they give
+        plan, how = _choose(request, setup, config)
+        plan = on_increment(plan, machine.lower, machine.upper)
+        check_place(plan, setup)
+        found: Forecast = forecast(plan, setup)
+        limit = setup.calibration.unidentifiable_above
+        places = compare_places(plan, setup)
+        own = forecast(plan, rough(setup)).mean_grid_u
+    return PlanReport(
+        plan,
+        how,
+        setup,
+        found,
+        findings(found, machine, limit),
+        tuple(places),
+        tuple(advice(places, own)),
+    )

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Words and numbers of the gap report: values with units, confidence, names of effects."""
+
+from __future__ import annotations
+
+import html
+import math
+import re
+from collections.abc import Iterable, Sequence
+
+from otf_core.diagnosis.result import Diagnosis, NamedCause
+from otf_core.effects import REGISTRY
+
+CONFIDENCE = (
+    (0.99, 'practically certain'),
+    (0.95, 'very likely'),
+    (0.8, 'likely'),
+    (0.5, 'more likely than not'),
+    (0.0, 'doubtful'),
+)
+VERDICTS = {
+    'none': 'no gap',
+    'explained': 'explained',
+    'partly_explained': 'partly explained',
+    'unknown': 'cause unknown',
+}
+MOST_PARAMETERS = 8
+"""Of longer lists the most significant ones are shown."""
+
+
+def text(value: object) -> str:
+    """Escape for HTML, with micrometres as metrologists write them."""
+    plain = re.sub(r'(?<![A-Za-z0-9_])u(m|rad)(?![A-Za-z0-9_])', r'µ\1', str(value))
+    plain = re.sub(r'(?<= )\+/-(?= )', '±', plain)
+    return html.escape(plain, quote=True)
+
+
+def effect_name(effect: str) -> str:
+    """Name of an effect in words, escaped."""
+    return text(effect.replace('_', ' '))
+
+
+def effect_cause(effect: str) -> str:
+    """What causes an effect, escaped; empty for a name that is not in the catalogue."""
+    known = REGISTRY.get(effect)
+    return text(known.cause) if known else ''
+
+
+def confidence_words(confidence: float) -> str:
+    """Confidence in words and as a number."""
+    word = next(word for least, word in CONFIDENCE if confidence >= least)
+    number = '>\u00a099.9\u00a0%' if confidence > 0.999 else f'{100 * confidence:.3g}\u00a0%'
+    return f'{word} ({number})'
+
+
+def _scaled(unit: str, size: float) -> tuple[float, str]:
+    """Factor and unit in which a value is easy to read."""
+    if unit == 'm':
+        return (1e3, 'mm') if size >= 1e-3 else (1e6, 'µm')
+    for plain, short in (('rad', 'µrad'), ('m', 'µm')):
+        if unit == plain or (unit.startswith((plain + '/', plain + ' ')) and unit != 'm/m'):
+            return 1e6, short + unit[len(plain) :]
+    if unit == 'm/m':
+        return 1e6, 'µm/m'
+    if unit == 's' and 0 < size < 1e-2:
+        return 1e3, 'ms'
+    return 1.0, unit
+
+
+def quantity(value: float, u: float | None, unit: str) -> str:
+    """Value with expanded uncertainty (k = 2) and unit, escaped.
+
+    Parameters
+    ----------
+    value : float
+        SI.
+    u : float, optional
+        Standard uncertainty.
+    unit : str
+        SI unit of the value.
+    """
+    factor, name = _scaled(unit, abs(value))
+    spread = 2.0 * factor * u if u is not None else math.nan
+    if math.isfinite(spread) and spread > 0:
+        digits = min(6, max(0, 1 - math.floor(math.log10(spread))))
+        number = f'{factor * value:.{digits}f} ± {spread:.{digits}f}'
+    else:
+        number = f'{factor * value:.4g}'
+    number = re.sub(r'^-', '−', number)
+    return text(f'{number} {name}'.rstrip())
+
+
+def shown_parameters(cause: NamedCause) -> tuple[list[str], int]:
+    """Names of the parameters worth showing, and how many are left out."""
+    names = list(cause.parameters)
+    if len(names) <= MOST_PARAMETERS:
+        return names, 0
+
+    def strength(name: str) -> float:
+        u = cause.u.get(name, 0.0)
+        return abs(cause.parameters[name]) / u if u > 0 else math.inf
+
+    kept = set(sorted(names, key=strength, reverse=True)[:MOST_PARAMETERS])
+    return [n for n in names if n in kept], len(names) - len(kept)
+
+
+def _needs(effect: str) -> str:
+    known = REGISTRY.get(effect)
+    return known.needs if known else ''
+
+
+def next_measurements(diagnosis: Diagnosis) -> list[str]:
+    """What to measure next, plain text, most useful first."""
+    wishes: list[tuple[str, str]] = []
+    for cause in diagnosis.causes:
+        rivals = cause.indistinguishable_from
+        if rivals:
+            others = ' or '.join(r.replace('_', ' ') for r in rivals)
+            reason = f'to tell {cause.effect.replace("_", " ")} from {others}'
+            wishes += [
+                (n, reason) for n in dict.fromkeys(map(_needs, (cause.effect, *rivals))) if n
+            ]
+    if diagnosis.verdict in ('unknown', 'partly_explained'):
+        wishes.append(
+            (
+                'the same path once more, also backwards and at a second feed, and from a second '
+                'tracker place',
+                'to see whether what stays unexplained belongs to time, travel or tracker',
+            )
+        )
+    for effect, needs in diagnosis.not_visible:
+        wishes.append((needs, effect.replace('_', ' ')))
+    return _merged(wishes, {e.replace('_', ' ') for e, _ in diagnosis.not_visible})
+
+
+def _merged(wishes: Iterable[tuple[str, str]], hidden: set[str]) -> list[str]:
+    grouped: dict[str, list[str]] = {}
+    for wish, reason in wishes:
+        grouped.setdefault(wish, []).append(reason)
+    lines = []
+    for wish, reasons in grouped.items():
+        own = [r for r in reasons if r not in hidden]
+        unseen = [r for r in reasons if r in hidden]
+        if unseen:
+            own.append('to see ' + _listed(unseen))
+        lines.append(f'{wish[:1].upper()}{wish[1:]}: {"; ".join(dict.fromkeys(own))}.')
+    return lines
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'

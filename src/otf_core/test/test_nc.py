@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""NC programs: word by word for a small plan, refusals, and the real LinuxCNC interpreter."""
+
+import re
+import shutil
+import subprocess
+from argparse import Namespace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from core_cells import small_plan, some_machine
+
+from otf_core import cli
+from otf_core.errors import ConfigError
+from otf_core.nc import DIALECTS, on_increment, program
+from otf_core.nc.base import plain
+from otf_core.path import NominalPath
+from otf_core.planning import Plan
+
+POINTS = np.array([[0.0, 0.0, -0.1], [0.1, 0.05, -0.1], [0.1, 0.05, 0.0125]])
+EXPECTED = {
+    'sinumerik': """\
+; HEAD -1-
+; POSITIONS ARE MACHINE COORDINATES - SUPA, D0 - LINEAR AXES X Y Z
+G17 G40 G710 G90 G94
+G60 G601
+D0
+; APPROACH: Z TO THE TOP OF THE PATH, THEN TO ITS START
+SUPA G1 Z12.500 F3000
+SUPA G1 X0.000 Y0.000 F3000
+SUPA G1 Z-100.000 F3000
+; LOCK THE BEAM, START RECORDING, THEN GO ON
+M0
+G4 F2.000
+SUPA G1 X100.000 Y50.000 Z-100.000 F15000
+G4 F0.250
+SUPA G1 X100.000 Y50.000 Z12.500 F3000
+G4 F2.000
+M30
+""",
+    'fanuc': """\
+%
+O1001 (OTF PATH)
+(HEAD -1-)
+(SET G54 AND THE EXTERNAL OFFSET TO ZERO: G54 MUST EQUAL MACHINE COORD.)
+G21 G90 G94 G17 G40 G49 G80
+G54
+G61
+(APPROACH: Z TO THE TOP OF THE PATH, THEN TO ITS START)
+G01 Z12.500 F3000.
+G01 X0.000 Y0.000 F3000.
+G01 Z-100.000 F3000.
+(LOCK THE BEAM, START RECORDING, THEN GO ON)
+M00
+G04 X2.000
+G01 X100.000 Y50.000 Z-100.000 F15000.
+G04 X0.250
+G01 X100.000 Y50.000 Z12.500 F3000.
+G04 X2.000
+G64
+M30
+%
+""",
+    'heidenhain': """\
+0 BEGIN PGM OTFPATH MM
+1 ; HEAD -1-
+2 ; POSITIONS REFER TO THE MACHINE DATUM - M91 - CALL TOOL 0 BEFORE
+3 ; APPROACH: Z TO THE TOP OF THE PATH, THEN TO ITS START
+4 L Z+12.500 R0 F3000 M91
+5 L X+0.000 Y+0.000 R0 F3000 M91
+6 L Z-100.000 R0 F3000 M91
+7 ; LOCK THE BEAM, START RECORDING, THEN GO ON
+8 STOP M0
+9 CYCL DEF 9.0 DWELL TIME
+10 CYCL DEF 9.1 DWELL 2.000
+11 L X+100.000 Y+50.000 Z-100.000 R0 F15000 M91
+12 CYCL DEF 9.0 DWELL TIME
+13 CYCL DEF 9.1 DWELL 0.250
+14 L X+100.000 Y+50.000 Z+12.500 R0 F3000 M91
+15 CYCL DEF 9.0 DWELL TIME
+16 CYCL DEF 9.1 DWELL 2.000
+17 M30
+18 END PGM OTFPATH MM
+""",
+    'linuxcnc': """\
+(HEAD -1-)
+G21 G90 G94 G17 G40 G49 G80
+G61.1
+(APPROACH: Z TO THE TOP OF THE PATH, THEN TO ITS START)
+G53 G1 Z12.500 F3000
+G53 G1 X0.000 Y0.000 F3000
+G53 G1 Z-100.000 F3000
+(LOCK THE BEAM, START RECORDING, THEN GO ON)
+M0
+G4 P2.000
+G53 G1 X100.000 Y50.000 Z-100.000 F15000
+G4 P0.250
+G53 G1 X100.000 Y50.000 Z12.500 F3000
+G4 P2.000
+M2
+""",
+}
+every_dialect = pytest.mark.parametrize('name', sorted(DIALECTS))
+
+
+def little(points=POINTS, feed=(0.25, 0.05), dwell=(2.0, 0.25, 2.0)):
+    return Plan(NominalPath(np.array(points)), np.array(feed), np.array(dwell))
+
+
+@every_dialect
+def test_program_word_by_word(name):
+    assert program(DIALECTS[name], little(), ['HEAD (1)']) == EXPECTED[name]
+
+
+@every_dialect
+def test_positions_between_increments_are_refused(name):
+    points = POINTS + np.array([0, 4e-7, 0])
+    with pytest.raises(ConfigError, match=r'0\.001 mm'):
+        program(DIALECTS[name], little(points), [])
+    fitted = on_increment(little(points), np.full(3, -1.0), np.ones(3))
+    assert program(DIALECTS[name], fitted, ['HEAD (1)']) == EXPECTED[name]
+
+
+@every_dialect
+def test_feed_that_rounds_to_nothing_is_refused(name):
+    with pytest.raises(ConfigError, match='rounds to 0'):
+        program(DIALECTS[name], little(feed=(0.1, 1e-6)), [])
+
+
+@every_dialect
+def test_position_with_too_many_digits_is_refused(name):
+    with pytest.raises(ConfigError, match='beyond'):
+        program(DIALECTS[name], little(POINTS + 100.0), [])
+
+
+@every_dialect
+def test_dwell_longer_than_the_control_takes_is_refused(name):
+    with pytest.raises(ConfigError, match='the longest is'):
+        program(DIALECTS[name], little(dwell=(20000.0, 0.1, 1.0)), [])
+
+
+def test_klartext_without_a_dwell_at_a_corner_is_refused_others_stop_exactly():
+    bare = little(dwell=(2.0, 0.0, 2.0))
+    with pytest.raises(ConfigError, match=r'heidenhain: has no exact stop.*corner_dwell'):
+        program(DIALECTS['heidenhain'], bare, [])
+    for name, stop in (('sinumerik', 'G60'), ('fanuc', 'G61'), ('linuxcnc', 'G61.1')):
+        lines = program(DIALECTS[name], bare, []).splitlines()
+        assert any(line.split()[0] == stop for line in lines)
+
+
+def test_rounding_stays_inside_the_axis_ranges():
+    low, high = np.array([0.0, 0.0, -0.1000004]), np.array([0.1000006, 0.05, 0.0125])
+    plan = on_increment(little(np.array([low, high, low])), low, high)
+    assert np.all(plan.path.points >= low - 1e-12)
+    assert np.all(plan.path.points <= high + 1e-12)
+    assert plan.path.points[1, 0] == 0.1
+
+
+def test_repeated_point_is_a_dwell_and_no_move():
+    points = np.array([POINTS[0], POINTS[1], POINTS[1]])
+    text = program(DIALECTS['linuxcnc'], little(points), [])
+    assert text.count('G53 G1 X100.000 Y50.000 Z-100.000') == 1
+    assert text.splitlines()[-3:] == ['G4 P0.250', 'G4 P2.000', 'M2']
+
+
+@pytest.mark.parametrize(
+    ('text', 'said'),
+    [('mill (new); 5%', 'mill -new-- 5-'), ('Fräse µ', 'Fr?se ?'), ('a\nb  c', 'a b c')],
+)
+def test_comments_hold_nothing_that_ends_or_breaks_them(text, said):
+    assert plain(text) == said
+    assert len(plain('x' * 300)) <= 70
+
+
+def test_command_line_offers_every_dialect_and_no_other():
+    parser = cli._parser()
+    for name in DIALECTS:
+        asked = ['plan', '--machine', 'm', '--out', 'o', '--dialect', name]
+        assert isinstance(parser.parse_args(asked), Namespace)
+    with pytest.raises(SystemExit):
+        parser.parse_args(['plan', '--machine', 'm', '--out', 'o', '--dialect', 'generic'])
+
+
+def run(command, **options):
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=180, check=False, **options
+    )
+
+
+def fetched_interpreter(folder):
+    """Unpack the interpreter from Debian's package; a sentence if that is not possible."""
+    if not (shutil.which('apt-get') and shutil.which('dpkg-deb')):
+        return 'no rs274 here, and no apt-get and dpkg-deb to fetch it'
+    asked = run(['apt-cache', 'depends', 'linuxcnc-uspace'])
+    packages = [
+        'linuxcnc-uspace',
+        *sorted(set(re.findall(r'libboost-python[\d.]+', asked.stdout))),
+    ]
+    quick = ['-o', 'Acquire::Retries=0', '-o', 'Acquire::http::Timeout=20']
+    got = run(['apt-get', 'download', *quick, *packages], cwd=folder)
+    if got.returncode:
+        return f'no rs274 here, and apt-get download gave: {got.stderr.strip()[-200:]}'
+    for package in folder.glob('*.deb'):
+        run(['dpkg-deb', '-x', str(package), str(folder / 'root')])
+    return None
+
+
+@pytest.fixture(scope='session')
+def rs274(tmp_path_factory):
+    """Run the interpreter of LinuxCNC on a program: gives return code and canonical moves."""
+    folder = tmp_path_factory.mktemp('linuxcnc')
+    command, environment = shutil.which('rs274'), None
+    if command is None:
+        try:
+            trouble = fetched_interpreter(folder)
+        except subprocess.TimeoutExpired:
+            trouble = 'no rs274 here, and the package archive does not answer'
+        if trouble:
+            pytest.skip(trouble)
+        root = folder / 'root'
+        command = str(root / 'usr/bin/rs274')
+        libraries = {str(p.parent) for p in root.rglob('*.so*')}
+        environment = {'LD_LIBRARY_PATH': ':'.join(sorted(libraries)), 'PATH': '/usr/bin:/bin'}
+    (folder / 'm.ini').write_text('[TRAJ]\nLINEAR_UNITS = mm\n')
+    (folder / 'tool.tbl').write_text('')
+
+    def interpret(text):
+        (folder / 'p.ngc').write_text(text)
+        options = ['-g', '-n', '2', '-i', 'm.ini', '-t', 'tool.tbl', '-v', 'x.var', 'p.ngc']
+        done = run([command, *options], cwd=folder, env=environment)
+        moves = re.findall(r'N\.+ (\w+)\((.*)\)$', done.stdout, flags=re.M)
+        return SimpleNamespace(code=done.returncode, moves=moves, error=done.stderr)
+
+    probe = interpret('G21\nM2\n')
+    if probe.code:
+        pytest.skip(f'rs274 does not start here: {probe.error.strip()[-200:]}')
+    return interpret
+
+
+def numbers(text):
+    return [float(v) for v in text.split(',')]
+
+
+def test_linuxcnc_interpreter_drives_the_plan(rs274):
+    machine = some_machine()
+    plan = on_increment(small_plan(machine, passes=2), machine.lower, machine.upper)
+    done = rs274(program(DIALECTS['linuxcnc'], plan, ['OTF path; (test) %']))
+    assert done.code == 0, done.error
+    names = [name for name, _ in done.moves]
+    assert ('SET_MOTION_CONTROL_MODE', 'CANON_EXACT_STOP') in done.moves
+    assert 'PROGRAM_END' in names
+    assert 'STRAIGHT_TRAVERSE' not in names  # nothing at rapid
+    stop = names.index('PROGRAM_STOP')
+    place, feed = None, None
+    points, feeds, dwells = [], [], []
+    for k, (name, text) in enumerate(done.moves):
+        if name == 'STRAIGHT_FEED':
+            place = numbers(text)[:3]
+            if k > stop:
+                points.append(place)
+                feeds.append(feed)
+        elif name == 'SET_FEED_RATE':
+            feed = numbers(text)[0]
+        elif name == 'DWELL' and k > stop:
+            dwells.append(numbers(text)[0])
+        if k == stop:
+            points.append(place)
+    np.testing.assert_allclose(points, 1e3 * plan.path.points, atol=1e-4)
+    np.testing.assert_allclose(feeds, np.rint(6e4 * plan.feed))
+    np.testing.assert_allclose(dwells, plan.dwell)
+
+
+@pytest.mark.parametrize(
+    ('wrong', 'right'), [('G9', 'G61.1'), ('', 'M2'), ('G53 G1 X1 F0', 'G4 P2.000')]
+)
+def test_linuxcnc_interpreter_refuses_wrong_programs(rs274, wrong, right):
+    text = program(DIALECTS['linuxcnc'], little(), [])
+    assert rs274(text).code == 0
+    assert rs274(text.replace(right, wrong)).code != 0

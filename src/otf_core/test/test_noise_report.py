@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Noise of standstills: level, colour, tails, peaks, and what is left out."""
+
+import json
+
+import numpy as np
+import pytest
+from core_cells import START_NS, some_machine
+
+from otf_core import cli
+from otf_core.config import SimulationConfig
+from otf_core.errors import InputError
+from otf_core.io.bag_writer import write_recording
+from otf_core.noise_files import format_noise, noise_to_dict
+from otf_core.noise_report import noise_report
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.sim.tracker import measure
+from otf_core.standstill import find_standstills, standstill_noise
+
+SPEED = 0.002
+RATE = 500.0
+
+
+def stops(places, seconds, seed=0, rate=RATE, share=0.5, correlation_time=0.3, add=None):
+    """Samples of a target that stands at random places and moves quickly between them."""
+    rng = np.random.default_rng(seed)
+    count, rows = int(seconds * rate), []
+    for k in range(places):
+        place = np.array([1.0, 0.8, 0.2]) + rng.uniform(-0.3, 0.3, 3)
+        still = np.tile(place, (count, 1))
+        if add is not None:
+            still += add(k, np.arange(count) / rate)
+        rows.append(still)
+        if k < places - 1:
+            rows.append(still[-1] + np.linspace(0, 0.1, int(0.3 * rate))[:, None] * [1, 0, 0])
+    true = np.concatenate(rows)
+    config = SimulationConfig(rate=rate, correlated_share=share, correlation_time=correlation_time)
+    xyz = measure(true, some_machine(), config, rng)
+    return Samples(START_NS + np.rint(np.arange(len(true)) / rate * 1e9).astype(np.int64), xyz)
+
+
+def relative(noise):
+    """Total and white part over what the machine of the tests specifies."""
+    spec = some_machine().tracker
+    size = np.array([spec.u_range, spec.u_angle, spec.u_angle])
+    return noise.total / size, noise.white / size
+
+
+@pytest.mark.parametrize(
+    ('places', 'seconds', 'share', 'correlation_time', 'tolerance'),
+    [  # tolerance: 4 standard deviations over some hundred drawn recordings
+        (2, 3.0, 0.5, 0.3, 0.35),
+        (1, 60.0, 0.5, 0.3, 0.10),
+        (1, 60.0, 0.9, 0.1, 0.08),
+        (30, 1.0, 0.5, 0.3, 0.25),
+        (100, 0.5, 0.5, 0.3, 0.25),
+        (10, 5.0, 0.8, 0.03, 0.05),
+    ],
+)
+def test_level_and_colour_are_those_of_the_simulation(
+    places, seconds, share, correlation_time, tolerance
+):
+    samples = stops(places, seconds, share=share, correlation_time=correlation_time)
+    noise = standstill_noise(samples, find_standstills(samples, SPEED), min_total=1.0)
+    total, white = relative(noise)
+    np.testing.assert_allclose(total, 1.0, atol=tolerance)
+    np.testing.assert_allclose(white, np.sqrt(1 - share), atol=0.05)
+    assert 0.4 < noise.correlation_time / correlation_time < 2.5
+
+
+def test_white_noise_has_no_correlation_time():
+    samples = stops(5, 4.0, share=0.0)
+    noise = standstill_noise(samples, find_standstills(samples, SPEED))
+    assert noise.correlation_time == 0.0
+    np.testing.assert_allclose(relative(noise)[0], 1.0, atol=0.05)
+    assert 'the noise is white' in format_noise(noise_report(samples, SPEED))
+
+
+def test_standstills_in_which_the_target_creeps_are_left_out():
+    def creep(k, time):
+        return (k % 2) * 60e-6 * np.exp(-time)[:, None] * [1, 1, 0]
+
+    samples = stops(20, 2.0, add=creep)
+    report = noise_report(samples, SPEED)
+    assert report.noise.left_out >= 8
+    np.testing.assert_allclose(relative(report.noise)[0], 1.0, atol=0.3)
+
+
+def test_a_held_point_is_no_quiet_standstill():
+    samples = stops(8, 3.0)
+    samples.xyz[:1600] = samples.xyz[0]  # the first stop
+    noise = standstill_noise(samples, find_standstills(samples, SPEED))
+    assert noise.standstills == 7
+    np.testing.assert_allclose(relative(noise)[0], 1.0, atol=0.3)
+
+
+def test_recordings_of_one_tracker_agree_within_their_stated_uncertainties():
+    reports = [noise_report(stops(1, 20.0, seed=s), SPEED) for s in range(6)]
+    levels = np.array([r.noise.total for r in reports])
+    stated = np.array([r.u_total for r in reports])
+    # jackknife of ten groups: itself known to some 30 %
+    assert 0.5 < np.mean(levels.std(axis=0, ddof=1) / stated.mean(axis=0)) < 2.0
+
+
+def test_vibration_is_a_peak_with_its_frequency_and_size():
+    def shaken(k, time):
+        return 0.6e-6 * np.sin(2 * np.pi * 37.0 * time)[:, None] * np.array([1.0, 0.8, 0.2]) / 1.3
+
+    report = noise_report(stops(6, 5.0, add=shaken), SPEED)
+    along = [p for p in report.peaks if p.quantity == 0]
+    assert [round(p.frequency) for p in along] == [37]
+    assert along[0].rms == pytest.approx(0.6e-6 / np.sqrt(2), rel=0.3)
+    assert 'peak of the range at 37' in format_noise(report)
+
+
+def test_noise_without_vibration_shows_no_peaks():
+    assert sum(len(noise_report(stops(4, 5.0, seed=s), SPEED).peaks) for s in range(5)) == 0
+
+
+def test_heavy_tails_are_told_from_normal_ones():
+    rng = np.random.default_rng(0)
+    samples = stops(4, 5.0, share=0.0)
+    normal = noise_report(samples, SPEED).tails
+    assert all(t.freedom is None and abs(t.excess_kurtosis) < 0.2 for t in normal)
+    beam = samples.xyz / np.linalg.norm(samples.xyz, axis=1, keepdims=True)
+    heavy = Samples(
+        samples.stamp_ns, samples.xyz + 2e-6 * rng.standard_t(4, len(beam))[:, None] * beam
+    )
+    tail = noise_report(heavy, SPEED).tails[0]
+    assert tail.excess_kurtosis > 1.0
+    assert 3.0 < tail.freedom < 6.0
+
+
+def test_without_standstill_it_says_so():
+    samples = stops(1, 0.8)
+    with pytest.raises(InputError, match=r'0\.7 s of standstill'):
+        noise_report(samples, SPEED)
+    moving = Samples(samples.stamp_ns, samples.xyz + 0.1 * samples.time[:, None])
+    with pytest.raises(InputError, match=r'0\.0 s of standstill'):
+        noise_report(moving, SPEED)
+
+
+def test_little_standstill_and_rounding_are_warned_of():
+    samples = stops(1, 2.0)
+    text = format_noise(noise_report(Samples(samples.stamp_ns, samples.xyz.round(5)), SPEED))
+    assert 'WARNING only 1.9 s of standstill' in text
+    assert 'the recording is rounded' in text
+
+
+def test_command_writes_noise_json_of_the_contract(tmp_path, capsys):
+    samples = stops(3, 4.0)
+    path = NominalPath(np.array([[0.0, 0, 0], [1, 0, 0]]))
+    write_recording(tmp_path / 'bag', samples, path, False)
+    assert cli.main(['noise', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 0
+    data = json.loads((tmp_path / 'out' / 'noise.json').read_text())
+    keys = ['u_range', 'u_angle', 'white_range', 'white_angle', 'correlation_time']
+    assert list(data)[:8] == ['schema', *keys, 'standstills', 'samples']
+    assert data['schema'] == 'otf-noise/1'
+    assert len(data['u_angle']) == len(data['white_angle']) == 2
+    assert data == json.loads(json.dumps(noise_to_dict(noise_report(samples, SPEED))))
+    assert (data['standstills'], data['windows']) == (3, 3)
+    assert (tmp_path / 'out' / 'noise.svg').stat().st_size > 1000
+    assert 'correlation time' in capsys.readouterr().out
+
+
+def test_command_refuses_a_bag_without_standstill(tmp_path, capsys):
+    samples = stops(1, 0.5)
+    path = NominalPath(np.array([[0.0, 0, 0], [1, 0, 0]]))
+    write_recording(tmp_path / 'bag', samples, path, False)
+    assert cli.main(['noise', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 3
+    assert not (tmp_path / 'out').exists()
+    assert 'record while the target stands still' in capsys.readouterr().err

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Standstill method: recognition of stops, their order, and the calibration from them."""
+
+import numpy as np
+import pytest
+import yaml
+from core_cells import CONTRACT_CHAINS, START_NS, some_machine, tracker_noise
+
+from otf_core import cli
+from otf_core.calibrate import calibrate_runs
+from otf_core.config import CalibrationConfig, SimulationConfig
+from otf_core.errors import InputError
+from otf_core.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.io.csv_points import write_csv
+from otf_core.kinematics import displacement
+from otf_core.matching import OFF_PATH
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.runs import Recording
+from otf_core.sim.cell import simulate
+from otf_core.standstill_method import align_stops, find_stops, match_in_order, prepare_stops
+from otf_core.standstill_plan import edge_points, spread_points, standstill_plan
+from otf_core.uncertainty import prediction_uncertainty
+
+CONFIG = CalibrationConfig()
+
+
+def points_of(machine, edges=40, inner=60):
+    return np.concatenate([edge_points(machine, edges), spread_points(machine, inner)])
+
+
+def run_of(machine, points, seed=1, size=2e-5, rate=100.0, dwell=1.0):
+    plan = standstill_plan(points, 0.5, dwell)
+    return plan, simulate(machine, plan, SimulationConfig(seed=seed, error_size=size, rate=rate))
+
+
+def calibrated(machine, samples, path):
+    return calibrate_runs([Recording(samples, path, machine)], prepare=prepare_stops)
+
+
+def left_over(result, truth):
+    """Error on a grid before and after, and the components of what is left."""
+    q = lattice(truth.machine, 5)
+    true = displacement(truth, q)
+    left = without_rigid_motion(true - displacement(result.tables, q), q)
+    return mean_length(without_rigid_motion(true, q)), mean_length(left), left
+
+
+@pytest.mark.parametrize('chain', CONTRACT_CHAINS)
+def test_tables_from_stops_leave_little_of_the_error(chain):
+    machine = some_machine(chain)
+    plan, run = run_of(machine, points_of(machine))
+    result = calibrated(machine, run.samples, plan.path)
+    before, after, _ = left_over(result, run.truth)
+    # 100 stops; angle noise of 2 urad over 0.5 m, slow for half of its variance: 0.7 um a stop
+    assert after < 0.04 * before
+    assert result.fit.pieces == 100
+    assert result.fit.coverage == 1.0
+    assert result.runs[0].residual.shape == (3, 100)
+    assert not result.failed_gates
+
+
+def test_without_noise_the_errors_come_back():
+    machine = some_machine()
+    plan = standstill_plan(points_of(machine, 60, 120), 0.5, 1.0)
+    quiet = some_machine()
+    object.__setattr__(quiet, 'tracker', type(machine.tracker)(1e-12, 1e-12))
+    run = simulate(quiet, plan, SimulationConfig(error_size=2e-5, rate=100.0))
+    before, after, _ = left_over(calibrated(machine, run.samples, plan.path), run.truth)
+    assert after < 0.003 * before
+
+
+def test_predictions_lie_within_their_stated_uncertainty():
+    machine, ratios = some_machine(), []
+    for seed in range(3):
+        plan, run = run_of(machine, points_of(machine), seed=10 + seed)
+        result = calibrated(machine, run.samples, plan.path)
+        nodes = {name: table.position for name, table in result.tables.motions.items()}
+        q = lattice(machine, 5)
+        u = prediction_uncertainty(machine, nodes, result.covariance, q)
+        left = left_over(result, run.truth)[2]
+        ratios.append(np.abs(left)[u > 0] / u[u > 0])
+    assert 0.90 < np.mean(np.concatenate(ratios) < 2.0) <= 1.0
+    assert 0.3 < np.median(np.concatenate(ratios)) < 0.9
+
+
+def stops_only(machine, places, seed=0, rate=200.0, moves=None):
+    """Samples at places; between them straight moves, or what ``moves`` gives for two places."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for k, place in enumerate(places):
+        rows.append(np.tile(place, (int(0.6 * rate), 1)))
+        if k < len(places) - 1:
+            share = np.linspace(0, 1, int(0.5 * rate))[:, None]
+            rows.append(place + share * (places[k + 1] - place) + (moves(share) if moves else 0))
+    true = np.concatenate(rows)
+    station = np.array([-0.4, 0.1, -0.1])
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    xyz = (true - station) @ turn.T
+    xyz += tracker_noise(xyz, machine.tracker, rng)
+    return Samples(START_NS + np.rint(np.arange(len(xyz)) / rate * 1e9).astype(np.int64), xyz)
+
+
+def test_only_the_stops_count_not_the_way_between_them():
+    machine = some_machine()
+    places = spread_points(machine, 30)
+    arc = stops_only(
+        machine, places, moves=lambda s: 0.05 * np.sin(np.pi * s) * np.array([0.3, 1.0, 0.5])
+    )
+    _, stops, point = align_stops(arc, NominalPath(places), CONFIG)
+    np.testing.assert_array_equal(point, np.arange(30))
+    assert len(stops.xyz) == 30
+
+
+def test_missed_and_additional_stops_do_not_confuse_the_order():
+    machine = some_machine()
+    places = spread_points(machine, 40)
+    driven = np.delete(places, [5, 17, 18], axis=0)
+    driven = np.insert(driven, 9, [0.15, 0.12, 0.3], axis=0)  # elsewhere, such as a tool change
+    alignment, _, point = align_stops(stops_only(machine, driven), NominalPath(places), CONFIG)
+    expected = np.insert(np.delete(np.arange(40), [5, 17, 18]), 9, OFF_PATH)
+    np.testing.assert_array_equal(point, expected)
+    assert alignment.coverage == pytest.approx(37 / 40)
+
+
+def test_repeated_points_count_each_and_collinear_ones_too():
+    machine = some_machine()
+    places = spread_points(machine, 12)
+    places = np.concatenate([places, places[3:6], [0.5 * (places[5] + places[6])], places[6:9]])
+    samples = stops_only(machine, places)
+    alignment, _, point = align_stops(samples, NominalPath(places), CONFIG)
+    np.testing.assert_array_equal(point, np.arange(len(places)))
+    assert alignment.last_leg_driven
+
+
+def test_match_in_order_never_runs_backwards():
+    line = np.arange(4.0)[:, None] * [1, 0, 0]
+    nominal = np.concatenate([line, line[::-1]])  # there and back: every point twice
+    found = match_in_order(line[[0, 2, 3, 1, 0]], nominal, 0.1)
+    assert np.all(np.diff(found) >= 0)
+    np.testing.assert_array_equal(nominal[found], line[[0, 2, 3, 1, 0]])
+    found = match_in_order(np.array([[0.0, 0, 0], [9, 9, 9], [2, 0, 0]]), line, 0.1)
+    np.testing.assert_array_equal(found, [0, OFF_PATH, 2])
+
+
+def test_spikes_in_a_stop_do_not_shift_it():
+    machine = some_machine()
+    samples = stops_only(machine, spread_points(machine, 10))
+    clean = find_stops(samples, CONFIG).xyz
+    samples.xyz[60] += 5e-4
+    assert np.abs(find_stops(samples, CONFIG).xyz - clean).max() < 2e-7
+
+
+def test_a_run_without_stops_is_refused(cell):
+    samples = cell.recording.measured(cell.truth)
+    moving = Samples(samples.stamp_ns[3000:9000], samples.xyz[3000:9000])
+    plan, _ = run_of(cell.machine, points_of(cell.machine))
+    with pytest.raises(InputError, match='stop'):
+        align_stops(moving, plan.path, CONFIG)
+
+
+def test_stops_of_another_path_are_refused():
+    machine = some_machine()
+    samples = stops_only(machine, spread_points(machine, 20))
+    other = NominalPath(0.9 * spread_points(machine, 20)[:, [1, 0, 2]])
+    with pytest.raises(InputError, match='no run of stops fits'):
+        align_stops(samples, other, CONFIG)
+
+
+def test_command_calibrates_a_standstill_run(tmp_path, capsys):
+    machine = some_machine()
+    (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(machine.to_dict()))
+    write_csv(tmp_path / 'points.csv', 'x,y,z', points_of(machine))
+    common = ['--machine', str(tmp_path / 'machine.yaml')]
+    simulated = ['simulate', *common, '--path', str(tmp_path / 'points.csv'), '--rate', '100',
+                 '--corner-dwell', '1', '--out', str(tmp_path / 'bag')]  # fmt: skip
+    assert cli.main(simulated) == 0
+    out = ['--method', 'standstill', '--out', str(tmp_path / 'out')]
+    assert cli.main(['calibrate', str(tmp_path / 'bag'), *common, *out]) == 0
+    assert '100 path pieces' in capsys.readouterr().out
+    header, *rows = (tmp_path / 'out' / 'residuals.csv').read_text().splitlines()
+    assert header.endswith('deviation1,deviation2,deviation3,residual1,residual2,residual3')
+    assert len(rows) == 100
+
+
+def test_edge_points_lie_on_edges_and_spread_points_inside():
+    machine = some_machine()
+    edge, inner = edge_points(machine, 76), spread_points(machine, 150)
+    at_end = np.isclose(edge, machine.lower) | np.isclose(edge, machine.upper)
+    assert edge.shape == (76, 3)
+    assert np.all(at_end.sum(axis=1) >= 2)
+    assert len(np.unique(edge.round(9), axis=0)) == 76
+    assert np.all((inner > machine.lower) & (inner < machine.upper))
+    # evenly: each octant gets about its share of 18.75; at random they would differ by some 12
+    octant = (inner > 0.5 * (machine.lower + machine.upper)) @ [1, 2, 4]
+    assert np.ptp(np.bincount(octant)) <= 8
