@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from otf_core.config import ForecastConfig, PlannerConfig
+from otf_core.diagnosis.before import forecast_effects
 from otf_core.errors import ConfigError
 from otf_core.forecast import Forecast, Setup, forecast
 from otf_core.machine import Machine
@@ -18,7 +19,7 @@ from otf_core.nc import on_increment
 from otf_core.noise import NoiseModel
 from otf_core.observability import findings
 from otf_core.optimised_planning import PathOptimiser
-from otf_core.plan_report import PlanReport
+from otf_core.plan_report import EffectForecast, PlanReport
 from otf_core.planning import Plan, plan_path
 from otf_core.tracker_places import advice, check_place, compare_places, rough
 
@@ -149,6 +150,10 @@ def make_plan(
         limit = setup.calibration.unidentifiable_above
         places = compare_places(plan, setup)
         own = forecast(plan, rough(setup)).mean_grid_u
+        effects = tuple(
+            EffectForecast(e['effect'], e['words'], e)
+            for e in forecast_effects(plan, setup, found)
+        )
     return PlanReport(
         plan,
         how,
@@ -157,4 +162,5 @@ def make_plan(
         findings(found, machine, limit),
         tuple(places),
         tuple(advice(places, own)),
+        effects,
     )

@@ -47,8 +47,8 @@ def figures(views: Sequence[RunView], causes: bool) -> str:
     if len(views) > MOST_RUNS:
         parts.append(f'<p class="soft">{len(views) - MOST_RUNS} further runs are not drawn.</p>')
     drawn = (
-        ('In the volume', 'place', draw_place, 'The volume seen along Z, Y and X: colour is the root '
-         'mean square of the residual, arrows its mean, in cells of the view.'),
+        ('In the volume', 'place', draw_place, 'The volume seen along Z, Y and X: colour is the '
+         'root mean square of the residual, arrows its mean, in cells of the view.'),
         ('By line, feed and sense of travel', 'travel', draw_travel, 'Diagonals are named after '
          'the axes they move; forward is towards larger axis positions.'),
         ('By beam', 'beam', draw_beam, 'Length of the beam, its azimuth about machine Z (from '

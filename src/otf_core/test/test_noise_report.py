@@ -96,7 +96,7 @@ def test_a_held_point_is_no_quiet_standstill():
 
 
 def test_recordings_of_one_tracker_agree_within_their_stated_uncertainties():
-    reports = [noise_report(stops(1, 20.0, seed=s), SPEED) for s in range(6)]
+    reports = [noise_report(stops(1, 15.0, seed=s, rate=250.0), SPEED) for s in range(6)]
     levels = np.array([r.noise.total for r in reports])
     stated = np.array([r.u_total for r in reports])
     # jackknife of ten groups: itself known to some 30 %

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from core_cells import some_machine
 
 from otf_core.config import SimulationConfig
 from otf_core.sim.laboratory import SimulatedLaboratory
@@ -25,7 +26,7 @@ def laboratory():
 
 @pytest.fixture(scope='module')
 def found(laboratory):
-    return validate(laboratory, Scale((5,), (FAST, 2 * FAST), 0.6))
+    return validate(laboratory, Scale((5,), (FAST, 2 * FAST), 0.6), machine=some_machine())
 
 
 def row(found, quantity):

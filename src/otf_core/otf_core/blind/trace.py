@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,6 @@ from otf_core.diagnosis.rows import Rows, build_rows, used_columns
 from otf_core.effects import AppliedEffect, State
 from otf_core.frames import RigidTransform
 from otf_core.joint import solve_jointly
-from otf_core.observation import Samples
-from otf_core.pieces import reduce_to_pieces
 from otf_core.runs import Recording, prepare_runs
 from otf_core.sim.cell import SimulatedRun
 from otf_core.sim.drive import Drive
@@ -39,14 +37,12 @@ class Ruler:
     states : tuple of State
         Of all samples of each run.
     rows : Rows
-    nodes : tuple of ndarray
     """
 
     trial: Trial
     runs: tuple[SimulatedRun, ...]
     states: tuple[State, ...]
     rows: Rows
-    nodes: tuple[Array, ...]
 
     def displacement(self, effects: Sequence[AppliedEffect]) -> list[Array]:
         """Displacement of all samples of each run, (n, 3), m."""
@@ -88,15 +84,10 @@ class Ruler:
         return float(np.sqrt(np.sum(rest**2) / sum(len(r.pieces) for r in self.rows.runs)))
 
     def _on_pieces(self, k: int, moved: Array) -> Array:
-        run, solved, simulated = self.rows.runs[k], self.rows.done.runs[k], self.runs[k]
-        samples = simulated.samples
-        shifted = Samples(samples.stamp_ns, samples.xyz + moved @ simulated.rotation.T)
-        pieces = reduce_to_pieces(shifted, run.alignment, self.nodes, CalibrationConfig())
-        if len(pieces) != len(run.pieces):
-            keep = _matching(run.pieces.time, pieces.time)
-            pieces = replace(pieces, xyz=pieces.xyz[keep])
-        change = solved.pose.rotate(pieces.xyz - run.pieces.xyz)
-        return np.asarray(np.einsum('cij,ij->ci', solved.system.axes, change))
+        pieces, solved = self.rows.runs[k].pieces, self.rows.done.runs[k]
+        sums = [np.bincount(pieces.piece, moved[pieces.samples, d]) for d in range(3)]
+        mean = np.stack(sums, axis=1) / pieces.count[:, None]
+        return np.asarray(np.einsum('cij,ij->ci', solved.system.axes, mean))
 
     def _white(self, plain: Array) -> Array:
         parts, start = [], 0
@@ -106,14 +97,6 @@ class Ruler:
             parts.append(solved.whitener.vector(plain[start:stop].reshape(shape)).reshape(-1))
             start = stop
         return np.concatenate(parts)
-
-
-def _matching(time: Array, other: Array) -> NDArray[np.int64]:
-    """Index in ``other`` of the nearest time, for every time."""
-    right = np.clip(np.searchsorted(other, time), 1, len(other) - 1)
-    left = right - 1
-    nearer = np.abs(other[left] - time) < np.abs(other[right] - time)
-    return np.where(nearer, left, right)
 
 
 def sample_state(trial: Trial, k: int, run: SimulatedRun) -> State:
@@ -136,4 +119,4 @@ def make_ruler(trial: Trial) -> Ruler:
         done = solve_jointly(runs, layout(nodes, len(runs)), config, lambda *_: None)
         rows = build_rows(runs, done, config.unidentifiable_above)
     states = tuple(sample_state(trial, k, r) for k, r in enumerate(simulated))
-    return Ruler(trial, tuple(simulated), states, rows, tuple(nodes[a] for a in 'XYZ'))
+    return Ruler(trial, tuple(simulated), states, rows)

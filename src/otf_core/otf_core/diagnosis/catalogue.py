@@ -99,7 +99,8 @@ def collect_options(
     visible: dict[str, Visibility] = {}
     for effect in effects:
         name = effect.name
-        chosen = shapes[name] if name in shapes else effect.shapes(rows.states[0])
+        looked_for = () if effect.sample_resolution else effect.shapes(rows.states[0])
+        chosen = shapes.get(name, looked_for)
         options[name], share, smallest = [], 0.0, np.inf
         for shape in (*chosen, *(() if chosen else (PROBES[name],))):
             terms = effect.terms(rows.states[0], shape)

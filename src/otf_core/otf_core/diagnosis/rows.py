@@ -98,7 +98,7 @@ class Rows:
         """Displacements across the path per unit of each term, shape (r, k)."""
         parts = []
         for k, (run, solved) in enumerate(zip(self.runs, self.done.runs, strict=True)):
-            if effect.sample_resolution:
+            if effect.sample_resolution and len(run.recording.samples):
                 columns = run.pieces.mean_of(effect.terms(self.sample_states[k], shape).columns)
             else:
                 columns = effect.terms(self.states[k], shape).columns
@@ -166,6 +166,22 @@ def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
     limit : float
         ``CalibrationConfig.unidentifiable_above``.
     """
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    states = tuple(
+        piece_state(r, s, done.unknowns.nodes, tables)
+        for r, s in zip(runs, done.runs, strict=True)
+    )
+    return rows_of(runs, done, tables, states, limit)
+
+
+def rows_of(
+    runs: Sequence[Run],
+    done: JointSolution,
+    tables: ErrorTables,
+    states: tuple[State, ...],
+    limit: float,
+) -> Rows:
+    """Set up rows for given states; see ``Rows``."""
     use = used_columns(done)
     plain, deviation, fold, offset = [], [], [], 0
     for run, solved in zip(runs, done.runs, strict=True):
@@ -176,11 +192,6 @@ def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
         number = np.unique(run.pieces.leg, return_inverse=True)[1] + offset
         fold.append(np.tile((number * 5 + number // FOLDS) % FOLDS, len(solved.system.axes)))
         offset += int(number.max()) + 1
-    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
-    states = tuple(
-        piece_state(r, s, done.unknowns.nodes, tables)
-        for r, s in zip(runs, done.runs, strict=True)
-    )
     white = [_whitened(s, p) for s, p in zip(done.runs, plain, strict=True)]
     bare = [_whitened(s, d[:, None])[:, 0] for s, d in zip(done.runs, deviation, strict=True)]
     return Rows(

@@ -30,9 +30,9 @@ NEEDED_SHARE = 0.1
 """Share of the excess that a shape must explain to be worth a word."""
 SEVERAL = ('sense', 'product')
 """Families that may be found more than once."""
-KEPT = 12
+KEPT = 8
 """Of many shapes of a family so many are fitted exactly."""
-EXACT = 60
+EXACT = 24
 """Families of more shapes are screened."""
 
 

@@ -102,13 +102,14 @@ def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume'
 
 def draw_vectors(axes: Any, q: Any, vectors: Any) -> None:
     """Draw error vectors in the volume, the longest a tenth of its size, coloured by length."""
-    import matplotlib
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     size = np.linalg.norm(vectors, axis=1)
     factor = 0.1 * float(np.ptp(q, axis=0).max()) / (float(size.max()) or 1.0)
-    colours = matplotlib.colormaps['viridis'](size / (size.max() or 1.0))
-    for start, step, colour in zip(q, factor * vectors, colours, strict=True):
-        axes.plot(*np.stack([start, start + step], axis=1), color=colour, lw=1)
+    lines = Line3DCollection(np.stack([q, q + factor * vectors], axis=1), lw=1, cmap='viridis')
+    lines.set_array(size)
+    axes.add_collection3d(lines)
+    axes.auto_scale_xyz(*q.T)
     axes.set_title(f'mean {1e6 * size.mean():.2f} um, largest {1e6 * size.max():.2f} um')
     for k, axis in enumerate('xyz'):
         getattr(axes, f'set_{axis}label')(f'{AXES[k]} (m)')

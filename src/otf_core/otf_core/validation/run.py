@@ -12,6 +12,7 @@ from otf_core.comparison import Comparison
 from otf_core.comparison_report import agreement as share_within
 from otf_core.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.kinematics import displacement
+from otf_core.machine import Machine
 from otf_core.validation.direct import direct_test, largest_differences
 from otf_core.validation.laboratory import Laboratory, Scale, paper_machine
 from otf_core.validation.reference_points import (
@@ -52,7 +53,10 @@ class Validation:
 
 
 def validate(
-    laboratory: Laboratory, scale: Scale, progress: Callable[[str], None] = lambda text: None
+    laboratory: Laboratory,
+    scale: Scale,
+    progress: Callable[[str], None] = lambda text: None,
+    machine: Machine | None = None,
 ) -> Validation:
     """Run every comparison on every cell.
 
@@ -62,8 +66,10 @@ def validate(
     scale : Scale
     progress : callable(text), optional
         Told what comes next.
+    machine : Machine, optional
+        A cell like the paper's if not given.
     """
-    machine = paper_machine()
+    machine = machine or paper_machine()
     cells: list[Cell] = []
     example: SimulativeRun | None = None
     for number, seed in enumerate(scale.seeds, start=1):

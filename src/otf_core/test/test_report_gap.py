@@ -1,0 +1,263 @@
+"""The report of a diagnosis: complete, self-contained, safe, readable without any cause."""
+
+import re
+import sys
+from html.parser import HTMLParser
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gap_cells import along, run_view
+
+from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
+from otf_core.diagnosis.where import describe_structure, where_of
+from otf_core.report_gap import report_html, write_report
+from otf_core.report_words import confidence_words, next_measurements, quantity
+
+VOID = {'meta', 'br', 'hr', 'img', 'link', 'input'}
+HIDDEN = (
+    ('tracker_scale', 'a calibrated length: scale bar'),
+    ('target_offset', 'runs with a second target offset'),
+    ('table_tilt', 'a second tracker place'),
+)
+CONDITIONS = {'chain': 'w-b-X-Y-Z-t', 'samples': '39000', 'software': 'otf_core 0.1.0'}
+
+
+class Balance(HTMLParser):
+    """Counts tags that are not closed in order, references and scripts."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.faults, self.references, self.words = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.references += [v for k, v in attrs if k in ('href', 'src', 'xlink:href', 'data')]
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag in ('script', 'link', 'iframe', 'object'):
+            self.faults.append(tag)
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open.pop() != tag:
+            self.faults.append(f'/{tag}')
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_data(self, data):
+        if not self.open or self.open[-1] not in ('style', 'text'):
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return re.sub(r'\s+', ' ', ' '.join(self.words))
+
+
+def parsed(page):
+    reader = Balance()
+    reader.feed(page)
+    reader.close()
+    return reader
+
+
+def causes():
+    return (
+        NamedCause(
+            'backlash', ('X', 'Z'), {'B_X': 4.2e-6, 'B_Z': -1.1e-6},
+            {'B_X': 0.12e-6, 'B_Z': 0.2e-6}, {'B_X': 'm', 'B_Z': 'm'},
+            2.6, 1.2, 54.0, 0.9997, (),
+        ),
+        NamedCause(
+            'cyclic_error', ('Y',), {'period': 0.01, 'S_Y': 1e-6}, {'S_Y': 1e-7},
+            {'period': 'm', 'S_Y': 'm'}, 1.2, 0.9, 25.0, 0.93, ('vibration',),
+        ),
+        NamedCause(
+            'table_tilt', ('X',), {'tilt_Y_by_X': 4e-6}, {'tilt_Y_by_X': 2e-7},
+            {'tilt_Y_by_X': 'rad/m'}, 0.9, 0.5, 44.0, 0.6, (),
+        ),
+    )  # fmt: skip
+
+
+def diagnosis(view, verdict='explained', found=(), **further):
+    gap = Gap(2.9, 1.1, 2.6, 0.5 if found else 2.6, 81.0, (76.0, 86.0))
+    fields = {
+        'runs': (view.name,),
+        'verdict': verdict,
+        'sentence': 'The gap of 2.60 um is what it is.',
+        'gap': gap,
+        'causes': tuple(found),
+        'unexplained_um': 0.5,
+        'unexplained_where': describe_structure([view], 'residual_after'),
+        'not_visible': HIDDEN,
+        'where': where_of([view]),
+    }
+    return Diagnosis(**{**fields, **further})
+
+
+@pytest.fixture(scope='module')
+def view():
+    return run_view(
+        lambda v: along(2, 3e-6 * (v.time >= 60)), laps=1, after=lambda v: 0.0 * v.q, name='run-7'
+    )
+
+
+@pytest.fixture(scope='module')
+def data(view):
+    return SimpleNamespace(views=(view,), conditions=CONDITIONS)
+
+
+@pytest.fixture(scope='module')
+def page(view, data):
+    return report_html(diagnosis(view, found=causes()), data)
+
+
+def test_page_is_well_formed(page):
+    reader = parsed(page)
+    assert reader.faults == []
+    assert reader.open == []
+
+
+def test_page_needs_nothing_else(page):
+    reader = parsed(page)
+    assert all(r.startswith('#') for r in reader.references)
+    assert 'http' not in page
+    assert '@import' not in page
+    assert not re.search(r'url\((?!#)', page)
+
+
+def test_references_within_the_page_have_a_target(page):
+    wanted = set(re.findall(r'href="#([^"]+)"', page)) | set(re.findall(r'url\(#([^)]+)\)', page))
+    names = re.findall(r'\bid="([^"]+)"', page)
+    assert wanted <= set(names)
+    assert len(names) == len(set(names))
+
+
+def test_page_is_small(page):
+    assert len(page.encode()) < 1.5e6
+
+
+def test_causes_are_ranked_with_axes_units_and_uncertainty(page):
+    text = parsed(page).text
+    places = [text.index(name, text.index('Causes')) for name in ('backlash', 'cyclic error')]
+    assert places == sorted(places)
+    for part in (
+        'X, Z', '4.20 ± 0.24 µm', '−1.10 ± 0.40 µm', '10 mm', '1.00 ± 0.20 µm',
+        '4.00 ± 0.40 µrad/m', 'k = 2', 'not told from: vibration', 'practically certain',
+        'likely (93', 'more likely than not (60',
+    ):  # fmt: skip
+        assert part in text, part
+
+
+def test_gap_is_shown_before_and_after_with_its_interval(page):
+    text = parsed(page).text
+    for part in ('2.90 µm', '1.10 µm', '2.60 µm', '0.50 µm', '81 %', '76 % to 86 %'):
+        assert part in text, part
+
+
+def test_every_effect_that_is_not_visible_is_listed_with_what_shows_it(page):
+    text = parsed(page).text
+    part = text[text.index('cannot show') : text.index('Conditions')]
+    for effect, needs in HIDDEN:
+        assert effect.replace('_', ' ') in part
+        assert needs in part
+
+
+def test_conditions_and_runs_are_stated(page):
+    text = parsed(page).text
+    for part in ('run-7', *CONDITIONS, *CONDITIONS.values()):
+        assert part in text, part
+
+
+def test_all_pictures_are_there(page):
+    assert page.count('<svg') == 5
+    assert 'aria-label' in page
+
+
+def test_axis_labels_keep_their_digits(page):
+    assert 'feed 0.25 m/s' in page
+
+
+def test_strange_names_are_escaped(view, data):
+    evil = '<script>alert("1")</script>&\'x'
+    cause = NamedCause(evil, (evil,), {evil: 1e-6}, {}, {evil: evil}, 1.0, 0.5, 50.0, 0.9, (evil,))
+    asked = SimpleNamespace(
+        views=(run_view(laps=1, name=evil), run_view(laps=1, name='b', seed=2)),
+        conditions={evil: evil},
+    )
+    found = diagnosis(
+        view, found=(cause,), runs=(evil,), sentence=evil, unexplained_where=evil,
+        not_visible=((evil, evil),),
+    )  # fmt: skip
+    page = report_html(found, asked)
+    reader = parsed(page)
+    assert '<script' not in page
+    assert reader.faults == []
+    assert reader.text.count('alert("1")') >= 8
+
+
+@pytest.mark.parametrize(
+    ('verdict', 'words'),
+    [
+        ('none', 'the run shows no more than its simulation'),
+        ('unknown', 'no effect of the catalogue explains the gap'),
+    ],
+)
+def test_verdicts_without_causes_are_readable(view, data, verdict, words):
+    page = report_html(diagnosis(view, verdict, unexplained_where='since 60 s, step'), data)
+    reader = parsed(page)
+    assert reader.faults == []
+    assert words in reader.text
+    assert 'Gap after' not in reader.text
+    assert ('since 60 s, step' in reader.text.split('Where it lies')[0]) == (verdict == 'unknown')
+
+
+def test_report_without_matplotlib_says_so(view, data, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'matplotlib.figure', None)
+    page = report_html(diagnosis(view, found=causes()), data)
+    assert 'figures need matplotlib' in page
+    assert parsed(page).faults == []
+
+
+def test_same_diagnosis_gives_the_same_file(view, data, page, tmp_path):
+    write_report(diagnosis(view, found=causes()), data, tmp_path / 'report.html')
+    assert (tmp_path / 'report.html').read_text(encoding='utf-8') == page
+
+
+def test_long_lists_of_parameters_are_cut(view, data):
+    names = [f'S_{k}' for k in range(40)]
+    cause = NamedCause(
+        'direction_dependent_tables', ('X',), dict.fromkeys(names, 1e-6),
+        dict.fromkeys(names, 1e-7), dict.fromkeys(names, 'm'), 2.0, 1.0, 50.0, 0.99, (),
+    )  # fmt: skip
+    assert 'and 32 more in gap.json' in report_html(diagnosis(view, found=(cause,)), data)
+
+
+def test_next_measurements_tell_rivals_apart_first(view):
+    lines = next_measurements(diagnosis(view, 'partly_explained', found=causes()))
+    assert 'to tell cyclic error from vibration' in lines[0]
+    assert any('second feed' in line for line in lines)
+    assert any(line.startswith('A calibrated length') for line in lines)
+
+
+@pytest.mark.parametrize(
+    ('value', 'u', 'unit', 'text'),
+    [
+        (0.01, None, 'm', '10 mm'),
+        (2.5e-6, 4e-7, 'm', '2.50 ± 0.80 µm'),
+        (-1.2e-5, 2e-6, 'rad', '−12.0 ± 4.0 µrad'),
+        (1.1e-5, 1e-6, 'm/m', '11.0 ± 2.0 µm/m'),
+        (12.5, 0.5, 'Hz', '12.5 ± 1.0 Hz'),
+        (4.0, np.inf, 's', '4 s'),
+        (3.0, None, '', '3'),
+        (1.5e-4, None, 's', '0.15 ms'),
+    ],
+)
+def test_quantities_are_readable(value, u, unit, text):
+    assert quantity(value, u, unit) == text
+
+
+@pytest.mark.parametrize('confidence', [0.0, 0.3, 0.9, 0.97, 1.0])
+def test_confidence_has_words_and_a_number(confidence):
+    assert re.fullmatch(r'[a-z ]+ \(>?\s?[\d.]+\s%\)', confidence_words(confidence))

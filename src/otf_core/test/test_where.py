@@ -1,0 +1,191 @@
+"""Where a gap lies, on plain arrays with a known structure in them."""
+
+import numpy as np
+import pytest
+from gap_cells import NOISE, SIZE, along, run_view
+
+from otf_core.diagnosis.groupings import by_feed, by_line, by_region, by_time
+from otf_core.diagnosis.groups import normal_score, partition
+from otf_core.diagnosis.result import Where
+from otf_core.diagnosis.structure import find_structures
+from otf_core.diagnosis.where import describe_structure, where_of
+
+LISTS = (
+    'by_time',
+    'by_path_piece',
+    'by_axis_and_direction',
+    'by_region',
+    'by_beam',
+    'by_frequency',
+)
+
+
+def sense(view, axis):
+    return np.sign(np.where(np.abs(view.direction[:, axis]) > 0.05, view.direction[:, axis], 0.0))
+
+
+def wave(view, axis, period):
+    """Means over pieces of 8 mm of a wave along an axis."""
+    weak = np.sinc(0.008 * view.direction[:, axis] / period)
+    return weak * np.sin(2 * np.pi * view.q[:, axis] / period)
+
+
+def small(gap, **further):
+    return run_view(gap, laps=2, feed=0.25, **further)
+
+
+def row(rows, label):
+    return next(r for r in rows if r['label'] == label)
+
+
+@pytest.mark.parametrize(
+    ('gap', 'words'),
+    [
+        (lambda v: along(2, 3e-6 * (v.time >= 140)), ('since 14', 'step of', 'along machine +Z')),
+        (lambda v: along(1, -0.9e-6 / 60 * v.time), ('drift of 0.9 um/min along machine -Y',)),
+        (
+            lambda v: along(0, 5e-6 * (1 - np.exp(-v.time / 40))),
+            ('drift to 5', 'along machine +X', 'settles'),
+        ),
+        (lambda v: along(0, 1.5e-6 * wave(v, 0, 0.02)), ('period 20.', 'axis X', 'along X')),
+        (
+            lambda v: along(2, 1.2e-6 * sense(v, 0)),
+            ('sense of travel of X: 1.2 um along machine +Z forward',),
+        ),
+        (
+            lambda v: along(2, 8e-6 * v.speed * v.direction[:, 1]),
+            ('sense of travel of Y', 'grows with its feed', '0.8'),
+        ),
+        (lambda v: along(0, 2e-6 * np.sin(2 * np.pi * v.time / 60)), ('period 60 s', 'along X')),
+        (lambda v: along(1, 4e-6 * (v.q > 0.66 * SIZE).all(axis=1)), ('X high, Y high, Z high',)),
+        (
+            lambda v: along(2, 4e-6 * np.sin(2 * np.pi * 6 * v.time)),
+            ('4 Hz to 8 Hz',),
+        ),
+    ],
+    ids=['step', 'drift', 'settling', 'wave', 'sense', 'feed', 'slow wave', 'region', 'vibration'],
+)  # fmt: skip
+def test_structure_is_described(gap, words):
+    text = describe_structure([small(gap)])
+    assert all(word in text for word in words), text
+
+
+def test_far_from_the_tracker_is_said():
+    def gap(view):
+        far = np.linalg.norm(view.beam, axis=1) > 1.3
+        flip = np.where(view.leg % 2 > 0, 1.0, -1.0)
+        return far[:, None] * flip[:, None] * 2e-6 * np.array([0.6, 0.6, 0.5])
+
+    assert 'larger far from the tracker' in describe_structure([small(gap)])
+
+
+def test_two_structures_are_found_the_larger_first():
+    view = small(lambda v: along(2, 3e-6 * (v.time >= 100)) + along(0, 1.5e-6 * wave(v, 1, 0.03)))
+    found = find_structures([view])
+    assert [s.family for s in found[:2]] == ['step', 'wave Y']
+    assert found[0].share > found[1].share > 0.1
+    assert 'period 30.' in found[1].words
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_noise_alone_has_no_structure(seed):
+    view = small(None, seed=seed)
+    assert describe_structure([view]) == 'no structure beyond noise'
+    assert 'nothing stands out' in where_of([view]).summary
+    assert find_structures([view]) == []
+
+
+def test_all_lists_are_plain_data_with_the_agreed_keys():
+    where = where_of([small(lambda v: along(2, 3e-6 * (v.time >= 100)))])
+    for name in LISTS:
+        rows = getattr(where, name)
+        assert rows, name
+        for entry in rows:
+            assert {'label', 'rms_um', 'expected_um', 'significance'} <= set(entry)
+            assert all(isinstance(v, (str, int, float, list)) for v in entry.values())
+    assert isinstance(where, Where)
+
+
+def test_step_is_significant_after_it_and_not_before():
+    rows = where_of([small(lambda v: along(2, 3e-6 * (v.time >= 200)))]).by_time
+    assert max(r['significance'] for r in rows[:5]) < 4
+    assert min(r['significance'] for r in rows[-4:]) > 5
+    assert rows[-1]['rms_um'] > 2 > 1 > rows[0]['rms_um']
+
+
+def test_gap_points_along_the_axis_of_the_displacement():
+    rows = where_of([small(lambda v: along(1, 3e-6 * (v.time >= 100)))]).by_axis_and_direction
+    gaps = {r['label']: r['rms_um'] for r in rows if r['kind'] == 'points'}
+    assert gaps['along machine Y'] > 2 * max(gaps['along machine X'], gaps['along machine Z'])
+
+
+def test_error_of_one_sense_of_travel_shows_on_those_lines():
+    rows = where_of([small(lambda v: along(2, 3e-6 * (sense(v, 0) > 0)))]).by_axis_and_direction
+    assert row(rows, '+X')['significance'] > 10 > 4 > abs(row(rows, '-X')['significance'])
+    assert row(rows, 'X forward')['rms_um'] > 2 * row(rows, 'X backward')['rms_um']
+
+
+def test_bands_hold_all_of_the_residual():
+    view = small(lambda v: along(0, 2e-6 * wave(v, 1, 0.06)))
+    where = where_of([view])
+    bands = [r for r in where.by_frequency if r['kind'] == 'frequency']
+    square = sum(r['rms_um'] ** 2 * r['pieces'] for r in bands) / max(r['pieces'] for r in bands)
+    assert square == pytest.approx(1e12 * (view.residual_before**2).sum(axis=0).mean(), rel=0.02)
+    peak = max(
+        (r for r in where.by_frequency if r['kind'] == 'waves along Y'),
+        key=lambda r: r['significance'],
+    )
+    assert peak['label'] == 'Y: 50 mm to 100 mm'
+
+
+def test_significance_of_correlated_noise_is_about_normal():
+    scores = []
+    for seed in range(6):
+        view = small(None, seed=20 + seed)
+        for grouping in (by_time([view]), by_line([view]), by_region([view]), by_feed([view])):
+            groups = partition([view], grouping.indices, grouping.labels, grouping.kind)
+            scores += [g.significance for g in groups]
+    assert np.mean(scores) == pytest.approx(0.0, abs=0.3)
+    assert 0.6 < np.std(scores) < 1.25
+    assert max(scores) < 4.5
+
+
+def test_twice_the_noise_is_significant():
+    groups = where_of([small(None, noise=2 * NOISE)]).by_time
+    assert min(r['significance'] for r in groups) > 4
+
+
+def test_score_of_a_sum_of_squares_is_that_of_a_normal_quantity():
+    # 10 degrees of freedom: 18.307 is exceeded in 5 % of the cases, 29.588 in 0.1 %
+    assert normal_score(18.307, 10.0, 20.0) == pytest.approx(1.645, abs=0.01)
+    assert normal_score(29.588, 10.0, 20.0) == pytest.approx(3.090, abs=0.03)
+
+
+def test_runs_are_told_apart():
+    views = [
+        small(None, name='first'),
+        small(lambda v: along(2, 3e-6 * (v.time >= 100)), seed=5, name='second'),
+    ]
+    where = where_of(views)
+    assert 'in second, step of' in where.summary
+    times = where.by_time
+    assert {r['label'].split(':')[0] for r in times} == {'first', 'second'}
+    assert max(times, key=lambda r: r['significance'])['label'].startswith('second')
+
+
+def test_size_is_true_where_tables_and_pose_have_taken_their_part():
+    plain = small(lambda v: along(2, 3e-6 * (v.time >= 140)))
+    constant = plain.whiten(plain.axes)
+    basis = np.linalg.qr(constant)[0]
+
+    def project(columns):
+        return columns - basis @ (basis.T @ columns)
+
+    assert 'step of 3 um along machine +Z' in describe_structure([plain], project=project)
+
+
+def test_what_the_causes_leave_can_be_looked_at():
+    view = small(lambda v: along(2, 5e-6 * (v.time >= 100)), after=lambda v: 0.0 * v.q)
+    assert 'step' in describe_structure([view])
+    assert describe_structure([view], 'residual_after') == 'no structure beyond noise'
+    assert 'nothing stands out' in where_of([view], 'residual_after').summary
