@@ -1,5 +1,7 @@
 """Where a gap lies, on plain arrays with a known structure in them."""
 
+import re
+
 import numpy as np
 import pytest
 from gap_cells import NOISE, SIZE, along, run_view
@@ -41,7 +43,7 @@ def row(rows, label):
 @pytest.mark.parametrize(
     ('gap', 'words'),
     [
-        (lambda v: along(2, 3e-6 * (v.time >= 140)), ('since 14', 'step of', 'along machine +Z')),
+        (lambda v: along(2, 3e-6 * (v.time >= 140)), ('since 13', 'step of', 'along machine +Z')),
         (lambda v: along(1, -0.9e-6 / 60 * v.time), ('drift of 0.9 um/min along machine -Y',)),
         (
             lambda v: along(0, 5e-6 * (1 - np.exp(-v.time / 40))),
@@ -68,6 +70,17 @@ def row(rows, label):
 def test_structure_is_described(gap, words):
     text = describe_structure([small(gap)])
     assert all(word in text for word in words), text
+
+
+@pytest.mark.parametrize('start', [60.0, 140.0, 300.0])
+def test_moment_and_size_of_a_step_are_found(start):
+    view = small(lambda v: along(2, 3.1e-6 * (v.time >= start)))
+    moment, size = re.match(
+        r'since (\d+) s, step of ([\d.]+) um', describe_structure([view])
+    ).groups()
+    leg = max(view.time[high - 1] - view.time[low] for low, high in view.bounds)
+    assert abs(float(moment) - start) < leg + 1.0
+    assert float(size) == pytest.approx(3.1, abs=0.25)
 
 
 def test_far_from_the_tracker_is_said():

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Demonstration: calibrates a simulated machine with the real nodes and compares with the truth.
+
+Planner, tracker driver and calibrator run as processes of their own, as with the launch files. The
+errors of the machine are drawn here and given to the driver only; the calibrator never sees them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ament_index_python.packages import get_package_share_directory
+
+from otf_bringup.domain import free_domain
+from otf_bringup.processes import NodeProcess, ended_together
+from otf_core.errors import ConfigError, OtfError
+from otf_core.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.io.files import ensure_folder, write_text
+from otf_core.kinematics import displacement, exact_position
+from otf_core.machine import load_machine
+from otf_core.sim.cell import random_tables
+from otf_core.tables import ErrorTables, load_tables, tables_to_dict
+
+ERROR_SIZE = 1e-4
+"""m; mean volumetric error of the simulated machine."""
+RATE = 500.0
+"""Hz"""
+WALL_TIME = 55.0
+"""s; the run is simulated so fast that it takes about so long."""
+
+
+class DemoError(OtfError):
+    """The node graph did not do what it should."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the demonstration; returns the exit code."""
+    options = _options(arguments)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        return _run(options)
+    except KeyboardInterrupt:
+        print('\ninterrupted; all nodes ended', file=sys.stderr)
+        return 130
+    except OtfError as error:
+        print(f'\ndemo: {error}', file=sys.stderr)
+        return error.exit_code
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    share = Path(get_package_share_directory('otf_bringup'))
+    parser = argparse.ArgumentParser(prog='otf demo', description=__doc__.splitlines()[0])
+    parser.add_argument(
+        '--out', type=Path, default=Path('demo_output'), help='folder for all files (%(default)s)'
+    )
+    parser.add_argument('--seed', type=int, default=7, help='of errors and noise (%(default)s)')
+    parser.add_argument(
+        '--machine', type=Path, default=share / 'config' / 'machine.yaml', help='machine.yaml'
+    )
+    return parser.parse_args(arguments)
+
+
+def _run(options: argparse.Namespace) -> int:
+    started = time.monotonic()
+    out = ensure_folder(options.out).absolute()
+    ensure_folder(out / 'log')
+    truth = _prepare(out, options.machine, options.seed)
+    with free_domain() as domain:
+        environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+        print(
+            f'{truth.machine.name}, chain {truth.machine.chain}: planner, tracker driver and '
+            f'calibrator on ROS_DOMAIN_ID={domain}\n',
+            flush=True,
+        )
+        nodes = _start(out, options.seed, environment)
+        with ended_together(nodes):
+            from otf_bringup.monitor import follow
+
+            result = follow(domain, nodes)
+    if not result.run_id:
+        raise DemoError(f'calibration failed: {result.message}\nlogs: {out / "log"}')
+    _report(truth, Path(result.output_directory), time.monotonic() - started)
+    return int(result.status)
+
+
+def _prepare(out: Path, machine_file: Path, seed: int) -> ErrorTables:
+    """Write the machine description and the true errors; return the latter."""
+    machine = load_machine(machine_file)
+    if seed < 0:
+        raise ConfigError(f'--seed: {seed} is negative')
+    truth = random_tables(machine, ERROR_SIZE, np.random.default_rng(seed))
+    if machine_file.resolve() != (out / 'machine.yaml').resolve():
+        shutil.copyfile(machine_file, out / 'machine.yaml')
+    write_text(out / 'truth.json', json.dumps(tables_to_dict(truth), indent=1) + '\n')
+    return truth
+
+
+def _start(out: Path, seed: int, environment: dict[str, str]) -> list[NodeProcess]:
+    """Start the three nodes."""
+    machine = {'machine_file': out / 'machine.yaml'}
+    simulation = {'rate': RATE, 'seed': seed, 'truth_tables': out / 'truth.json'}
+    speed = {'time_scale': 10.0, 'max_rate': 6000.0}
+    given: dict[str, dict[str, Any]] = {
+        'path_planner': machine,
+        'calibrator': {**machine, 'output_directory': out / 'calibrations'},
+        'tracker_driver': {**machine, **simulation, **speed},
+    }
+    nodes: list[NodeProcess] = []
+    try:
+        for name, parameters in given.items():
+            module = f'otf_{name}.node'
+            nodes.append(NodeProcess(name, module, parameters, out / 'log', environment))
+    except BaseException:
+        with ended_together(nodes):
+            raise
+    return nodes
+
+
+def _report(truth: ErrorTables, folder: Path, seconds: float) -> None:
+    """Print the tables and what is left of the errors on a grid."""
+    found = load_tables(folder / 'error_tables.json')
+    q = lattice(truth.machine)
+    before = exact_position(truth, q) - q
+    after = before - displacement(found.tables, q)
+    mean = [1e6 * mean_length(without_rigid_motion(field, q)) for field in (before, after)]
+    place = np.array(found.extra['alignment']['translation'])
+    print((folder / 'summary.txt').read_text(encoding='utf-8'))
+    print(f'Tracker found at {np.array2string(place, precision=6)} m in the machine frame.')
+    print(
+        f'Mean error on a grid of {len(q)} points in the whole volume, against the true errors:\n'
+        f'  before {mean[0]:.2f} um, after compensation {mean[1]:.2f} um '
+        f'({100 * (1 - mean[1] / mean[0]):.1f} % less)'
+    )
+    print(f'Files: {folder}\nTook {seconds:.0f} s.')
+
+
+if __name__ == '__main__':
+    sys.exit(main())

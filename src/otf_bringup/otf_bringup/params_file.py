@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes config/params.yaml: every parameter of every node with default, unit, bounds, meaning.
+
+``python3 -m otf_bringup.params_file`` prints it; a test compares it with the file.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import textwrap
+from collections.abc import Iterator
+
+from otf_calibrator.params import CalibratorConfig
+from otf_core.config import (
+    CalibrationConfig,
+    ParameterInfo,
+    Parameters,
+    PlannerConfig,
+    SimulationConfig,
+)
+from otf_path_planner.params import PlannerFiles
+from otf_tracker_driver.params import DriverConfig
+
+NODES: dict[str, tuple[type[Parameters], ...]] = {
+    'path_planner': (PlannerFiles, PlannerConfig),
+    'tracker_driver': (DriverConfig, SimulationConfig),
+    'calibrator': (CalibratorConfig, CalibrationConfig),
+}
+HEAD = """\
+# Parameters of the nodes with their defaults, for ros2 launch ... params_file:=THIS_FILE.
+# Made by `python3 -m otf_bringup.params_file`. What the launch file sets by arguments of its own
+# (machine_file, backend, bag, time_scale, output_directory, ...) wins over this file.
+"""
+
+
+def _comment(info: ParameterInfo) -> list[str]:
+    facts = [info.unit] if info.unit else []
+    if info.low is not None and info.high is not None:
+        facts.append(f'{info.low:.10g} to {info.high:.10g}')
+    if info.choices:
+        facts.append(' or '.join(info.choices))
+    text = info.meaning + (f' [{", ".join(facts)}]' if facts else '')
+    return textwrap.wrap(text, 99, initial_indent='    # ', subsequent_indent='    #   ')
+
+
+def _value(value: object) -> str:
+    """Return a value as YAML 1.1 reads it in the right type: 1e-09 has to be 1.0e-09 there."""
+    text = json.dumps(value)
+    if isinstance(value, float) and 'e' in text and '.' not in text:
+        text = text.replace('e', '.0e')
+    return text
+
+
+def lines() -> Iterator[str]:
+    """Yield the lines of the file."""
+    yield from HEAD.splitlines()
+    for node, groups in NODES.items():
+        yield ''
+        yield f'/**/{node}:'
+        yield '  ros__parameters:'
+        for info in (info for group in groups for info in group.infos()):
+            yield from _comment(info)
+            yield f'    {info.name}: {_value(info.default)}'
+
+
+if __name__ == '__main__':
+    sys.stdout.write('\n'.join(lines()) + '\n')

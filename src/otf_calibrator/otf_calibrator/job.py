@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One calibration in a thread of its own, so that samples and services are served meanwhile."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+
+from otf_calibrator.params import CalibratorConfig
+from otf_core.calibrate import CalibrationResult, calibrate_runs
+from otf_core.config import CalibrationConfig
+from otf_core.errors import Cancelled, ConfigError, OtfError
+from otf_core.io.bag import BagContent, write_bag
+from otf_core.io.sample_order import in_time_order
+from otf_core.machine import load_machine
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.results import write_calibration
+from otf_core.runs import Recording, prepare_runs
+from otf_core.standstill_method import prepare_stops
+
+BAG = 'samples'
+"""Name of the bag beside the results."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be calibrated."""
+
+    samples: Samples
+    path: NominalPath
+    files: CalibratorConfig
+    config: CalibrationConfig
+    lost: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A calibration that succeeded; ``folder`` is None if its files could not be written."""
+
+    request: Request
+    result: CalibrationResult
+    folder: Path | None
+    problem: str = ''
+
+
+class Worker:
+    """Runs one request at a time.
+
+    Parameters
+    ----------
+    warn : callable
+        Takes a message about what went wrong after a calibration was done.
+
+    Attributes
+    ----------
+    stage, fraction : str and float
+        Progress as the core reports it.
+    """
+
+    def __init__(self, warn: Callable[[str], None]) -> None:
+        self._warn = warn
+        self._pool = ThreadPoolExecutor(1, 'calibration')
+        self._stop = threading.Event()
+        self.stage, self.fraction = '', 0.0
+
+    def start(self, request: Request) -> Future[Outcome]:
+        """Start a calibration; the future raises what went wrong."""
+        self.stage, self.fraction = 'aligning', 0.0
+        return self._pool.submit(self._calibrate, request)
+
+    def save(self, outcome: Outcome) -> None:
+        """Keep path and samples as a bag beside the results, if that is wanted."""
+        request, folder = outcome.request, outcome.folder
+        if folder and request.files.save_bag:
+            content = BagContent(_ordered(request), request.path)
+            self._pool.submit(write_bag, folder / BAG, content).add_done_callback(self._check)
+
+    def _check(self, writing: Future[None]) -> None:
+        if writing.exception():
+            self._warn(f'the samples were not saved: {writing.exception()}')
+
+    def ask(self, question: Callable[[Samples], bool], samples: Samples) -> Future[bool]:
+        """Answer a question about samples that takes a while."""
+        return self._pool.submit(question, samples)
+
+    def close(self) -> None:
+        """Stop a calibration under way, but finish writing the bag of one that is done."""
+        self._stop.set()
+        self._pool.shutdown(wait=True)
+
+    def _progress(self, stage: str, fraction: float) -> None:
+        if self._stop.is_set():
+            raise Cancelled('the calibrator is shutting down')
+        self.stage, self.fraction = stage, fraction
+
+    def _calibrate(self, request: Request) -> Outcome:
+        machine = load_machine(request.files.machine_file)
+        recording = Recording(_ordered(request), request.path, machine)
+        prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[request.files.method]
+        result = calibrate_runs([recording], request.config, self._progress, prepare)
+        base = Path(request.files.output_directory).expanduser().absolute()
+        folder = base / f'{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}-{result.run_id}'
+        try:
+            write_calibration(result, folder)
+            point_latest(base / 'latest', folder.name)
+        except OtfError as error:
+            return Outcome(request, result, None, f'files not written: {error}')
+        return Outcome(request, result, folder)
+
+
+def _ordered(request: Request) -> Samples:
+    """Samples as the offline command takes them from a bag."""
+    return in_time_order('tracker/point', request.samples.stamp_ns, request.samples.xyz)
+
+
+def point_latest(link: Path, target: str) -> None:
+    """Let a link point to another folder, at no time to none."""
+    partial = link.with_name(f'.latest-{os.getpid()}')
+    try:
+        partial.unlink(missing_ok=True)
+        partial.symlink_to(target)
+        os.replace(partial, link)
+    except OSError as error:
+        raise ConfigError(f'{link}: cannot be made a link ({error.strerror})') from None

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibrator node: collects path and samples, calibrates when the run is complete, publishes."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from concurrent.futures import Future
+
+from geometry_msgs.msg import PointStamped
+from nav_msgs.msg import Path
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from otf_calibrator.job import Outcome
+from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.results import ResultPublishers
+from otf_calibrator.session import Session
+from otf_calibrator.state import StatePublisher
+from otf_core.config import CalibrationConfig
+from otf_core.errors import ConfigError, OtfError
+from otf_core.machine import load_machine
+from otf_msgs.msg import TrackerStatus
+from otf_ros import app, convert, qos
+from otf_ros.drain import Drain
+from otf_ros.params import NodeParameters
+
+PERIOD = 0.1
+"""s; how often the run and a calibration under way are looked at."""
+
+
+class Calibrator(Node):
+    """From ``planner/path`` and ``tracker/point`` to the topics below ``calibrator/``.
+
+    Raises
+    ------
+    OtfError
+        If parameters or the machine description are wrong at start. Whatever is wrong later
+        gives the state FAILED, and the node lives on.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('calibrator')
+        self._settings = NodeParameters(self, CalibratorConfig, CalibrationConfig)
+        files, _ = self._read_settings()
+        if not files.machine_file:
+            raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
+        load_machine(files.machine_file)
+        self._session = Session(self._read_settings, self.get_logger().warning)
+        self._state = StatePublisher(self)
+        self._results = ResultPublishers(self)
+        self.create_subscription(Path, 'planner/path', self._on_path, qos.PATH)
+        self.create_subscription(TrackerStatus, 'tracker/status', self._on_status, qos.STATUS)
+        Drain(self, PointStamped, 'tracker/point', self._on_points, qos.MEASUREMENT)
+        self.create_service(Trigger, 'calibrator/calibrate', self._on_calibrate)
+        self.create_service(Trigger, 'calibrator/reset', self._on_reset)
+        self.create_timer(PERIOD, self._tick)
+
+    def close(self) -> None:
+        """End a calibration under way; files are whole or not there."""
+        self._session.worker.close()
+
+    def _read_settings(self) -> tuple[CalibratorConfig, CalibrationConfig]:
+        return self._settings.read(CalibratorConfig), self._settings.read(CalibrationConfig)
+
+    def _on_path(self, message: Path) -> None:
+        try:
+            new = self._session.collector.set_path(convert.path_from_message(message))
+        except OtfError as error:
+            self.get_logger().error(f'planner/path ignored: {error}')
+            return
+        if new:
+            kept = len(self._session.collector.buffer)
+            points = len(message.poses)
+            self.get_logger().info(f'new path of {points} points, for {kept} samples so far')
+
+    def _on_status(self, message: TrackerStatus) -> None:
+        self._session.collector.announce(
+            message.stream_id,
+            message.samples_published,
+            message.state == TrackerStatus.STREAMING,
+            message.state == TrackerStatus.FINISHED,
+            time.monotonic(),
+        )
+
+    def _on_points(self, messages: list[PointStamped]) -> None:
+        now, add = time.monotonic(), self._session.collector.add
+        for stamp_ns, x, y, z in convert.points_from_messages(messages):
+            add(stamp_ns, x, y, z, now)
+
+    def _on_calibrate(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.message = self._session.obstacle()
+        if not response.message:
+            response.success = True
+            response.message = self._start('requested') + '; follow calibrator/state'
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        count = len(self._session.collector.buffer)
+        self._session.collector.reset()
+        response.success, response.message = True, f'{count} samples forgotten; ready for a run'
+        return response
+
+    def _start(self, reason: str) -> str:
+        text = self._session.start(reason)
+        self.get_logger().info(text)
+        return text
+
+    def _tick(self) -> None:
+        job = self._session.finished()
+        if job:
+            self._finish(job)
+        reason = self._session.complete()
+        if reason:
+            self._start(reason)
+        self._state.publish(self._session)
+
+    def _finish(self, job: Future[Outcome]) -> None:
+        """Publish what a calibration gave."""
+        error = job.exception()
+        if error is None:
+            outcome = job.result()
+            for text in self._results.publish(outcome):
+                self.get_logger().warning(text)
+            self._state.done(outcome)
+            self._session.worker.save(outcome)
+            return
+        if isinstance(error, OtfError):
+            text, code = str(error), error.exit_code
+        else:
+            text, code = f'internal error: {error!r}', 1
+            self.get_logger().error(''.join(traceback.format_exception(error)))
+        self._results.publish_failure(code, text)
+        self._state.failed(text)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; returns the exit code."""
+    return app.run(Calibrator, args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the calibrator node, besides those of the method (CalibrationConfig)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from otf_core.config import Parameters, parameter
+
+
+@dataclass(frozen=True)
+class CalibratorConfig(Parameters):
+    """Files, and when a run counts as finished; read at the start of every calibration."""
+
+    machine_file: str = parameter('', 'machine description (machine.yaml); required')
+    output_directory: str = parameter(
+        'calibrations', 'results go to a folder of their own in here, a link named latest shows '
+        'the newest',
+    )  # fmt: skip
+    method: str = parameter(
+        'otf', 'otf: on the fly; standstill: only the stops at the corner points are used',
+        choices=('otf', 'standstill'),
+    )  # fmt: skip
+    finish_at_standstill: bool = parameter(
+        True, 'calibrate when the target stands still at the end point after the whole path'
+    )
+    finish_at_stream_end: bool = parameter(
+        True, 'calibrate when tracker/status says FINISHED and all its samples have arrived'
+    )
+    idle_timeout: float = parameter(
+        10.0, 'calibrate when no sample has come for so long after motion; 0: never', 's', 0, 3600
+    )
+    save_bag: bool = parameter(
+        True, 'keep the samples of every calibration as a bag beside its results'
+    )

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Latched publishers for what a calibration gives: 18 tables, result, alignment, tf if there."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import TransformStamped
+from rclpy.node import Node
+
+from otf_calibrator.job import Outcome
+from otf_core.tables import MOTIONS
+from otf_msgs.msg import CalibrationResult as ResultMessage
+from otf_msgs.msg import ErrorTable
+from otf_ros import convert_result, qos
+
+try:
+    from tf2_ros import StaticTransformBroadcaster
+except ImportError:  # a small installation: calibrator/alignment says the same
+    StaticTransformBroadcaster = None
+
+
+class ResultPublishers:
+    """Topics below ``calibrator/``."""
+
+    def __init__(self, node: Node) -> None:
+        self._clock = node.get_clock()
+        self._tables = {
+            name: node.create_publisher(ErrorTable, f'calibrator/error_table/{name}', qos.RESULT)
+            for name in MOTIONS
+        }
+        self._result = node.create_publisher(ResultMessage, 'calibrator/result', qos.RESULT)
+        self._alignment = node.create_publisher(
+            TransformStamped, 'calibrator/alignment', qos.RESULT
+        )
+        self._broadcaster = (
+            StaticTransformBroadcaster(node) if StaticTransformBroadcaster else None
+        )
+
+    def publish(self, outcome: Outcome) -> list[str]:
+        """Publish a calibration, tables first, the result last; return all warnings."""
+        now = self._clock.now().to_msg()
+        result, lost = outcome.result, outcome.request.lost
+        for name, table in convert_result.tables_to_messages(result, now).items():
+            self._tables[name].publish(table)
+        alignment = convert_result.alignment_to_message(result, now)
+        self._alignment.publish(alignment)
+        if self._broadcaster:
+            self._broadcaster.sendTransform(alignment)
+        message = convert_result.result_to_message(result, now, outcome.request.files.method)
+        message.samples_lost, message.output_directory = lost, str(outcome.folder or '')
+        warnings = [*result.warnings, outcome.problem]
+        warnings.append(f'{lost} samples were lost on the way' if lost else '')
+        message.warnings = [text for text in warnings if text]
+        self._result.publish(message)
+        return list(message.warnings)
+
+    def publish_failure(self, exit_code: int, text: str) -> None:
+        """Publish that there is no result, and why; the tables published before stay."""
+        now = self._clock.now().to_msg()
+        self._result.publish(convert_result.failure_to_message(exit_code, text, now))

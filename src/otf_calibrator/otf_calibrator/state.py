@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The latched state of the calibrator: what it does, how far it is, what to do next."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.node import Node
+
+from otf_calibrator.job import Outcome
+from otf_calibrator.session import Session
+from otf_msgs.msg import CalibratorState
+from otf_ros import qos
+from otf_ros.convert_result import summary
+
+REPEAT = 0.5
+"""s; the state is published at least so often."""
+NAMES = {
+    CalibratorState.WAITING_FOR_PATH: 'WAITING_FOR_PATH',
+    CalibratorState.BUFFERING: 'BUFFERING',
+    CalibratorState.ALIGNING: 'ALIGNING',
+    CalibratorState.SOLVING: 'SOLVING',
+    CalibratorState.DONE: 'DONE',
+    CalibratorState.FAILED: 'FAILED',
+}
+STAGES = {'aligning': CalibratorState.ALIGNING, 'solving': CalibratorState.SOLVING}
+Described = tuple[int, float, str]
+
+
+class StatePublisher:
+    """Publishes ``calibrator/state``."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(CalibratorState, 'calibrator/state', qos.STATUS)
+        self._outcome: Described = (CalibratorState.FAILED, 0.0, '')
+        self._shown = -1
+        self._at = 0.0
+
+    def done(self, outcome: Outcome) -> None:
+        """Remember that the run was calibrated."""
+        place = f'files in {outcome.folder}' if outcome.folder else outcome.problem
+        text = f'{summary(outcome.result)}; for another run just drive again; {place}'
+        self._outcome = (CalibratorState.DONE, 1.0, text)
+
+    def failed(self, reason: str) -> None:
+        """Remember why the run could not be calibrated."""
+        text = f'{reason}; correct it and call calibrator/calibrate, or drive again'
+        self._outcome = (CalibratorState.FAILED, 0.0, text)
+
+    def publish(self, session: Session) -> None:
+        """Publish the state if it has changed or was published a while ago."""
+        collector = session.collector
+        state, progress, text = self._describe(session)
+        now = time.monotonic()
+        if state == self._shown and now - self._at < REPEAT:
+            return
+        if state != self._shown:
+            if state == CalibratorState.FAILED:  # rclpy wants one severity per line of code
+                self._node.get_logger().error(f'{NAMES[state]}: {text}')
+            else:
+                self._node.get_logger().info(f'{NAMES[state]}: {text}')
+        self._shown, self._at = state, now
+        message = CalibratorState(
+            state=state,
+            name=NAMES[state],
+            progress=progress,
+            samples=len(collector.buffer),
+            path_length=collector.path.length if collector.path else 0.0,
+            travelled=collector.travelled,
+            message=text,
+        )
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+    def _describe(self, session: Session) -> Described:
+        collector, worker = session.collector, session.worker
+        if session.busy:
+            state = STAGES.get(worker.stage, CalibratorState.SOLVING)
+            return state, worker.fraction, f'{worker.stage}, samples are still taken'
+        if collector.taken:
+            return self._outcome
+        if collector.path is None:
+            return (
+                CalibratorState.WAITING_FOR_PATH,
+                0.0,
+                'waiting for planner/path: start the path planner, or replay a bag with a path',
+            )
+        if not len(collector.buffer):
+            text = 'waiting for tracker/point: activate the tracker driver'
+            return CalibratorState.BUFFERING, 0.0, text
+        length = collector.path.length
+        text = (
+            f'{collector.travelled:.2f} of {length:.2f} m driven; calibrates at standstill at the '
+            f'end point, or call calibrator/calibrate'
+        )
+        return CalibratorState.BUFFERING, min(1.0, collector.travelled / length), text

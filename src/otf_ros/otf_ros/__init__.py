@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Helpers shared by the nodes: quality of service, message conversion, parameters."""

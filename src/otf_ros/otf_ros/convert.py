@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages to data of the core and back; stamps stay int64 nanoseconds, exact both ways."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, PointStamped, PoseStamped, Transform
+from nav_msgs.msg import Path
+from scipy.spatial.transform import Rotation
+from std_msgs.msg import Header
+
+from otf_core.frames import RigidTransform
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.planning import Plan
+from otf_msgs.msg import Plan as PlanMessage
+
+MACHINE_FRAME = 'machine'
+TRACKER_FRAME = 'tracker'
+NS = 1_000_000_000
+
+
+def time_from_ns(stamp_ns: int) -> Time:
+    """Return a message time for integer nanoseconds."""
+    sec, nanosec = divmod(int(stamp_ns), NS)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def ns_from_time(time: Time) -> int:
+    """Return integer nanoseconds of a message time."""
+    return int(time.sec) * NS + int(time.nanosec)
+
+
+def header(stamp: Time, frame: str = MACHINE_FRAME) -> Header:
+    """Return a header."""
+    return Header(stamp=stamp, frame_id=frame)
+
+
+def points_to_messages(samples: Samples, frame: str) -> Iterator[PointStamped]:
+    """Yield one message per sample, always the same object: publish it before the next one."""
+    message = PointStamped()
+    message.header.frame_id = frame
+    stamp, point = message.header.stamp, message.point
+    seconds, nanoseconds = np.divmod(samples.stamp_ns, NS)
+    rows = zip(seconds.tolist(), nanoseconds.tolist(), samples.xyz.tolist(), strict=True)
+    for sec, nanosec, (x, y, z) in rows:
+        stamp.sec, stamp.nanosec = sec, nanosec
+        point.x, point.y, point.z = x, y, z
+        yield message
+
+
+def points_from_messages(
+    messages: Iterable[PointStamped],
+) -> Iterator[tuple[int, float, float, float]]:
+    """Yield stamp in ns and x, y, z in m of every message."""
+    for message in messages:
+        stamp, point = message.header.stamp, message.point
+        yield stamp.sec * NS + stamp.nanosec, point.x, point.y, point.z
+
+
+def path_to_message(path: NominalPath, stamp: Time) -> Path:
+    """Return the corner points as a path; orientations carry no meaning and are identity."""
+    message = Path(header=header(stamp))
+    for x, y, z in path.points.tolist():
+        pose = PoseStamped(header=message.header)
+        pose.pose.position = Point(x=x, y=y, z=z)
+        message.poses.append(pose)
+    return message
+
+
+def path_from_message(message: Path) -> NominalPath:
+    """Return the path of a message; InputError if it is none."""
+    positions = [pose.pose.position for pose in message.poses]
+    return NominalPath(np.array([(p.x, p.y, p.z) for p in positions], float).reshape(-1, 3))
+
+
+def plan_to_message(plan: Plan, machine: str, passes: int, stamp: Time) -> PlanMessage:
+    """Return a plan message for the machine of this name."""
+    digest = hashlib.sha256()
+    for array in (plan.path.points, plan.feed, plan.dwell):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return PlanMessage(
+        header=header(stamp),
+        plan_id=digest.hexdigest()[:16],
+        machine=machine,
+        points=[Point(x=x, y=y, z=z) for x, y, z in plan.path.points.tolist()],
+        feed=plan.feed.tolist(),
+        dwell=plan.dwell.tolist(),
+        passes=passes,
+        length=plan.path.length,
+        duration=plan.duration,
+    )
+
+
+def plan_from_message(message: PlanMessage) -> Plan:
+    """Return the plan of a message; InputError if its path is none."""
+    points = np.array([(p.x, p.y, p.z) for p in message.points], float).reshape(-1, 3)
+    return Plan(NominalPath(points), np.array(message.feed), np.array(message.dwell))
+
+
+def transform_to_message(transform: RigidTransform) -> Transform:
+    """Return a rigid transform as translation and unit quaternion."""
+    message = Transform()
+    x, y, z, w = Rotation.from_matrix(transform.rotation).as_quat().tolist()
+    message.rotation.x, message.rotation.y, message.rotation.z, message.rotation.w = x, y, z, w
+    t = message.translation
+    t.x, t.y, t.z = transform.translation.tolist()
+    return message

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results of a calibration to messages."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TransformStamped
+
+from otf_core.calibrate import CalibrationResult
+from otf_core.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
+from otf_msgs.msg import CalibrationResult as ResultMessage
+from otf_msgs.msg import ErrorTable
+from otf_ros.convert import TRACKER_FRAME, header, transform_to_message
+
+ZERO_GAUGE = 'zero at axis position 0, else at the minimum'
+STRAIGHTNESS_GAUGE = 'zero at both ends; its slope lies in squareness and alignment'
+
+
+def tables_to_messages(result: CalibrationResult, stamp: Time) -> dict[str, ErrorTable]:
+    """Return one message per error motion, EXX to ECZ."""
+    messages = {}
+    for name in MOTIONS:
+        table = result.tables.motions[name]
+        seen = table.node_identifiable
+        messages[name] = ErrorTable(
+            header=header(stamp),
+            run_id=result.run_id,
+            motion=name,
+            axis=name[2],
+            unit=unit_of(name),
+            position=table.position.tolist(),
+            value=table.value.tolist(),
+            u=table.u.tolist(),
+            identifiable=table.identifiable,
+            node_identifiable=[table.identifiable] * len(table.position)
+            if seen is None
+            else seen.tolist(),
+            gauge=STRAIGHTNESS_GAUGE if is_straightness(name) else ZERO_GAUGE,
+        )
+    return messages
+
+
+def alignment_to_message(result: CalibrationResult, stamp: Time) -> TransformStamped:
+    """Return the place of the tracker: takes tracker coordinates to machine coordinates."""
+    return TransformStamped(
+        header=header(stamp),
+        child_frame_id=TRACKER_FRAME,
+        transform=transform_to_message(result.T_machine_tracker),
+    )
+
+
+def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> ResultMessage:
+    """Return the summary; what only the node knows (lost samples, folder) is left empty."""
+    fit, machine = result.fit, result.tables.machine
+    passed = not result.failed_gates
+    message = ResultMessage(
+        header=header(stamp),
+        run_id=result.run_id,
+        status=ResultMessage.OK if passed else ResultMessage.QUALITY_GATE_FAILED,
+        message=summary(result),
+        machine=machine.name,
+        chain=str(machine.chain),
+        method=method,
+        alignment=transform_to_message(result.T_machine_tracker),
+        samples=fit.samples,
+        used=fit.used,
+        pieces=fit.pieces,
+        unknowns=fit.unknowns,
+        rank=fit.rank,
+        coverage=fit.coverage,
+        path_mae_before=fit.path_mae_before,
+        path_mae_after=fit.path_mae_after,
+        residual_rms=fit.residual_rms,
+        not_identifiable=list(result.not_identifiable),
+        warnings=list(result.warnings),
+    )
+    for name in SQUARENESS:
+        setattr(message, name.lower(), result.tables.squareness[name].value)
+        setattr(message, f'u_{name.lower()}', result.tables.squareness[name].u)
+    return message
+
+
+def summary(result: CalibrationResult) -> str:
+    """Return the outcome in one sentence."""
+    if result.failed_gates:
+        return f'quality gate failed: {"; ".join(result.failed_gates)}'
+    fit = result.fit
+    return (
+        f'mean distance from the path {1e6 * fit.path_mae_before:.2f} um, '
+        f'compensated {1e6 * fit.path_mae_after:.2f} um'
+    )
+
+
+def failure_to_message(exit_code: int, text: str, stamp: Time) -> ResultMessage:
+    """Return the summary of a calibration that gave no result."""
+    return ResultMessage(header=header(stamp), status=exit_code, message=text)

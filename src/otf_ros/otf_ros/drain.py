@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Take many messages per wakeup, so that a Python node keeps up with a fast topic.
+
+The executor of rclpy needs 0.3 to 0.5 ms per callback, whatever the callback does: about 3000
+messages a second fill a core. Taking everything that is pending in one go costs 0.1 ms each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+
+class _NeverWoken(CallbackGroup):
+    """Keeps a subscription out of the executor's wait set; a timer reads it instead."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
+class Drain:
+    """A subscription that hands over lists of messages.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    msg_type : type
+        Message class.
+    topic : str
+    callback : callable
+        Called with a list of messages (never empty) in the order of their arrival.
+    qos : rclpy.qos.QoSProfile
+        Its depth must hold what arrives within a few periods.
+    period : float
+        s; how often the reader is emptied.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        msg_type: type,
+        topic: str,
+        callback: Callable[[list[Any]], None],
+        qos: QoSProfile,
+        period: float = 0.02,
+    ) -> None:
+        self._callback = callback
+        self._most = qos.depth
+        self.subscription = node.create_subscription(
+            msg_type, topic, self._never, qos, callback_group=_NeverWoken()
+        )
+        self._timer = node.create_timer(period, self.empty)
+
+    @staticmethod
+    def _never(message: Any) -> None:
+        raise AssertionError('the timer reads this subscription')
+
+    def empty(self) -> None:
+        """Hand over what is pending now; at most one queue length, so other work gets its turn."""
+        messages: list[Any] = []
+        handle, msg_type = self.subscription.handle, self.subscription.msg_type
+        with handle:
+            while len(messages) < self._most:
+                taken = handle.take_message(msg_type, False)
+                if taken is None:
+                    break
+                messages.append(taken[0])
+        if messages:
+            self._callback(messages)

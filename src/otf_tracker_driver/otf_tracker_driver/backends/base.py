@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every source of tracker samples offers the driver; nothing here knows ROS.
+
+Life of a backend: connect, then any number of streams (prepare, start, poll until finished or
+stop), then disconnect. All calls come from one thread. ``poll`` returns whatever has been measured
+since the call before, so a tracker that sends packets of hundreds of samples fits as well as one
+that sends them singly; a real device would read its socket in a thread of its own and hand over
+what has arrived.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.planning import Plan
+
+NO_SAMPLES = Samples(np.empty(0, np.int64), np.empty((0, 3)))
+
+
+class Backend(ABC):
+    """A source of tracker samples.
+
+    Attributes
+    ----------
+    rate : float, Hz
+        Samples per second of measurement time; 0 while unknown.
+    expected : int
+        Samples of the whole stream; 0 if the source does not know.
+    path : NominalPath or None
+        Nominal path that comes with the samples.
+    needs_plan : bool
+        True if ``prepare`` must be given a plan.
+    remark : str
+        What is worth saying about the stream when it starts.
+    """
+
+    rate: float = 0.0
+    expected: int = 0
+    path: NominalPath | None = None
+    needs_plan: bool = False
+    remark: str = ''
+
+    @abstractmethod
+    def connect(self) -> str:
+        """Open the source; return one sentence on what it is. OtfError if it cannot be used."""
+
+    def prepare(self, plan: Plan | None) -> None:  # noqa: B027 - not every source needs it
+        """Get ready for a new stream; returns at once, ``preparing`` tells when it is done."""
+
+    @property
+    def preparing(self) -> str:
+        """What the source still has to do before it can start; empty if ready. May raise."""
+        return ''
+
+    @abstractmethod
+    def start(self) -> None:
+        """Start a stream from its beginning."""
+
+    @abstractmethod
+    def poll(self) -> Samples:
+        """Return the samples measured since the last call, at once; OtfError on a fault."""
+
+    @property
+    @abstractmethod
+    def finished(self) -> bool:
+        """True once ``poll`` has returned the last sample."""
+
+    def stop(self) -> None:  # noqa: B027
+        """End the stream; nothing happens if there is none."""
+
+    def disconnect(self) -> None:  # noqa: B027
+        """Release the source."""

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples that are known beforehand, handed out as fast as they were measured (or faster)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from otf_core.observation import Samples
+from otf_tracker_driver.backends.base import NO_SAMPLES, Backend
+
+_LONGEST_STEP = 0.1
+"""s; after a longer pause of the process the stream goes on late instead of in one burst."""
+
+
+class PacedBackend(Backend):
+    """Base of backends that hold the whole stream in memory.
+
+    Parameters
+    ----------
+    time_scale : float
+        How many times as fast as real time.
+    max_rate : float
+        Hz; the time scale is lowered so that not more samples per second are handed out.
+    clock : callable, optional
+        Monotonic seconds.
+    """
+
+    def __init__(
+        self, time_scale: float, max_rate: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._wanted_scale, self._max_rate, self._clock = time_scale, max_rate, clock
+        self._samples, self._due = NO_SAMPLES, np.empty(0)
+        self._next, self._elapsed, self._last = 0, 0.0, 0.0
+        self.time_scale = time_scale
+
+    def load(self, samples: Samples) -> None:
+        """Take the samples of the whole stream."""
+        self._samples, self.expected = samples, len(samples)
+        self._due = samples.time
+        span = float(self._due[-1]) if len(samples) > 1 else 0.0
+        self.rate = (len(samples) - 1) / span if span > 0 else 0.0
+        limit = self._max_rate / self.rate if self.rate else np.inf
+        self.time_scale = min(self._wanted_scale, limit)
+        self.remark = f'{self.time_scale:.3g} times as fast as measured'
+        if limit < self._wanted_scale:
+            self.remark += f', limited by max_rate = {self._max_rate:g} samples per second'
+        self._next = 0
+
+    def start(self) -> None:
+        """Start from the first sample, which is due at once."""
+        self._next, self._elapsed, self._last = 0, 0.0, self._clock()
+
+    def poll(self) -> Samples:
+        """Return the samples that have become due."""
+        now = self._clock()
+        self._elapsed += min(now - self._last, _LONGEST_STEP) * self.time_scale
+        self._last = now
+        first = self._next
+        self._next = int(np.searchsorted(self._due, self._elapsed, side='right'))
+        return self._samples.part(first, self._next)
+
+    @property
+    def finished(self) -> bool:
+        """True once all samples have been handed out."""
+        return self._next >= self.expected
+
+    def disconnect(self) -> None:
+        """Free the memory."""
+        self.load(NO_SAMPLES)

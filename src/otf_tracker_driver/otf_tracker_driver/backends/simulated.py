@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Backend that simulates machine and tracker: it drives the published plan."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+
+from otf_core.config import SimulationConfig
+from otf_core.errors import ConfigError
+from otf_core.machine import Machine, load_machine
+from otf_core.planning import Plan
+from otf_core.sim.cell import SimulatedRun, simulate
+from otf_core.tables import ErrorTables, load_tables
+from otf_tracker_driver.backends.paced import PacedBackend
+from otf_tracker_driver.params import DriverConfig
+
+
+class SimulatedTracker(PacedBackend):
+    """Streams a simulated run of the plan, start and end standstill included."""
+
+    needs_plan = True
+
+    def __init__(self, config: DriverConfig, simulation: SimulationConfig) -> None:
+        super().__init__(config.time_scale, config.max_rate)
+        self._config, self._simulation = config, simulation
+        self._machine: Machine | None = None
+        self._truth: ErrorTables | None = None
+        self._worker = ThreadPoolExecutor(1, 'simulation')
+        self._run: Future[SimulatedRun] | None = None
+        self.rate = simulation.rate
+
+    def connect(self) -> str:
+        """Read the machine description and the tables of its true errors."""
+        if not self._config.machine_file:
+            raise ConfigError('parameter machine_file: missing; the simulated cell needs it')
+        self._machine = load_machine(self._config.machine_file)
+        if self._config.truth_tables:
+            tables = load_tables(self._config.truth_tables).tables
+            self._truth = replace(tables, machine=self._machine)
+        errors = self._config.truth_tables or f'seed {self._simulation.seed}'
+        return f'simulated cell {self._machine.name}, errors from {errors}, {self.rate:.0f} Hz'
+
+    def prepare(self, plan: Plan | None) -> None:
+        """Simulate the whole run in a thread; takes about a second per 100 000 samples."""
+        assert self._machine is not None and plan is not None, 'connected, and given a plan'
+        arguments = self._machine, plan, self._simulation, self._truth
+        self._run = self._worker.submit(simulate, *arguments)
+
+    @property
+    def preparing(self) -> str:
+        """Not empty while the simulation is under way."""
+        if self._run is None:
+            return ''
+        if not self._run.done():
+            return 'simulating the run'
+        self.load(self._run.result().samples)
+        self._run = None
+        return ''
+
+    def disconnect(self) -> None:
+        """Wait for a running simulation and forget the run."""
+        self._worker.shutdown(cancel_futures=True)
+        super().disconnect()

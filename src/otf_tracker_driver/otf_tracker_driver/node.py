@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracker driver: lifecycle node that publishes every sample of a backend, none lost.
+
+configure = connect, activate = stream from the beginning, deactivate = stop, cleanup = forget.
+"""
+
+from __future__ import annotations
+
+from nav_msgs.msg import Path
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+
+from otf_core.config import SimulationConfig
+from otf_core.errors import OtfError
+from otf_msgs.msg import Plan, TrackerStatus
+from otf_ros import app, qos
+from otf_ros.lifecycle import SteadyLifecycleNode
+from otf_ros.params import NodeParameters
+from otf_tracker_driver.params import DriverConfig
+from otf_tracker_driver.status import Status
+from otf_tracker_driver.streamer import Streamer
+
+SUCCESS = TransitionCallbackReturn.SUCCESS
+NOT_CONFIGURED = 'not configured; configure, then activate to stream'
+
+
+class TrackerDriver(SteadyLifecycleNode):
+    """Publishes ``tracker/point`` and ``tracker/status``; listens to ``planner/plan``.
+
+    Raises
+    ------
+    OtfError
+        If it cannot start as its parameters say and ``auto_start`` is set.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('tracker_driver')
+        groups = (DriverConfig, SimulationConfig)
+        self._settings = NodeParameters(self, *groups, read_only=['auto_start'])
+        self._streamer: Streamer | None = None
+        self._plan: Plan | None = None
+        self._error: OtfError | None = None
+        self._path = self.create_publisher(Path, 'planner/path', qos.PATH)
+        self._status = Status(self)
+        self._status.report(TrackerStatus.IDLE, NOT_CONFIGURED)
+        self.create_subscription(Plan, 'planner/plan', self._on_plan, qos.PATH)
+        if self._settings.read(DriverConfig).auto_start:
+            self.trigger_configure()
+            if self._error:
+                raise self._error
+            self.trigger_activate()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Connect to the source that the parameters name."""
+        config = self._settings.read(DriverConfig)
+        self._status.describe(config.backend, config.frame_id)
+        try:
+            simulation = self._settings.read(SimulationConfig)
+            self._streamer = Streamer(self, self._status, config, simulation)
+        except OtfError as error:
+            self._error = error
+            self._status.report(TrackerStatus.FAULT, f'{error}; correct it and configure again')
+            return TransitionCallbackReturn.FAILURE
+        self._error = None
+        path = self._streamer.path()
+        if path:
+            self._path.publish(path)
+        self._status.report(TrackerStatus.IDLE, f'{self._streamer.description}; not activated')
+        return SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stream from the beginning as soon as source and subscribers are ready."""
+        if self._streamer:
+            self._streamer.begin(self._plan)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop the stream."""
+        if self._streamer:
+            self._streamer.stop()
+        self._status.report(TrackerStatus.IDLE, 'stopped; activate to stream from the beginning')
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the source; the next configure reads the parameters anew."""
+        self.close()
+        self._status.report(TrackerStatus.IDLE, NOT_CONFIGURED)
+        return SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End for good."""
+        self.close()
+        self._status.report(TrackerStatus.IDLE, 'shut down')
+        return SUCCESS
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Clean up after a transition that failed unexpectedly."""
+        self.close()
+        self._status.report(TrackerStatus.FAULT, 'a transition failed; configure again')
+        return SUCCESS
+
+    def close(self) -> None:
+        """Stop the stream and release the source."""
+        if self._streamer:
+            self._streamer.release()
+            self._streamer = None
+
+    def _on_plan(self, message: Plan) -> None:
+        self._plan = message
+        if self._streamer:
+            self._streamer.take(message)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; returns the exit code."""
+    return app.run(TrackerDriver, args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a backend to ``tracker/point``: waits until nothing is missing, then publishes it all."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import PointStamped
+from nav_msgs.msg import Path
+from rclpy.lifecycle import LifecycleNode
+
+from otf_core.config import SimulationConfig
+from otf_core.errors import OtfError
+from otf_msgs.msg import Plan, TrackerStatus
+from otf_ros import convert, qos
+from otf_tracker_driver.backends import create_backend
+from otf_tracker_driver.params import DriverConfig
+from otf_tracker_driver.status import Status
+
+PERIOD = 0.005
+"""s; how often the backend is asked for samples."""
+
+
+class Streamer:
+    """One connected backend and the publisher of its samples.
+
+    Raises
+    ------
+    OtfError
+        If the backend cannot be connected.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        status: Status,
+        config: DriverConfig,
+        simulation: SimulationConfig,
+    ) -> None:
+        self._node, self._status, self._config = node, status, config
+        self._backend = create_backend(config, simulation)
+        self.description = self._backend.connect()
+        status.source(self._backend)
+        self._points = node.create_lifecycle_publisher(
+            PointStamped, 'tracker/point', qos.MEASUREMENT
+        )
+        self._timer = node.create_timer(PERIOD, self._tick, autostart=False)
+        self._plan_wanted = self._streaming = False
+
+    def path(self) -> Path | None:
+        """Return the path that comes with the samples, if one does."""
+        if self._backend.path is None:
+            return None
+        now = self._node.get_clock().now().to_msg()
+        return convert.path_to_message(self._backend.path, now)
+
+    def begin(self, plan: Plan | None) -> None:
+        """Get ready for a stream from the beginning; it starts when nothing is missing."""
+        self._streaming, self._plan_wanted = False, self._backend.needs_plan
+        if not self._plan_wanted:
+            self._backend.prepare(None)
+        elif plan:
+            self.take(plan)
+        self._timer.reset()
+        self._status.repeat(True)
+
+    def take(self, plan: Plan) -> None:
+        """Drive this plan, if one is waited for."""
+        if not self._plan_wanted:
+            return
+        try:
+            self._backend.prepare(convert.plan_from_message(plan))
+            self._plan_wanted = False
+        except OtfError as error:
+            self._status.report(TrackerStatus.FAULT, f'planner/plan cannot be driven: {error}')
+
+    def stop(self) -> None:
+        """End the stream."""
+        self._timer.cancel()
+        self._status.repeat(False)
+        self._backend.stop()
+        self._plan_wanted = False
+
+    def release(self) -> None:
+        """End the stream and disconnect the backend."""
+        self.stop()
+        self._backend.disconnect()
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_lifecycle_publisher(self._points)
+
+    def _tick(self) -> None:
+        """Publish what the backend has measured since the last tick."""
+        try:
+            missing = '' if self._streaming else self._missing()
+            if missing:
+                self._status.report(TrackerStatus.IDLE, missing)
+                return
+            if not self._streaming:
+                self._backend.start()
+                self._status.begin(self._backend)
+                remark = f'streaming {self._backend.remark}'.strip()
+                self._status.report(TrackerStatus.STREAMING, remark)
+                self._streaming = True
+            batch = self._backend.poll()
+        except OtfError as error:
+            self.stop()
+            self._status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')
+            return
+        for message in convert.points_to_messages(batch, self._config.frame_id):
+            self._points.publish(message)
+        self._status.message.samples_published += len(batch)
+        if self._backend.finished:
+            self.stop()
+            text = 'all samples published; deactivate and activate to stream again'
+            self._status.report(TrackerStatus.FINISHED, text)
+
+    def _missing(self) -> str:
+        """Say what is not there yet that a stream needs; empty if nothing."""
+        if self._plan_wanted:
+            return 'waiting for planner/plan'
+        present, wanted = self._points.get_subscription_count(), self._config.wait_for_subscribers
+        if not self._backend.preparing and present < wanted:
+            return f'waiting for subscriptions of tracker/point: {present} of {wanted}'
+        return self._backend.preparing

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorded bags, replayed through the real nodes: the true errors, bit for bit as offline."""
+
+from pathlib import Path
+
+import pytest
+from cells import share_left
+from graph import offline
+
+from otf_core.io.bag import read_bag
+
+BAGS = sorted(path.parent for path in Path(__file__).parents[1].glob('bags/*/machine.yaml'))
+
+
+@pytest.mark.parametrize('folder', BAGS, ids=lambda folder: folder.name)
+def test_replayed_bag_gives_the_true_errors_and_the_same_bits_as_offline(graph, tmp_path, folder):
+    bag, machine_file = folder / 'bag', folder / 'machine.yaml'
+    out = tmp_path / 'out'
+    graph.start(
+        'calibrator',
+        machine_file=machine_file,
+        output_directory=out,
+        finish_at_standstill=False,  # take the bag to its end, as the offline command does
+    )
+    graph.start('tracker_driver', backend='replay', bag=bag, time_scale=50.0, max_rate=8000.0)
+    result, _ = graph.wait_for_result()
+    assert result.status == result.OK
+    assert (result.samples_lost, result.samples) == (0, len(read_bag(bag).samples))
+    live = Path(result.output_directory) / 'error_tables.json'
+    assert share_left(live, folder / 'truth.json') < 0.02
+    assert live.read_bytes() == offline(bag, machine_file, tmp_path / 'offline')
+
+
+def test_standstill_trigger_gives_the_same_bits_as_offline_on_the_saved_samples(graph, tmp_path):
+    bag, machine_file = BAGS[0] / 'bag', BAGS[0] / 'machine.yaml'
+    given = {'machine_file': machine_file, 'output_directory': tmp_path / 'out'}
+    graph.start('calibrator', **given, finish_at_stream_end=False)
+    graph.start('tracker_driver', backend='replay', bag=bag, time_scale=20.0)
+    result, _ = graph.wait_for_result()
+    folder = Path(result.output_directory)
+    graph.wait((folder / 'samples').exists, 'the bag of the samples')
+    again = offline(folder / 'samples', machine_file, tmp_path / 'offline')
+    assert (folder / 'error_tables.json').read_bytes() == again
+    assert share_left(folder / 'error_tables.json', BAGS[0] / 'truth.json') < 0.02
+
+
+def test_the_bags_of_all_chains_are_small():
+    assert len(BAGS) == 3
+    files = [file for folder in BAGS for file in folder.rglob('*') if file.is_file()]
+    assert sum(file.stat().st_size for file in files) < 10e6

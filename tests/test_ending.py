@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes and demo end cleanly: exit code 0, no traceback, no process left."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from cells import FAST, SHORT, write_machine
+from graph import PATIENCE
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_all_nodes_end_with_code_0_in_the_middle_of_a_run(graph, machine_file, number):
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder / 'out')
+    graph.start('tracker_driver', machine_file=machine_file, **{**FAST, 'time_scale': 1.0})
+    graph.wait(lambda: graph.state() and graph.state().samples > 100, 'samples')
+    nodes = list(graph.nodes)
+    for node in nodes:
+        graph.nodes.remove(node)
+        node.interrupt(number)
+    for node in nodes:
+        assert node.wait(timeout=PATIENCE) == 0, node.last_lines(40)
+        assert 'Traceback' not in node.last_lines(1000)
+
+
+def test_calibrator_ends_with_code_0_during_a_calibration(graph, machine_file):
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    out = graph.folder / 'out'
+    node = graph.start('calibrator', machine_file=machine_file, output_directory=out)
+    graph.start('tracker_driver', machine_file=machine_file, **FAST)
+    graph.wait(lambda: graph.state() and graph.state().name in ('ALIGNING', 'SOLVING'), 'work')
+    graph.stop(node)
+    for folder in out.glob('2*'):
+        assert (folder / 'error_tables.json').exists() or not list(folder.iterdir())
+
+
+def children_of(pid):
+    """Processes started by a process, by their command lines."""
+    listed = Path(f'/proc/{pid}/task/{pid}/children').read_text().split()
+    return [int(child) for child in listed]
+
+
+def start_demo(folder, *arguments):
+    command = [sys.executable, '-m', 'otf_bringup.demo', '--out', str(folder), *arguments]
+    text = {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT, 'text': True}
+    return subprocess.Popen(command, **text)
+
+
+def wait_for_text(process, part):
+    """Read the output up to a line with this part."""
+    for line in process.stdout:
+        if part in line:
+            return
+    raise AssertionError(f'ended with code {process.wait()} without {part!r}')
+
+
+def gone(pids):
+    """Wait until no such process is left."""
+    deadline = time.monotonic() + PATIENCE
+    while any(Path(f'/proc/{pid}').exists() for pid in pids):
+        assert time.monotonic() < deadline, 'processes are left'
+        time.sleep(0.05)
+    return True
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_demo_leaves_no_process(tmp_path, number):
+    with start_demo(tmp_path) as demo:
+        wait_for_text(demo, 'BUFFERING')
+        children = children_of(demo.pid)
+        assert len(children) == 3
+        demo.send_signal(number)
+        assert 'Traceback' not in demo.stdout.read()
+        assert demo.wait(PATIENCE) == 130
+    assert gone(children)
+
+
+def test_demo_tells_which_node_failed(tmp_path):
+    with start_demo(tmp_path) as demo:
+        wait_for_text(demo, 'BUFFERING')
+        children = children_of(demo.pid)
+        names = {pid: Path(f'/proc/{pid}/cmdline').read_text() for pid in children}
+        driver = next(pid for pid, name in names.items() if 'tracker_driver' in name)
+        os.kill(driver, signal.SIGKILL)
+        said = demo.stdout.read()
+        assert demo.wait(PATIENCE) == 1
+        assert 'tracker_driver ended with code -9' in said and 'Traceback' not in said
+    assert gone(children)
+
+
+def test_demo_on_a_small_machine_ends_with_tables_and_grid_errors(tmp_path):
+    ranges = {'X': (0.0, 0.15), 'Y': (0.0, 0.12), 'Z': (-0.1, 0.0)}
+    axes = {k: {'min': a, 'max': b, 'table_pitch': 0.05} for k, (a, b) in ranges.items()}
+    machine_file = write_machine(tmp_path, axes=axes)
+    arguments = ['--machine', str(machine_file), '--seed', '2']
+    with start_demo(tmp_path / 'demo', *arguments) as demo:
+        said = demo.stdout.read()
+        assert demo.wait(PATIENCE) == 0, said
+    assert 'ECZ' in said and 'after compensation' in said and 'Files: ' in said
+    assert (tmp_path / 'demo/calibrations/latest/error_tables.json').exists()
+
+
+def test_demo_refuses_a_wrong_machine(tmp_path):
+    with start_demo(tmp_path, '--machine', str(tmp_path / 'none.yaml')) as demo:
+        said = demo.stdout.read()
+        assert demo.wait(PATIENCE) == 2
+    assert 'none.yaml' in said and 'Traceback' not in said

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tracker driver as a lifecycle node."""
+
+from cells import SHORT
+from geometry_msgs.msg import PointStamped
+
+from otf_ros import qos
+
+SLOW = {'rate': 200.0, 'time_scale': 1.0}
+
+
+def test_every_transition_does_what_its_name_says(graph, machine_file):
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    graph.start('tracker_driver', machine_file=machine_file, auto_start=False, **SLOW)
+    assert graph.lifecycle_state() == 'unconfigured'
+    assert not graph.transition('activate')
+    assert graph.transition('configure')
+    assert graph.lifecycle_state() == 'inactive'
+    points = graph.listen(PointStamped, 'tracker/point', qos.MEASUREMENT)
+    assert graph.transition('activate')
+    streams = []
+    for _ in range(2):
+        points.clear()
+        status = graph.wait_for_status('STREAMING')
+        streams.append(status.stream_id)
+        graph.wait(lambda: len(points) > 100, 'samples')
+        assert graph.transition('deactivate')
+        status = graph.wait_for_status('IDLE', 'stopped')
+        graph.wait(lambda n=status: len(points) == n.samples_published, 'the last samples')
+        streams.append(points[0].header.stamp)
+        assert graph.transition('activate')
+    assert streams[0] != streams[2] and streams[1] == streams[3]
+    assert graph.transition('deactivate')
+    assert graph.transition('cleanup')
+    assert graph.lifecycle_state() == 'unconfigured'
+    assert graph.transition('configure')
+    assert graph.transition('shutdown')
+    assert graph.lifecycle_state() == 'finalized'
+
+
+def test_configure_fails_on_a_wrong_file_and_works_when_it_is_right(graph, machine_file):
+    missing = str(graph.folder / 'missing.yaml')
+    graph.start('tracker_driver', machine_file=missing, auto_start=False, **SLOW)
+    assert not graph.transition('configure')
+    assert graph.lifecycle_state() == 'unconfigured'
+    graph.wait_for_status('FAULT', missing)
+    assert graph.set_parameter('tracker_driver', 'machine_file', str(machine_file)).successful
+    assert graph.transition('configure')
+    assert graph.lifecycle_state() == 'inactive'
+
+
+def test_waits_for_the_plan_and_says_so(graph, machine_file):
+    driver = {'machine_file': machine_file, 'wait_for_subscribers': 0, **SLOW}
+    graph.start('tracker_driver', **driver)
+    graph.wait_for_status('IDLE', 'waiting for planner/plan')
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    graph.wait_for_status('STREAMING')

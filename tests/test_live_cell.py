@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planner, simulated tracker and calibrator together, against the known errors of the machine."""
+
+from pathlib import Path
+
+from cells import FAST, SHORT, share_left, write_truth
+from geometry_msgs.msg import TransformStamped
+from graph import offline
+
+from otf_core.tables import MOTIONS, load_tables
+from otf_msgs.msg import ErrorTable
+from otf_ros import qos
+
+
+def start_all(graph, machine_file, truth, **driver):
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder / 'out')
+    given = {'machine_file': machine_file, 'truth_tables': truth, **FAST, **driver}
+    return graph.start('tracker_driver', **given)
+
+
+def test_finds_the_true_errors_and_every_reader_gets_the_tables(graph, machine_file, tmp_path):
+    truth = write_truth(tmp_path, machine_file)
+    start_all(graph, machine_file, truth)
+    result, state = graph.wait_for_result()
+    assert (result.status, state.name) == (result.OK, 'DONE'), state.message
+    status = graph.wait_for_status('FINISHED')
+    assert status.samples_published == status.samples_expected > 10_000
+    assert result.samples_lost == 0
+    folder = Path(result.output_directory)
+    assert share_left(folder / 'error_tables.json', truth) < 0.03
+    assert (tmp_path / 'out' / 'latest').resolve() == folder
+
+    tables = load_tables(folder / 'error_tables.json').tables
+    topics = {name: f'calibrator/error_table/{name}' for name in MOTIONS}
+    heard = {name: graph.listen(ErrorTable, topic) for name, topic in topics.items()}
+    alignment = graph.listen(TransformStamped, 'calibrator/alignment', qos.RESULT)
+    graph.wait(lambda: alignment and all(heard.values()), 'latched tables')
+    for name, messages in heard.items():
+        table = tables.motions[name]
+        assert list(messages[0].value) == table.value.tolist()
+        assert list(messages[0].u) == table.u.tolist()
+        assert messages[0].run_id == result.run_id
+    assert (alignment[0].header.frame_id, alignment[0].child_frame_id) == ('machine', 'tracker')
+
+    graph.wait((folder / 'samples').exists, 'the bag of the samples')
+    again = offline(folder / 'samples', machine_file, tmp_path / 'offline')
+    assert again == (folder / 'error_tables.json').read_bytes()
+
+
+def test_calibrator_that_starts_late_gets_path_and_all_samples(graph, machine_file, tmp_path):
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    graph.start('tracker_driver', machine_file=machine_file, **FAST)
+    graph.wait_for_status('IDLE', 'waiting for subscriptions')
+    graph.start('calibrator', machine_file=machine_file, output_directory=tmp_path / 'out')
+    result, _ = graph.wait_for_result()
+    assert (result.status, result.samples_lost) == (result.OK, 0)
+
+
+def test_calibrates_again_without_restart(graph, machine_file, tmp_path):
+    truths = [write_truth(tmp_path, machine_file, seed) for seed in (3, 4)]
+    start_all(graph, machine_file, truths[0])
+    first, _ = graph.wait_for_result()
+    graph.wait_for_status('FINISHED')
+    assert graph.transition('deactivate')
+    assert graph.transition('cleanup')
+    assert graph.set_parameter('tracker_driver', 'truth_tables', str(truths[1])).successful
+    assert graph.transition('configure')
+    assert graph.transition('activate')
+    second, _ = graph.wait_for_result(2)
+    assert second.run_id != first.run_id
+    for result, truth in zip((first, second), truths, strict=True):
+        assert result.samples_lost == 0
+        assert share_left(Path(result.output_directory) / 'error_tables.json', truth) < 0.03
+
+
+def test_standstill_at_the_end_point_ends_a_run_whose_stream_goes_on(graph, machine_file):
+    graph.start('path_planner', machine_file=machine_file, end_dwell=120.0, **SHORT)
+    out = graph.folder / 'out'
+    graph.start('calibrator', machine_file=machine_file, output_directory=out)
+    graph.start('tracker_driver', machine_file=machine_file, **FAST)
+    result, _ = graph.wait_for_result()
+    assert result.status == result.OK
+    assert result.samples < graph.wait_for_status('STREAMING').samples_expected
+
+
+def test_standstill_method_uses_the_stops(graph, machine_file, tmp_path):
+    truth = write_truth(tmp_path, machine_file)
+    stops = {'corner_dwell': 2.0, 'feed': 1.0}
+    graph.start('path_planner', machine_file=machine_file, **SHORT, **stops)
+    given = {'machine_file': machine_file, 'output_directory': tmp_path / 'out'}
+    graph.start('calibrator', **given, method='standstill')
+    graph.start('tracker_driver', machine_file=machine_file, truth_tables=truth, **FAST)
+    result, state = graph.wait_for_result()
+    assert (result.method, state.name) == ('standstill', 'DONE'), state.message
+    folder = Path(result.output_directory)
+    graph.wait((folder / 'samples').exists, 'the bag of the samples')
+    again = offline(folder / 'samples', machine_file, tmp_path / 'offline', '--method=standstill')
+    assert again == (folder / 'error_tables.json').read_bytes()

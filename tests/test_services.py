@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Services of planner and calibrator; what fails says so, and the node lives on."""
+
+import numpy as np
+from cells import FAST, SHORT, write_machine
+from geometry_msgs.msg import PointStamped
+from nav_msgs.msg import Path
+
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_msgs.msg import Plan
+from otf_ros import convert, qos
+
+
+def test_replan_publishes_a_new_path_with_new_parameters_and_machine(graph, machine_file):
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    paths = graph.listen(Path, 'planner/path', qos.PATH)
+    plans = graph.listen(Plan, 'planner/plan', qos.PATH)
+    graph.wait(lambda: paths and plans, 'path and plan')
+    assert graph.set_parameter('path_planner', 'feed', 1).successful
+    write_machine(graph.folder, name='another')
+    answer = graph.trigger('planner/replan')
+    assert answer.success and 'another' in answer.message and 'points' in answer.message
+    graph.wait(lambda: len(paths) == 2 and len(plans) == 2, 'new path and plan')
+    assert plans[1].machine == 'another'
+    assert set(plans[1].feed) == {1.0} != set(plans[0].feed)
+    assert len(plans[1].points) == len(paths[1].poses)
+
+    machine_file.write_text('name: broken\n')
+    answer = graph.trigger('planner/replan')
+    assert not answer.success and 'machine.yaml' in answer.message
+    assert graph.trigger('planner/replan').message == answer.message
+
+
+def test_planner_takes_a_path_file(graph, machine_file):
+    points = [(0.0, 0.0, 0.0), (0.3, 0.1, -0.2), (0.0, 0.15, -0.1)]
+    text = 'x,y,z\n' + '\n'.join(','.join(map(str, p)) for p in points)
+    (graph.folder / 'path.csv').write_text(text)
+    graph.start('path_planner', machine_file=machine_file, path_file=graph.folder / 'path.csv')
+    paths = graph.listen(Path, 'planner/path', qos.PATH)
+    graph.wait(lambda: paths, 'path')
+    assert convert.path_from_message(paths[0]).points.tolist() == [list(p) for p in points]
+
+
+def test_calibrate_tells_what_is_missing(graph, machine_file):
+    graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder / 'out')
+    answer = graph.trigger('calibrator/calibrate')
+    assert not answer.success and 'no path yet' in answer.message
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    graph.wait_for_state('BUFFERING')
+    answer = graph.trigger('calibrator/calibrate')
+    assert not answer.success and 'no samples yet' in answer.message
+
+
+def publish_samples(graph, samples):
+    """Publish samples as a driver without any status would."""
+    publisher = graph.ear().create_publisher(PointStamped, 'tracker/point', qos.MEASUREMENT)
+    graph.wait(lambda: publisher.get_subscription_count() > 0, 'the calibrator')
+    for message in convert.points_to_messages(samples, 'tracker'):
+        publisher.publish(message)
+    graph.wait(lambda: graph.state().samples == len(samples), 'all samples')
+
+
+def test_failed_calibration_leaves_the_node_alive(graph, machine_file):
+    calibrator = {'machine_file': machine_file, 'output_directory': graph.folder / 'out'}
+    graph.start('calibrator', **calibrator, save_bag=False, idle_timeout=0.0)
+    publisher = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
+    now = graph.ear().get_clock().now().to_msg()
+    square = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0, 0.0]]))
+    publisher.publish(convert.path_to_message(square, now))
+    graph.wait_for_state('BUFFERING')
+    still = Samples(np.arange(500) * 2_000_000, np.ones((500, 3)))
+    publish_samples(graph, still)
+    assert graph.trigger('calibrator/calibrate').success
+    result, state = graph.wait_for_result()
+    assert state.name == 'FAILED' and 'hardly moved' in state.message
+    assert result.status == result.INPUT_UNUSABLE and not result.run_id
+    answer = graph.trigger('calibrator/reset')
+    assert answer.success and '500' in answer.message
+    graph.wait_for_state('BUFFERING')
+    graph.ear().destroy_publisher(publisher)
+
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    graph.start('tracker_driver', machine_file=machine_file, **FAST)
+    result, _ = graph.wait_for_result(2)
+    assert result.status == result.OK, result.message
+
+
+def test_broken_path_is_refused_and_the_node_lives_on(graph, machine_file):
+    node = graph.start('calibrator', machine_file=machine_file)
+    publisher = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
+    graph.wait_for_state('WAITING_FOR_PATH')
+    publisher.publish(Path())
+    graph.wait(lambda: 'planner/path ignored' in node.last_lines(), 'the complaint')
+    assert graph.state().name == 'WAITING_FOR_PATH'
