@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 import yaml
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path as PathMessage
@@ -33,6 +32,7 @@ from otf_core.sim.cell import random_tables
 from otf_core.tables import tables_to_dict
 from otf_msgs.msg import TrackerStatus
 from otf_ros import convert, qos
+from otf_ros.app import running_ros
 from otf_ros.drain import Drain
 
 HERE = Path(__file__).resolve().parent
@@ -125,8 +125,7 @@ class Recorder(Node):
 
 def listen(domain: int, nodes: list[NodeProcess]) -> BagContent:
     """Take everything that the nodes publish until the stream has ended."""
-    rclpy.init(args=[], domain_id=domain)
-    try:
+    with running_ros([], domain):
         recorder, executor = Recorder(), SingleThreadedExecutor()
         executor.add_node(recorder)
         count, moved = 0, time.monotonic()
@@ -138,8 +137,6 @@ def listen(domain: int, nodes: list[NodeProcess]) -> BagContent:
             if dead or time.monotonic() - moved > PATIENCE:
                 raise SystemExit('\n'.join(node.last_lines() for node in dead or nodes))
         return BagContent(recorder.buffer.snapshot(), recorder.path)
-    finally:
-        rclpy.try_shutdown()
 
 
 def record(name: str, cell: Cell) -> None:

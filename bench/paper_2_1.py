@@ -8,6 +8,9 @@ field, before and after, the best rigid motion is taken out: it belongs to the c
 First block: the true errors are tables with the nodes that are solved for. Second block: smooth
 curves (cubic splines) through the same values, which piecewise linear tables cannot follow.
 
+Last columns: share of the grid's error components within 2 u of the truth (expected: 95 %)
+and median of their sizes over u (expected: 0.67), rigid motion taken out of both.
+
 The seeds were not used in development. Nothing is tuned to them.
 
 Usage: PYTHONPATH=src/otf_core python bench/paper_2_1.py [FIRST_SEED [CELLS]]
@@ -20,16 +23,22 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from otf_core.calibrate import calibrate
+from otf_core.calibrate import CalibrationResult, calibrate
 from otf_core.config import PlannerConfig, SimulationConfig
-from otf_core.machine import Machine
+from otf_core.evaluation import lattice, without_rigid_motion
+from otf_core.forecast import grid_uncertainty
+from otf_core.kinematics import displacement
+from otf_core.machine import AXES, Machine
 from otf_core.planning import plan_path
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.tables import ErrorTables, MotionTable
 from otf_core.validation.laboratory import paper_machine
-from otf_core.validation.simulative import ERROR_SIZE, Replication, replication
+from otf_core.validation.simulative import ERROR_SIZE, GRID, Replication, replication
+
+Array = NDArray[np.float64]
 
 RATE = 500.0
 DENSE = 20
@@ -49,12 +58,21 @@ def truth_of(machine: Machine, seed: int, smooth: bool) -> ErrorTables:
     return replace(drawn, motions=motions)
 
 
-def one_cell(machine: Machine, seed: int, smooth: bool) -> tuple[Replication, int]:
-    """Simulate, calibrate, compare with the truth; also the number of samples."""
+def size_over_u(result: CalibrationResult, truth: ErrorTables) -> Array:
+    """Error components left on the grid over their standard uncertainties, shape (n, 3)."""
+    machine, grid = truth.machine, lattice(truth.machine, GRID)
+    field = displacement(result.tables, grid) - displacement(truth, grid)
+    nodes = {a: result.tables.motions[f'EX{a}'].position for a in AXES}
+    u = grid_uncertainty(machine, nodes, result.covariance, grid)[1]
+    return np.asarray(np.abs(without_rigid_motion(field, grid)) / u)
+
+
+def one_cell(machine: Machine, seed: int, smooth: bool) -> tuple[Replication, Array]:
+    """Simulate, calibrate, compare with the truth; also the errors left over their u."""
     plan, truth = plan_path(machine, PlannerConfig()), truth_of(machine, seed, smooth)
     run = simulate(machine, plan, SimulationConfig(seed=seed, rate=RATE), truth)
     result = calibrate(run.samples, plan.path, machine)
-    return replication(result, truth), len(run.samples)
+    return replication(result, truth), size_over_u(result, truth)
 
 
 def line(name: str, r: Replication) -> str:
@@ -70,13 +88,14 @@ def main(first: int = 20_260_001, cells: int = 5) -> None:
     for smooth, text in ((False, 'nodes as solved for'), (True, 'smooth between the nodes')):
         print(f'\ntrue errors: {text}; mean absolute error in um')
         print(f'{"":10}{"path before":>11}{"after":>7}{"less":>10}{"grid before":>15}{"after":>8}'
-              f'{"less":>10}')  # fmt: skip
+              f'{"less":>10}{"< 2 u":>11}{"size/u":>7}')  # fmt: skip
         print(line('paper', PAPER))
         for seed in range(first, first + cells):
             start = time.perf_counter()
-            found, samples = one_cell(machine, seed, smooth)
+            found, ratio = one_cell(machine, seed, smooth)
             seconds = time.perf_counter() - start
-            print(line(str(seed), found), f' {samples} samples, {seconds:.0f} s', flush=True)
+            print(line(str(seed), found), f'{100 * np.mean(ratio < 2):6.1f} %'
+                  f'{np.median(ratio):7.2f}  {seconds:.0f} s', flush=True)  # fmt: skip
 
 
 if __name__ == '__main__':

@@ -36,6 +36,7 @@ BOX = (
     '000 110 100 010 000 011 010 001 000 101 001 100 000 001 111 101 011 001 000 100 111 110 101 '
     '100 000 010 111 011 110 010 000 111 110 001 000 100 011 010 101 000'
 )
+SPACE = '000 111 110 001 000 100 011 010 101 000'
 
 
 def machine() -> Machine:
@@ -62,7 +63,7 @@ def planes(low: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.fl
             corners = np.full((len(square), 3), level)
             corners[:, [a for a in range(3) if a != normal]] = square
             lap.extend(corners)
-    lap.extend([[int(k) for k in c] for c in '000 111 110 001 000 100 011 010 101 000'.split()])
+    lap.extend([[int(k) for k in c] for c in SPACE.split()])
     points = np.array(lap, dtype=float)
     moved = np.concatenate([[True], np.any(np.diff(points, axis=0) != 0, axis=1)])
     return np.asarray(low + points[moved] * size)

@@ -3,19 +3,17 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from otf_bringup.processes import NodeProcess
 from otf_core.errors import OtfError
 from otf_msgs.msg import CalibrationResult, CalibratorState
 from otf_ros import qos
+from otf_ros.app import EndRequest, running_ros
 
 PATIENCE = 60.0
 """s; without any progress for so long, something is wrong."""
@@ -67,15 +65,14 @@ def follow(domain: int, nodes: list[NodeProcess]) -> CalibrationResult:
     GraphError
         If a node ends early or nothing moves any more.
     """
-    asked = _EndRequest()
-    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    try:
+    with EndRequest() as end, running_ros([], domain):
         monitor, executor = Monitor(), SingleThreadedExecutor()
         executor.add_node(monitor)
         shown, moved = _Progress(), time.monotonic()
         while not monitor.ended:
             executor.spin_once(timeout_sec=0.1)
-            asked.check()
+            if end.came:
+                raise KeyboardInterrupt
             for node in nodes:
                 if node.exit_code is not None:
                     raise GraphError(_obituary(node))
@@ -86,31 +83,6 @@ def follow(domain: int, nodes: list[NodeProcess]) -> CalibrationResult:
                 raise GraphError(f'no progress for {PATIENCE:.0f} s\n{logs}')
         shown.end()
         return monitor.result
-    finally:
-        rclpy.try_shutdown()
-        asked.release()
-
-
-class _EndRequest:
-    """SIGINT and SIGTERM, noted and obeyed between messages: rclpy cannot bear them within one."""
-
-    def __init__(self) -> None:
-        self._came = False
-        numbers = (signal.SIGINT, signal.SIGTERM)
-        self._before = {number: signal.signal(number, self._note) for number in numbers}
-
-    def _note(self, number: int, frame: object) -> None:
-        self._came = True
-
-    def check(self) -> None:
-        """Raise KeyboardInterrupt if one came."""
-        if self._came:
-            raise KeyboardInterrupt
-
-    def release(self) -> None:
-        """Restore the handlers found."""
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
 
 
 def _obituary(node: NodeProcess) -> str:

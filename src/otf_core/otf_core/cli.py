@@ -14,11 +14,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from otf_core.cli_options import add_parameters, parameters
 from otf_core.config import (
     CalibrationConfig,
     ForecastConfig,
-    ParameterInfo,
-    Parameters,
     PlannerConfig,
     SimulationConfig,
 )
@@ -26,60 +25,8 @@ from otf_core.errors import ConfigError, OtfError
 
 QUALITY_GATE_FAILED = 4
 
-CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
-"""Options stated in another unit than the parameter, as machine users do: name, factor."""
-
 LARGEST_SEED = 10_000_000
 Handler = Callable[[argparse.Namespace], int]
-
-
-def _option(name: str) -> str:
-    return '--' + name.replace('_', '-')
-
-
-def _add_parameter(group: Any, info: ParameterInfo) -> None:
-    kind = type(info.default)
-    unit, factor = CLI_UNITS.get(info.name, (kind.__name__.upper(), 1))
-    bounds = ''
-    if info.low is not None and info.high is not None:
-        bounds = f', {info.low * factor:g} to {info.high * factor:g}'
-    stated = info.unit if factor == 1 else 'mm/min'
-    default = info.default if isinstance(info.default, str) else info.default * factor
-    text = f'{info.meaning} ({stated or kind.__name__}{bounds}; default {default})'
-    group.add_argument(
-        _option(info.name),
-        dest=info.name,
-        type=kind,
-        choices=info.choices or None,
-        metavar=unit,
-        help=text.replace('%', '%%'),
-    )
-
-
-def _add_parameters(
-    parser: argparse.ArgumentParser, kind: type[Parameters], only: Sequence[str] = ()
-) -> None:
-    group = parser.add_argument_group((kind.__doc__ or '').split('.')[0].lower())
-    for info in kind.infos():
-        if not only or info.name in only:
-            _add_parameter(group, info)
-
-
-def _parameters(kind: type[Any], arguments: argparse.Namespace, only: Sequence[str] = ()) -> Any:
-    """Build a parameter dataclass from the options that were given."""
-    given = {}
-    for info in kind.infos():
-        if only and info.name not in only:
-            continue
-        value = getattr(arguments, info.name)
-        if value is None:
-            continue
-        try:
-            scale = CLI_UNITS.get(info.name, ('', 1))[1]
-            given[info.name] = info.check(value if scale == 1 else value / scale)
-        except ConfigError as error:
-            raise ConfigError(f'{_option(info.name)}{str(error)[len(info.name) :]}') from None
-    return kind(**given)
 
 
 def _seed(text: str) -> int:
@@ -98,7 +45,7 @@ def _note(text: str) -> None:
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:
-    config = _parameters(CalibrationConfig, arguments)
+    config = parameters(CalibrationConfig, arguments)
     from otf_core.calibrate import calibrate_runs
     from otf_core.io.bag import read_bag
     from otf_core.io.files import ensure_folder
@@ -150,7 +97,7 @@ def _noise(arguments: argparse.Namespace) -> int:
     from otf_core.noise_files import format_noise, write_noise
     from otf_core.noise_report import noise_report
 
-    speed = _parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
+    speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
     samples = read_points(arguments.bag)
     try:
         report = noise_report(samples, speed)
@@ -198,7 +145,7 @@ def _validate(arguments: argparse.Namespace) -> int:
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
-    config = _parameters(CalibrationConfig, arguments)
+    config = parameters(CalibrationConfig, arguments)
     from otf_core.diagnosis.complete import diagnose, write_diagnosis
     from otf_core.diagnosis.result import format_diagnosis
     from otf_core.effects import REGISTRY
@@ -255,8 +202,8 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
-    config = _parameters(SimulationConfig, arguments)
-    planning = _parameters(PlannerConfig, arguments)
+    config = parameters(SimulationConfig, arguments)
+    planning = parameters(PlannerConfig, arguments)
     from otf_core.io.bag import BagContent, write_bag
     from otf_core.io.effects_yaml import read_effects
     from otf_core.io.files import ensure_folder
@@ -278,8 +225,8 @@ def _simulate(arguments: argparse.Namespace) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    config = _parameters(PlannerConfig, arguments)
-    judged = _parameters(ForecastConfig, arguments)
+    config = parameters(PlannerConfig, arguments)
+    judged = parameters(ForecastConfig, arguments)
     from otf_core.io.files import check_folder, ensure_folder
     from otf_core.machine import load_machine
     from otf_core.nc import DIALECTS
@@ -336,40 +283,12 @@ def _add_plan_options(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog='otf', description='On-the-fly machine-tool calibration, offline verbs.')
-    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
-
-    def verb(name: str, handler: Handler, text: str) -> argparse.ArgumentParser:
-        sub: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
-        sub.set_defaults(handler=handler)
-        return sub
-
-    sub = verb('calibrate', _calibrate, 'Error tables from a recorded bag.')
-    sub.add_argument('bag', help='rosbag2 folder or .mcap file')
-    sub.add_argument('--machine', required=True, help='machine.yaml')
-    sub.add_argument('--out', required=True, help='folder for the results')
-    sub.add_argument('--method', choices=('otf', 'standstill'), default='otf')
-    _add_parameters(sub, CalibrationConfig)
-
-    sub = verb('diagnose', _diagnose, 'Where and why a real run departs from its simulation.')
-    sub.add_argument('bag', nargs='+', help='runs of one machine: other station, feed or time')
-    sub.add_argument('--machine', required=True, help='machine.yaml')
-    sub.add_argument('--out', required=True, help='folder for gap.json and report.html')
-    sub.add_argument(
-        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
-    )
-    _add_parameters(sub, CalibrationConfig)
-
-    sub = verb('predict', _predict, 'Volumetric errors at points, from error tables.')
-    sub.add_argument('--tables', required=True, help='error_tables.json')
-    sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
-    sub.add_argument('--out', required=True, help='CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz; m, k = 1')
-
+def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentParser]) -> None:
+    """Verbs that judge a tracker, a calibration or this program."""
     sub = verb('noise', _noise, 'Tracker noise in the standstills of a bag.')
     sub.add_argument('bag', help='rosbag2 folder or .mcap file; /tracker/point suffices')
     sub.add_argument('--out', required=True, help='folder for the results')
-    _add_parameters(sub, CalibrationConfig, ('standstill_speed',))
+    add_parameters(sub, CalibrationConfig, ('standstill_speed',))
 
     sub = verb('compare', _compare, 'Error tables or direct measurements, motion by motion.')
     sub.add_argument('a', help='error_tables.json, or CSV of a direct measurement')
@@ -397,13 +316,46 @@ def _parser() -> argparse.ArgumentParser:
         help='every effect diagnosed with itself taken out of the catalogue',
     )
 
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog='otf', description='On-the-fly machine-tool calibration, offline verbs.')
+    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
+
+    def verb(name: str, handler: Handler, text: str) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
+        sub.set_defaults(handler=handler)
+        return sub
+
+    sub = verb('calibrate', _calibrate, 'Error tables from a recorded bag.')
+    sub.add_argument('bag', help='rosbag2 folder or .mcap file')
+    sub.add_argument('--machine', required=True, help='machine.yaml')
+    sub.add_argument('--out', required=True, help='folder for the results')
+    sub.add_argument('--method', choices=('otf', 'standstill'), default='otf')
+    add_parameters(sub, CalibrationConfig)
+
+    sub = verb('diagnose', _diagnose, 'Where and why a real run departs from its simulation.')
+    sub.add_argument('bag', nargs='+', help='runs of one machine: other station, feed or time')
+    sub.add_argument('--machine', required=True, help='machine.yaml')
+    sub.add_argument('--out', required=True, help='folder for gap.json and report.html')
+    sub.add_argument(
+        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+    )
+    add_parameters(sub, CalibrationConfig)
+
+    sub = verb('predict', _predict, 'Volumetric errors at points, from error tables.')
+    sub.add_argument('--tables', required=True, help='error_tables.json')
+    sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
+    sub.add_argument('--out', required=True, help='CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz; m, k = 1')
+
+    _add_judging_verbs(verb)
+
     sub = verb('plan', _plan, 'Path for a machine, forecast of what it can see, NC program.')
     sub.add_argument('--machine', required=True, help='machine.yaml')
     sub.add_argument('--out', required=True, help='folder for path, forecast and program')
     sub.add_argument('--path', help='CSV with the header x,y,z: take this path instead')
     _add_plan_options(sub)
-    _add_parameters(sub, PlannerConfig)
-    _add_parameters(sub, ForecastConfig)
+    add_parameters(sub, PlannerConfig)
+    add_parameters(sub, ForecastConfig)
 
     sub = verb('simulate', _simulate, 'Bag of a simulated run.')
     sub.add_argument('--machine', required=True, help='machine.yaml')
@@ -411,8 +363,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument('--tables', help='error_tables.json of the truth; drawn if not given')
     sub.add_argument('--path', help='CSV with the header x,y,z; planned if not given')
     sub.add_argument('--effects', help='effects.yaml: what to add to the cell')
-    _add_parameters(sub, SimulationConfig)
-    _add_parameters(sub, PlannerConfig)
+    add_parameters(sub, SimulationConfig)
+    add_parameters(sub, PlannerConfig)
     return parser
 
 

@@ -124,8 +124,14 @@ def segment_distance(points: Array, corners: Array) -> tuple[Array, Array]:
     return np.linalg.norm(points[:, None, :] - foot, axis=2), along
 
 
-def _emission(pose: RigidTransform, track: Track, corners: Array, tolerance: float) -> Array:
-    """Cost of every measured leg (rows) on every nominal leg (columns); inf if impossible."""
+def _emission(
+    pose: RigidTransform, track: Track, corners: Array, tolerance: float
+) -> tuple[Array, Array]:
+    """Cost of every measured leg (rows) on every nominal leg (columns); inf if impossible.
+
+    The second array is the cost of going on with the leg that the one before was on: it must
+    begin where that one ended, or the leg is driven anew.
+    """
     first, from_along = segment_distance(pose.apply(track.starts), corners)
     last, to_along = segment_distance(pose.apply(track.ends), corners)
     advance = to_along - from_along
@@ -134,7 +140,9 @@ def _emission(pose: RigidTransform, track: Track, corners: Array, tolerance: flo
         advance > 0.9 * track.lengths[:, None] - 4 * tolerance
     )
     possible &= advance > 0
-    return np.where(possible, cost, np.inf)
+    anew = np.zeros_like(cost)
+    anew[1:] = np.where(from_along[1:] < to_along[:-1] - 4 * tolerance, _OFF_COST, 0.0)
+    return np.where(possible, cost, np.inf), anew
 
 
 def follow(pose: RigidTransform, track: Track, corners: Array, tolerance: float) -> Match:
@@ -153,7 +161,7 @@ def follow(pose: RigidTransform, track: Track, corners: Array, tolerance: float)
     tolerance : float
         m.
     """
-    emission = _emission(pose, track, corners, tolerance)
+    emission, anew = _emission(pose, track, corners, tolerance)
     count, legs = emission.shape
     number = np.arange(legs)
     # score[j]: best cost so far with leg j the last one driven; one extra state before the first
@@ -167,7 +175,7 @@ def follow(pose: RigidTransform, track: Track, corners: Array, tolerance: float)
         running = np.minimum.accumulate(ahead)
         origin = np.maximum.accumulate(np.where(ahead <= running, number, 0))
         skip = np.concatenate([[np.inf], running[:-1]]) + _SKIP_COST * (weight - 1)
-        options = np.stack([skip, score[1:], score[0] + _EDGE_COST * number])
+        options = np.stack([skip, score[1:] + anew[k], score[0] + _EDGE_COST * number])
         pick = np.argmin(options, axis=0)
         reach = options[pick, number] + emission[k]
         source = np.choose(pick, [np.concatenate([[0], origin[:-1]]) + 1, number + 1, 0 * number])

@@ -81,7 +81,7 @@ def expected_density(frequency: Array, white: Array, slow: Array, time: float) -
     level = np.outer(white, np.ones_like(frequency)) / frequency[-1]
     if time:
         level += np.outer(slow, 4.0 * time / (1.0 + (2.0 * np.pi * frequency * time) ** 2))
-    return level
+    return np.asarray(level)
 
 
 def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:

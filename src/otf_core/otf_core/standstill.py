@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.machine import TrackerSpec
-from otf_core.noise import TYPICAL_CORRELATION_TIME, TYPICAL_WHITE_SHARE, NoiseModel
+from otf_core.noise import TYPICAL_CORRELATION_TIME, NoiseModel
 from otf_core.noise_colour import fit_colour
 from otf_core.observation import Samples
 
@@ -20,6 +20,8 @@ MIN_DURATION = 0.25
 """s; shorter stops are not used."""
 GUARD = 0.05
 """s; left out at both ends of a standstill: settling."""
+NEAR = (0.7, 1.6)
+"""Measured over specified level that stops of a second cannot tell from 1."""
 MIN_TOTAL = 5.0
 """s; less standstill in all says too little about the noise."""
 WINDOW = 4.0
@@ -229,19 +231,24 @@ def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel
     Returns
     -------
     NoiseModel
-        Levels never below a third of the specified ones: a tracker that stands very still says
-        nothing about its noise in motion.
+        Levels as specified where the measured ones do not contradict, and never below a third
+        of them: a tracker that stands very still says nothing about its noise in motion.
     """
     seen = standstill_noise(samples, find_standstills(samples, speed))
     if seen is None:
         return NoiseModel.from_spec(spec)
-    angle = float(np.sqrt(np.mean(seen.total[1:] ** 2)))
-    white_angle = float(np.sum(seen.white[1:] ** 2) / max(np.sum(seen.total[1:] ** 2), 1e-300))
-    white_range = float(seen.white[0] ** 2 / max(seen.total[0] ** 2, 1e-300))
+    specified = np.array([spec.u_range, spec.u_angle])
+    total = np.array([seen.total[0], np.sqrt(np.mean(seen.total[1:] ** 2))])
+    white = np.array([seen.white[0], np.sqrt(np.mean(seen.white[1:] ** 2))])
+    slow = np.maximum(total**2 - white**2, 0.0)
+    # short stops fix the fast part, and of the slow part only variance over time constant: a
+    # level near the specified one is taken as specified, and the time constant goes with it
+    near = (total > NEAR[0] * specified) & (total < NEAR[1] * specified) & (white < specified)
+    level = np.where(near, specified, np.maximum(total, specified / 3))
+    ratio = np.where(near, (level**2 - white**2) / np.maximum(slow, 1e-300), 1.0)
+    stretch = float(np.clip(ratio[1], 0.2, 5.0)) if slow[1] > 0 else 1.0
+    share = np.clip(white**2 / level**2, 0.05, 1.0)
+    time = seen.correlation_time * stretch if seen.correlation_time else TYPICAL_CORRELATION_TIME
     return NoiseModel(
-        max(float(seen.total[0]), spec.u_range / 3),
-        max(angle, spec.u_angle / 3),
-        float(np.clip(white_range, 0.05, 1.0)) if white_range else TYPICAL_WHITE_SHARE,
-        float(np.clip(white_angle, 0.05, 1.0)) if white_angle else TYPICAL_WHITE_SHARE,
-        seen.correlation_time or TYPICAL_CORRELATION_TIME,
+        float(level[0]), float(level[1]), float(share[0]), float(share[1]), float(time)
     )

@@ -13,11 +13,11 @@ NOISE = 5e-7
 
 
 def corner_list(laps=2):
-    """Lines along the axes at three levels of the others, and diagonals; every second lap back."""
+    """Lines along the axes at two levels of the others, and diagonals; every second lap back."""
     lap = []
     for axis in range(3):
         others = [a for a in range(3) if a != axis]
-        for k, levels in enumerate(product((0.0, 0.5, 1.0), repeat=2)):
+        for k, levels in enumerate(product((0.0, 1.0), repeat=2)):
             ends = np.zeros((2, 3))
             ends[:, others] = levels
             ends[(k + 1) % 2, axis] = 1.0

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end of a node process: one clear message and the exit code instead of a traceback."""
+"""Start and end of a node process: one clear message and the exit code instead of a traceback.
+
+rclpy's own signal handlers invalidate the context at any point of the program and, now and then,
+leave the executor waiting for ever. Here a signal only leaves a note that is read between two
+callbacks, so everything is still valid while the node ends.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +14,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import rclpy
-from rclpy.exceptions import InvalidHandle, NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from otf_core.errors import ConfigError, OtfError
 
 WRONG_USAGE = 2
 """Exit code for wrong parameters, as of the command line."""
+LONGEST_WAIT = 0.2
+"""s; how long a signal may have to wait until it is noticed."""
 _USAGE_ERRORS = (
     ParameterException,
     NameValidationException,
@@ -25,45 +33,61 @@ _USAGE_ERRORS = (
 )
 
 
-@contextmanager
-def running_ros(args: list[str] | None) -> Iterator[None]:
-    """Context of rclpy: initialised inside, shut down after.
+class EndRequest:
+    """Notes SIGINT and SIGTERM as long as the context lasts."""
 
-    SIGINT and SIGTERM both shut it down, which ends the executor; KeyboardInterrupt would come in
-    the middle of whatever is under way, and rclpy cannot bear that in the middle of a message.
+    def __init__(self) -> None:
+        self.came = False
+
+    def __enter__(self) -> EndRequest:
+        numbers = (signal.SIGINT, signal.SIGTERM)
+        self._before = {number: signal.signal(number, self._note) for number in numbers}
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: object) -> None:
+        self.came = True
+
+
+@contextmanager
+def running_ros(args: list[str] | None = None, domain: int | None = None) -> Iterator[None]:
+    """Context of rclpy without signal handlers: initialised inside, shut down after.
+
+    Raises
+    ------
+    ConfigError
+        If the ROS arguments are wrong.
     """
-    signal.signal(signal.SIGINT, lambda number, frame: None)
+    no_handlers = SignalHandlerOptions.NO
     try:
-        rclpy.init(args=args)
+        rclpy.init(args=args, domain_id=domain, signal_handler_options=no_handlers)
     except rclpy_implementation.RCLError as error:
         raise ConfigError(str(error).split(', at /')[0]) from None
     try:
         yield
     finally:
-        rclpy.try_shutdown()
+        rclpy.shutdown()
 
 
 def spin(factory: Callable[[], Node], args: list[str] | None = None) -> None:
     """Create one node and serve its callbacks until the process is asked to end.
 
-    A method ``close`` of the node, if it has one, is called at the end; the context may be shut
-    down by then.
+    A method ``close`` of the node, if it has one, is called at the end.
     """
-    with running_ros(args):
+    with EndRequest() as end, running_ros(args):
+        node, executor = factory(), SingleThreadedExecutor()
+        executor.add_node(node)
         try:
-            node = factory()
-            try:
-                executor = SingleThreadedExecutor()
-                executor.add_node(node)
-                executor.spin()
-            finally:
-                if hasattr(node, 'close'):
-                    node.close()
-                executor.shutdown()
-                node.destroy_node()
-        except (rclpy_implementation.RCLError, InvalidHandle):
-            if rclpy.ok():
-                raise  # else: something was under way while the context was shut down
+            while not end.came:
+                executor.spin_once(timeout_sec=LONGEST_WAIT)
+        finally:
+            if hasattr(node, 'close'):
+                node.close()
+            executor.shutdown()
+            node.destroy_node()
 
 
 def run(factory: Callable[[], Node], args: list[str] | None = None) -> int:
@@ -83,8 +107,6 @@ def run(factory: Callable[[], Node], args: list[str] | None = None) -> int:
     """
     try:
         spin(factory, args)
-    except ExternalShutdownException:
-        return 0
     except OtfError as error:
         return _complain(str(error), error.exit_code)
     except _USAGE_ERRORS as error:

@@ -97,6 +97,8 @@ def _one(truth: str, causes: Sequence[Mapping[str, Any]], answer: Mapping[str, A
 def _invisible(truth: str, causes: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> str:
     if causes:
         return _one(truth, causes, answer)
+    if answer['verdict'] == 'unknown':
+        return 'called_unknown'
     listed = {e['effect'] for e in answer['not_visible']}
     return 'not_visible' if truth in listed else 'silent'
 
@@ -106,10 +108,12 @@ def _result(
     causes: Sequence[Mapping[str, Any]],
     answer: Mapping[str, Any],
     exclude: Sequence[str],
+    bends_um: float,
 ) -> str:
     names = [p['effect'] for p in parts]
     if not names:
-        return 'false_alarm' if causes or answer['verdict'] == 'unknown' else 'quiet'
+        alarm = causes or (answer['verdict'] == 'unknown' and bends_um <= BENDS_UM)
+        return 'false_alarm' if alarm else 'quiet'
     if exclude or names[0].startswith('unknown_'):
         if causes:
             return 'forced'
@@ -161,7 +165,7 @@ def outcome(
         visible=tuple(is_visible(p) for p in parts),
         named=tuple(c['effect'] for c in causes),
         verdict='failed' if failed else answer['verdict'],
-        result='failed' if failed else _result(parts, causes, answer, exclude),
+        result='failed' if failed else _result(parts, causes, answer, exclude, entry['bends_um']),
         found=tuple(t in everything for t in truth),
         extra=() if failed else extra,
     )

@@ -13,7 +13,9 @@ import numpy as np
 from otf_core.calibrate import CalibrationResult, calibrate_runs
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.answer import DiagnosisData, answer, fitted_causes, run_views
-from otf_core.diagnosis.diagnose import Findings, Twin, find
+from otf_core.diagnosis.assess import gap_um
+from otf_core.diagnosis.decoys import DECOY_NAMES
+from otf_core.diagnosis.diagnose import NO_GAP_SHARE, Findings, Twin, find
 from otf_core.diagnosis.noise_check import check_noise
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.diagnosis.where import describe_structure, where_of
@@ -129,7 +131,12 @@ def diagnose(
     """
     config = config or CalibrationConfig()
     findings = find(recordings, twin, exclude, config, progress)
-    noise = check_noise(findings.rows, config.standstill_speed, exclude)
+    noise = None
+    if (
+        gap_um(findings.steps[-1].rms_um, findings.simulated_um)
+        > NO_GAP_SHARE * findings.simulated_um
+    ):
+        noise = check_noise(findings.rows, config.standstill_speed, exclude)
     diagnosis, findings = answer(names, findings, noise)
     views = run_views(names, findings)
     project = findings.rows.project
@@ -139,7 +146,11 @@ def diagnose(
         where=where_of(views, project=project),
         unexplained_where=describe_structure(views, left, project),
     )
-    applied = tuple(part.applied() for part in fitted_causes(findings))
+    applied = tuple(
+        part.applied()
+        for part in fitted_causes(findings)
+        if part.cause.option.effect.name not in DECOY_NAMES
+    )
     data = DiagnosisData(findings, views, _conditions(findings), applied)
     return diagnosis, data
 

@@ -3,7 +3,8 @@
 
 With S the sum of squared residuals of a group and C the noise covariance of a leg, noise alone
 gives S the mean sum tr(C) and the variance 2 sum tr(C C), both over the legs; the correlation of
-the noise within a leg is in C. Where legs scatter more than that, their scatter counts.
+the noise within a leg is in C. How well groups are told from one another also counts the scatter
+of the legs, where it is larger.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ class Group:
     rms, expected : float
         m; root mean square of the perpendicular distance, and what noise leaves.
     excess, u_excess : float
-        m^2; mean square beyond noise and its standard deviation.
+        m^2; mean square beyond noise and its standard deviation, scatter of the legs included.
     significance : float
-        Standard deviations of the excess, as of a normal quantity.
+        How unlikely noise alone is to give so much: in standard deviations of a normal quantity.
     pieces, legs : int
     """
 
@@ -171,7 +172,7 @@ def make_groups(labels: Sequence[str], kind: str, sums: Sequence[LegSums]) -> li
                 float(np.sqrt(noise[g].sum() / count)),
                 excess / count,
                 deviation / count,
-                float(min(chance, excess / max(deviation, 1e-300), key=abs)),
+                chance,
                 round(count),
                 int(part.sum()),
             )

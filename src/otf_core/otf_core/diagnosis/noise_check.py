@@ -15,11 +15,11 @@ from otf_core.noise_tails import student_freedom
 from otf_core.runs import Run
 from otf_core.standstill import find_standstills, spherical_deviations, standstill_noise
 
-LEVEL = (0.75, 1.3)
+LEVEL = 1.6
 """Measured over specified standard deviation that still passes as specified."""
 SLOW = 1.0
 """s; correlation times of trackers are shorter (docs/uncertainty.md)."""
-HEAVY = 7.0
+HEAVY = 5.0
 """Degrees of freedom of Student's t below which tails count as heavy."""
 ENOUGH = 30
 """Standstills needed for a judgement."""
@@ -73,7 +73,7 @@ def check_noise(rows: Rows, speed: float, exclude: Sequence[str] = ()) -> NoiseF
             'level_angle': float(np.sqrt(np.mean(seen.total[1:] ** 2))) / spec.u_angle,
         }
         for key, level in levels.items():
-            if not LEVEL[0] < level < LEVEL[1]:
+            if level > LEVEL:
                 found[key] = level
                 words.append(f'{key[6:]} noise {level:.2f} times as specified')
         if seen.correlation_time > SLOW:

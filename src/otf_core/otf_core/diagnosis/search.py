@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from otf_core.diagnosis.decoys import DECOY_NAMES
 from otf_core.diagnosis.evidence import (
     Estimate,
     Option,
@@ -30,6 +31,8 @@ SAME_TRACE = 0.03
 """An effect that can leave all but this share of the squared trace of another is not told
 from it."""
 MAX_CAUSES = 4
+DECOY_DOUBT = 10.0
+"""Evidence by which a shape outside the catalogue must be better than any effect in it."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Cause:
     indistinguishable: tuple[str, ...]
 
 
-def _noise_variance(rows: Rows, residual: Array) -> float:
+def noise_variance(rows: Rows, residual: Array) -> float:
     """Variance of the noise left in residuals, correlation between pieces included."""
     start, total = 0, []
     for run in rows.runs:
@@ -77,7 +80,9 @@ def _ranking(
         if not group:
             continue
         scores = [log_evidence(o.white, o.size, residual, variance) for o in group]
-        ranking.append((average(scores), group[int(np.argmax(scores))]))
+        best = group[int(np.argmax(scores))]
+        doubt = DECOY_DOUBT if best.effect.name in DECOY_NAMES else 0.0
+        ranking.append((average(scores) - doubt, best))
     return sorted(ranking, key=lambda pair: -pair[0])
 
 
@@ -141,7 +146,7 @@ def search(
         if not first:
             break
         # noise is judged on what the best candidate leaves: its own trace must not count as noise
-        variance = _noise_variance(rows, _fit_out(first[0][1], residual))
+        variance = noise_variance(rows, _fit_out(first[0][1], residual))
         ranking = _ranking(remaining, residual, variance)
         considered = [(o.effect.name, s) for s, o in ranking]
         score, option = ranking[0]
@@ -151,8 +156,11 @@ def search(
         close = [
             o.effect.name
             for s, o in ranking[1:]
-            if s > score - CLOSE_EVIDENCE
-            or (s > NEEDED_EVIDENCE and _same_trace(option, o, residual))
+            if o.effect.name not in DECOY_NAMES
+            and (
+                s > score - CLOSE_EVIDENCE
+                or (s > NEEDED_EVIDENCE and _same_trace(option, o, residual))
+            )
         ]
         odds = np.array([0.0] + [s for s, _ in ranking])
         confidence = float(np.exp(score - np.logaddexp.reduce(odds)))

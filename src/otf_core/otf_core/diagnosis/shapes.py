@@ -20,8 +20,8 @@ from otf_core.machine import AXES
 Array = NDArray[np.float64]
 Scales = Callable[[RunView], Array]
 
-SETTLING = (0.05, 0.1, 0.2, 0.4)
-"""Time constants of drifts, in lengths of the run."""
+SETTLING = (-5, -4, -3, -2, -1)
+"""Time constants of drifts: powers of two of the length of the run."""
 MAX_STEPS = 60
 """Moments per run at which a step is looked for."""
 SLOWEST_WAVE, FASTEST_WAVE = 1.5, 40.0
@@ -33,6 +33,8 @@ WAVES_PER_AXIS = 3.0
 SHORTEST_WAVE = 2.2
 """Spacings of the pieces along the axis on the slowest lines."""
 MOVING = 0.05
+FINER = 4
+"""Shapes looked at on either side when the best one is refined."""
 PER_FEED = 'um per 0.1 m/s'
 
 
@@ -47,11 +49,24 @@ class Shape:
         Displacements along X, Y and Z are in proportion to each of the m scales; coefficients
         are those of the first scale, X, Y, Z, then of the next.
     words : callable(coefficients) -> str
+    finer : callable() -> list of Shape, optional
+        Shapes in between this one and its neighbours, for a shape with a moment, a period or a
+        time constant.
     """
 
     family: str
     scales: Scales
     words: Callable[[Array], str]
+    finer: Callable[[], list[Shape]] | None = None
+
+
+Maker = Callable[[float, float], Shape]
+"""Makes a shape from the value of its parameter and the distance to its neighbours."""
+
+
+def _finer(maker: Maker, value: float, width: float) -> Callable[[], list[Shape]]:
+    steps = np.arange(-FINER, FINER + 1) / FINER
+    return lambda: [maker(float(value + s * width), width / FINER) for s in steps]
 
 
 def one(scale: NDArray[Any]) -> Array:
@@ -94,18 +109,26 @@ def _in_run(views: Sequence[RunView], view: RunView) -> str:
 
 
 def step_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
-    """A step between two legs."""
+    """A step, at first between two legs."""
 
-    def shape(run: RunView, start: float) -> Shape:
-        def words(c: Array) -> str:
-            return f'since {start:.0f} s{_in_run(views, run)}, step of {direction_words(c)}'
+    def maker(run: RunView) -> Maker:
+        def shape(start: float, width: float) -> Shape:
+            return Shape(
+                'step',
+                lambda v: one((v.time >= start) & (v is run)),
+                lambda c: (
+                    f'since {start:.0f} s{_in_run(views, run)}, step of {direction_words(c)}'
+                ),
+                _finer(shape, start, width),
+            )
 
-        return Shape('step', lambda v: one((v.time >= start) & (v is run)), words)
+        return shape
 
     for view in views:
         starts = np.array([view.time[low] for low, _ in view.bounds])[2:-2]
-        chosen = starts[:: max(1, -(-len(starts) // MAX_STEPS))]
-        yield from (shape(view, float(start)) for start in chosen)
+        stride = max(1, -(-len(starts) // MAX_STEPS))
+        width = stride * float(np.ptp(view.time)) / len(view.bounds)
+        yield from (maker(view)(float(start), width) for start in starts[::stride])
 
 
 def drift_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
@@ -117,18 +140,28 @@ def drift_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
 
         return Shape('drift', lambda v: one(v.time / 60.0 * (v is run)), words)
 
-    def settling(run: RunView, tau: float) -> Shape:
-        def words(c: Array) -> str:
-            return (
-                f'drift to {direction_words(c)} that settles with a time constant of about '
-                f'{tau:.2g} s{_in_run(views, run)}'
+    def settling(run: RunView) -> Maker:
+        def shape(power: float, width: float) -> Shape:
+            tau = 2.0**power * float(np.ptp(run.time))
+
+            def words(c: Array) -> str:
+                return (
+                    f'drift to {direction_words(c)} that settles with a time constant of about '
+                    f'{tau:.2g} s{_in_run(views, run)}'
+                )
+
+            return Shape(
+                'drift',
+                lambda v: one((1.0 - np.exp(-v.time / tau)) * (v is run)),
+                words,
+                _finer(shape, power, width),
             )
 
-        return Shape('drift', lambda v: one((1.0 - np.exp(-v.time / tau)) * (v is run)), words)
+        return shape
 
     for view in views:
         yield steady(view)
-        yield from (settling(view, share * float(np.ptp(view.time))) for share in SETTLING)
+        yield from (settling(view)(float(p), 1.0) for p in SETTLING)
 
 
 def _sense(view: RunView, axis: int) -> Array:
@@ -187,7 +220,7 @@ def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[Shape]:
     if not moving.size or length < 1e-3:
         return
 
-    def shape(frequency: float) -> Shape:
+    def shape(frequency: float, width: float) -> Shape:
         def scales(view: RunView) -> Array:
             weak = np.sinc(frequency * spacing[id(view)])
             return np.asarray(weak[:, None] * wave(2.0 * np.pi * frequency * view.q[:, axis]))
@@ -195,11 +228,12 @@ def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[Shape]:
         def words(c: Array) -> str:
             return f'period {1e3 / frequency:.1f} mm of axis {AXES[axis]}, {_amplitude_words(c)}'
 
-        return Shape(f'wave {AXES[axis]}', scales, words)
+        return Shape(f'wave {AXES[axis]}', scales, words, _finer(shape, frequency, width))
 
     low, high = WAVES_PER_AXIS / length, 1.0 / (SHORTEST_WAVE * float(np.quantile(moving, 0.1)))
-    count = min(MOST_WAVES, int((high - low) * 4 * length))
-    yield from (shape(float(f)) for f in np.linspace(low, high, max(count, 1)))
+    count = max(2, min(MOST_WAVES, int((high - low) * 2 * length)))
+    width = (high - low) / (count - 1)
+    yield from (shape(float(f), width) for f in np.linspace(low, high, count))
 
 
 def slow_wave_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
@@ -207,15 +241,17 @@ def slow_wave_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
     longest = max(float(np.ptp(v.time)) for v in views)
     legs = max(len(v.bounds) for v in views)
 
-    def shape(period: float) -> Shape:
+    def shape(cycles: float, width: float) -> Shape:
+        period = longest / cycles
         return Shape(
             'slow wave',
             lambda v: wave(2.0 * np.pi / period * v.time),
-            lambda c: f'period {period:.0f} s, {_amplitude_words(c)}',
+            lambda c: f'period {period:.3g} s, {_amplitude_words(c)}',
+            _finer(shape, cycles, width),
         )
 
     cycles = np.arange(SLOWEST_WAVE, min(FASTEST_WAVE, 0.4 * legs), 0.5)
-    yield from (shape(longest / float(n)) for n in cycles)
+    yield from (shape(float(n), 0.5) for n in cycles)
 
 
 def product_shapes(views: Sequence[RunView]) -> Iterator[Shape]:

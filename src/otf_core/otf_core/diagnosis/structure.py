@@ -30,6 +30,7 @@ NEEDED_SHARE = 0.1
 """Share of the excess that a shape must explain to be worth a word."""
 SEVERAL = ('sense', 'product')
 """Families that may be found more than once."""
+REFINEMENTS = 3
 KEPT = 8
 """Of many shapes of a family so many are fitted exactly."""
 EXACT = 24
@@ -125,7 +126,10 @@ def _inflation(views: Sequence[RunView], residual: Array) -> float:
 
 
 def _best(
-    families: Sequence[_Family], views: Sequence[RunView], residual: Array
+    families: Sequence[_Family],
+    views: Sequence[RunView],
+    residual: Array,
+    project: Projection,
 ) -> tuple[_Candidate, Array, float]:
     """Best shape: candidate, coefficients, logarithm of the odds."""
     legs = sum(len(v.bounds) for v in views)
@@ -135,19 +139,34 @@ def _best(
         best = int(np.argmax([gain for _, gain in fits]))
         price = 0.5 * family[best].white.shape[1] * np.log(legs) + np.log(looked)
         ranked.append((family[best], *fits[best], float(price)))
-    candidate, value, gain, price = max(ranked, key=lambda r: 0.5 * r[2] - r[3])
+    candidate, _, _, price = max(ranked, key=lambda r: 0.5 * r[2] - r[3])
+    candidate = _refined(candidate, views, residual, project)
+    value, gain = _fit(candidate.white, residual)
     variance = _inflation(views, residual - candidate.white @ value)
     return candidate, value, 0.5 * gain / variance - price
 
 
-def _take_out(taken: Array, families: Sequence[_Family]) -> list[_Family]:
-    """Candidates less what a shape that was taken can follow of them."""
+def _refined(
+    candidate: _Candidate, views: Sequence[RunView], residual: Array, project: Projection
+) -> _Candidate:
+    """Best shape near a shape with a moment, a period or a time constant."""
+    for _ in range(REFINEMENTS):
+        if candidate.shape.finer is None:
+            break
+        near = _candidates(views, candidate.shape.finer(), project)
+        candidate = max(near, key=lambda c: _fit(c.white, residual)[1])
+    return candidate
+
+
+def _removal(taken: Array) -> Projection:
+    """Projection that takes out what a shape that was found can follow."""
     basis, size, _ = np.linalg.svd(taken, full_matrices=False)
     basis = basis[:, size > 1e-3 * size.max(initial=1e-300)]
-    return [
-        ([_Candidate(c.shape, c.white - basis @ (basis.T @ c.white)) for c in family], looked)
-        for family, looked in families
-    ]
+    return lambda wide: np.asarray(wide - basis @ (basis.T @ wide))
+
+
+def _chained(first: Projection, then: Projection) -> Projection:
+    return lambda wide: then(first(wide))
 
 
 def _squares(views: Sequence[RunView], white: Array) -> float:
@@ -202,7 +221,7 @@ def find_structures(
     ]
     found: list[Structure] = []
     while families and len(found) < MAX_STRUCTURES:
-        candidate, value, score = _best(families, views, residual)
+        candidate, value, score = _best(families, views, residual, project)
         before = _squares(views, residual)
         residual = residual - candidate.white @ value
         gain = before - _squares(views, residual)
@@ -212,7 +231,11 @@ def find_structures(
         words = candidate.shape.words(value)
         found.append(Structure(candidate.shape.family, words, min(share, 1.0), score))
         # axes may each have their own sense of travel; a second step or wave is a refinement
-        several = candidate.shape.family in SEVERAL
-        families = [(f, n) for f, n in families if several or candidate not in f]
-        families = _take_out(candidate.white, families)
+        family, removal = candidate.shape.family, _removal(candidate.white)
+        families = [
+            ([_Candidate(c.shape, removal(c.white)) for c in part], looked)
+            for part, looked in families
+            if family in SEVERAL or part[0].shape.family != family
+        ]
+        project = _chained(project, removal)
     return sorted(found, key=lambda s: -s.share)

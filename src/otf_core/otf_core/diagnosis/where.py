@@ -28,8 +28,9 @@ from otf_core.machine import AXES
 Array = NDArray[np.float64]
 Rows = list[dict[str, Any]]
 
-SIGNIFICANT = 4.0
-"""Standard deviations of an excess that is worth a word; some hundred groups are looked at."""
+SIGNIFICANT, MOST_SIGNIFICANT = 4.0, 5.5
+"""Standard deviations of an excess that is worth a word: of all pieces, and of the largest of
+some hundred groups."""
 UNEVEN = 10.0
 """See ``groups.unevenness``."""
 CONTRAST = 1.3
@@ -37,6 +38,8 @@ CONTRAST = 1.3
 MOST_KINDS = 2
 MOSTLY = 0.7
 """Share of the excess from which shapes say enough."""
+HALF = 0.5
+"""Share of the excess from which a band of frequency is named."""
 FEWEST_PIECES = 0.01
 """Share of all pieces below which a group is not named in words."""
 
@@ -135,7 +138,6 @@ PLACES = {
     'time': 'from {}',
     'line': 'on {} lines',
     'sense': 'with {}',
-    'frequency': 'at {}',
 }
 
 
@@ -190,6 +192,20 @@ def describe_structure(
     return _structure_words(views, residuals, _all_groups(views, residuals), project)
 
 
+def _stands_out(total: Group, groups: Sequence[Group]) -> bool:
+    most = max(g.significance for g in groups)
+    return total.significance > SIGNIFICANT or most > MOST_SIGNIFICANT
+
+
+def _band_words(total: Group, bands: Sequence[Group]) -> list[str]:
+    """Name a band that holds most of the excess; the lowest one holds all that is slow."""
+    for band in bands[1:]:
+        if band.excess > HALF * total.excess and band.significance > SIGNIFICANT:
+            share = min(100.0, 100 * band.excess / total.excess)
+            return [f'mostly at {band.label} ({share:.0f} % of the excess)']
+    return []
+
+
 def _structure_words(
     views: Sequence[RunView],
     residuals: Sequence[Array],
@@ -197,14 +213,14 @@ def _structure_words(
     project: Projection | None,
 ) -> str:
     total = total_group(views, residuals)
-    if total.significance < SIGNIFICANT and not any(
-        g.significance > SIGNIFICANT for part in groups.values() for g in part
-    ):
+    every = [g for part in groups.values() for g in part]
+    if not _stands_out(total, every):
         return 'no structure beyond noise'
     found = find_structures(views, residuals, project)
     parts = [f'{s.words} ({100 * s.share:.0f} % of the excess)' for s in found]
     if sum(s.share for s in found) < MOSTLY:
-        kinds = _kinds([g for part in groups.values() for g in part])
+        kinds = _kinds(every)
+        parts += _band_words(total, kinds.pop('frequency', []))
         parts += [_contrast_words(*pair) for pair in _largest(kinds, total.pieces)]
     return '; '.join(parts) or 'spread evenly over time, path, volume and beam'
 
@@ -213,7 +229,7 @@ def _summary(total: Group, groups: Mapping[str, Sequence[Group]], shape: str) ->
     every = [g for part in groups.values() for g in part]
     most = max(every, key=lambda g: g.significance)
     size = f'The residual is {_um(total.rms)}, noise leaves {_um(total.expected)}'
-    if max(total.significance, most.significance) < SIGNIFICANT:
+    if not _stands_out(total, every):
         return (
             f'{size}; nothing stands out: of {len(every)} groups {most.label} has the largest '
             f'excess ({most.significance:.1f} standard deviations).'

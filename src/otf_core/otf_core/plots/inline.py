@@ -15,6 +15,14 @@ def _rounded(number: re.Match[str]) -> str:
     return f'{float(number.group()):.1f}'
 
 
+def _renamed(text: str, name: str) -> str:
+    """Number the marks, as matplotlib names them after the last digits of coordinates."""
+    marks = {mark: f'{name}-{k}' for k, mark in enumerate(re.findall(r' id="([^"]*)"', text))}
+    return re.sub(
+        r'( id="|url\(#|href="#)([^")]*)', lambda m: m.group(1) + marks[m.group(2)], text
+    )
+
+
 def inline_svg(figure: Any, name: str, title: str) -> str:
     """Return a figure as an ``svg`` element.
 
@@ -40,9 +48,7 @@ def inline_svg(figure: Any, name: str, title: str) -> str:
     text = re.sub(
         r' id="(?:patch|line2d|text|axes|xtick|ytick|figure|matplotlib\.)[^"]*"', '', text
     )
-    text = re.sub(r' id="', f' id="{name}-', text)
-    text = re.sub(r'url\(#', f'url(#{name}-', text)
-    text = re.sub(r'xlink:href="#', f'href="#{name}-', text)
+    text = _renamed(text.replace('xlink:href', 'href'), name)
     text = re.sub(r'<[^>]*>', lambda m: NUMBER.sub(_rounded, m.group()), text)
     text = text.replace('#000000', 'currentColor')
     text = re.sub(r'>\s+<', '><', text)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command-line options of the parameter dataclasses, in the units machine users use."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+from otf_core.config import ParameterInfo, Parameters
+from otf_core.errors import ConfigError
+
+CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
+"""Options stated in another unit than the parameter, as machine users do: name, factor."""
+
+
+def _option(name: str) -> str:
+    return '--' + name.replace('_', '-')
+
+
+def _add_parameter(group: Any, info: ParameterInfo) -> None:
+    kind = type(info.default)
+    unit, factor = CLI_UNITS.get(info.name, (kind.__name__.upper(), 1))
+    bounds = ''
+    if info.low is not None and info.high is not None:
+        bounds = f', {info.low * factor:g} to {info.high * factor:g}'
+    stated = info.unit if factor == 1 else 'mm/min'
+    default = info.default if isinstance(info.default, str) else info.default * factor
+    text = f'{info.meaning} ({stated or kind.__name__}{bounds}; default {default})'
+    group.add_argument(
+        _option(info.name),
+        dest=info.name,
+        type=kind,
+        choices=info.choices or None,
+        metavar=unit,
+        help=text.replace('%', '%%'),
+    )
+
+
+def add_parameters(
+    parser: argparse.ArgumentParser, kind: type[Parameters], only: Sequence[str] = ()
+) -> None:
+    """Add the parameters of a dataclass, or ``only`` some, as options."""
+    group = parser.add_argument_group((kind.__doc__ or '').split('.')[0].lower())
+    for info in kind.infos():
+        if not only or info.name in only:
+            _add_parameter(group, info)
+
+
+def parameters(kind: type[Any], arguments: argparse.Namespace, only: Sequence[str] = ()) -> Any:
+    """Build a parameter dataclass from the options that were given; ConfigError names them."""
+    given = {}
+    for info in kind.infos():
+        if only and info.name not in only:
+            continue
+        value = getattr(arguments, info.name)
+        if value is None:
+            continue
+        try:
+            scale = CLI_UNITS.get(info.name, ('', 1))[1]
+            given[info.name] = info.check(value if scale == 1 else value / scale)
+        except ConfigError as error:
+            raise ConfigError(f'{_option(info.name)}{str(error)[len(info.name) :]}') from None
+    return kind(**given)

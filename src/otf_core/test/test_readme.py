@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""README and docs against the software: parameters, links, commands."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from otf_core.cli import _parser
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))]
+NAMES = [str(p.relative_to(ROOT)) for p in PAGES]
+
+
+@pytest.fixture
+def parameter_table(monkeypatch):
+    """The tool that writes the tables; what it adds to the path is taken off again."""
+    monkeypatch.setattr(sys, 'path', [*sys.path, str(ROOT / 'tools')])
+    import parameter_table
+
+    return parameter_table
+
+
+def test_parameter_tables_are_those_of_the_software(parameter_table):
+    text = PAGES[0].read_text(encoding='utf-8')
+    assert parameter_table.with_tables(text) == text, 'run python3 tools/parameter_table.py'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=NAMES)
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding='utf-8')
+    targets = re.findall(r'\]\(([^)#]+)[^)]*\)', text) + re.findall(r'src="([^"]+)"', text)
+    for target in targets:
+        assert target.startswith('http') or (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize('page', PAGES, ids=NAMES)
+def test_named_commands_exist(page):
+    verbs = next(a for a in _parser()._actions if a.dest == 'verb').choices
+    known = {*verbs, 'demo', 'test', 'env'}
+    found = set(re.findall(r'\./otf ([a-z]+)', page.read_text(encoding='utf-8')))
+    assert found <= known
+
+
+@pytest.mark.parametrize('page', PAGES, ids=NAMES)
+def test_named_files_exist(page):
+    text = page.read_text(encoding='utf-8')
+    for name in re.findall(r'\b((?:bench|src|tools|bags)/[\w./-]+\.\w+)', text):
+        assert (ROOT / name).exists(), name

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter tables of the README, from the fields that also declare the parameters of the nodes.
+
+``python3 tools/parameter_table.py`` puts them between the marks in README.md; a test compares.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+README = ROOT / 'README.md'
+BEGIN = '<!-- parameters: made by python3 tools/parameter_table.py -->'
+END = '<!-- end of parameters -->'
+FOLDERS = ('otf_core', 'otf_bringup', 'otf_calibrator', 'otf_path_planner', 'otf_tracker_driver')
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return 'true' if value else 'false'
+    return (f'`{value}`' if value else 'empty') if isinstance(value, str) else str(value)
+
+
+def _range(info: Any) -> str:
+    if info.choices:
+        return ', '.join(f'`{c}`' for c in info.choices)
+    if info.low is None and info.high is None:
+        return ''
+    low, high = ('' if v is None else f'{v:.10g}' for v in (info.low, info.high))
+    return f'{low} to {high}'
+
+
+def rows(groups: Any) -> Iterator[str]:
+    """Yield the lines of one table for groups of parameters."""
+    yield '| parameter | default | unit | range | meaning |'
+    yield '|---|---|---|---|---|'
+    for info in (info for group in groups for info in group.infos()):
+        cells = (f'`{info.name}`', _shown(info.default), info.unit, _range(info), info.meaning)
+        yield '| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |'
+
+
+def tables() -> str:
+    """Return the tables of all nodes, and of what only the command line knows."""
+    for name in FOLDERS:
+        folder = str(ROOT / 'src' / name)
+        if folder not in sys.path:
+            sys.path.append(folder)
+    from otf_bringup.params_file import NODES
+    from otf_core.config import ForecastConfig
+
+    parts: list[str] = []
+    for title, groups in (*NODES.items(), ('forecast of `./otf plan`', (ForecastConfig,))):
+        name = f'`{title}`' if title in NODES else title
+        parts += [f'**{name}**', '', *rows(groups), '']
+    return '\n'.join(parts).strip()
+
+
+def with_tables(text: str) -> str:
+    """Return a text with the tables between the marks."""
+    head, _, rest = text.partition(BEGIN)
+    _, found, tail = rest.partition(END)
+    if not found:
+        raise SystemExit(f'the marks {BEGIN} and {END} are missing')
+    return f'{head}{BEGIN}\n\n{tables()}\n\n{END}{tail}'
+
+
+if __name__ == '__main__':
+    README.write_text(with_tables(README.read_text(encoding='utf-8')), encoding='utf-8')
