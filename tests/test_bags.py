@@ -31,19 +31,6 @@ def test_replayed_bag_gives_the_true_errors_and_the_same_bits_as_offline(graph, 
     assert live.read_bytes() == offline(bag, machine_file, tmp_path / 'offline')
 
 
-def test_standstill_trigger_gives_the_same_bits_as_offline_on_the_saved_samples(graph, tmp_path):
-    bag, machine_file = BAGS[0] / 'bag', BAGS[0] / 'machine.yaml'
-    given = {'machine_file': machine_file, 'output_directory': tmp_path / 'out'}
-    graph.start('calibrator', **given, finish_at_stream_end=False)
-    graph.start('tracker_driver', backend='replay', bag=bag, time_scale=20.0)
-    result, _ = graph.wait_for_result()
-    folder = Path(result.output_directory)
-    graph.wait((folder / 'samples').exists, 'the bag of the samples')
-    again = offline(folder / 'samples', machine_file, tmp_path / 'offline')
-    assert (folder / 'error_tables.json').read_bytes() == again
-    assert share_left(folder / 'error_tables.json', BAGS[0] / 'truth.json') < 0.02
-
-
 def test_the_bags_of_all_chains_are_small():
     assert len(BAGS) == 3
     files = [file for folder in BAGS for file in folder.rglob('*') if file.is_file()]

@@ -74,14 +74,19 @@ def test_calibrates_again_without_restart(graph, machine_file, tmp_path):
         assert share_left(Path(result.output_directory) / 'error_tables.json', truth) < 0.03
 
 
-def test_standstill_at_the_end_point_ends_a_run_whose_stream_goes_on(graph, machine_file):
-    graph.start('path_planner', machine_file=machine_file, end_dwell=120.0, **SHORT)
-    out = graph.folder / 'out'
-    graph.start('calibrator', machine_file=machine_file, output_directory=out)
+def test_standstill_at_the_end_point_ends_a_run_whose_stream_goes_on(
+    graph, machine_file, tmp_path
+):
+    graph.start('path_planner', machine_file=machine_file, end_dwell=20.0, **SHORT)
+    given = {'machine_file': machine_file, 'output_directory': tmp_path / 'out'}
+    graph.start('calibrator', **given, finish_at_stream_end=False, idle_timeout=0.0)
     graph.start('tracker_driver', machine_file=machine_file, **FAST)
-    result, _ = graph.wait_for_result()
-    assert result.status == result.OK
-    assert result.samples < graph.wait_for_status('STREAMING').samples_expected
+    result, state = graph.wait_for_result()
+    assert result.status == result.OK, state.message
+    folder = Path(result.output_directory)
+    graph.wait((folder / 'samples').exists, 'the bag of the samples')
+    again = offline(folder / 'samples', machine_file, tmp_path / 'offline')
+    assert again == (folder / 'error_tables.json').read_bytes()
 
 
 def test_standstill_method_uses_the_stops(graph, machine_file, tmp_path):

@@ -290,7 +290,10 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
     assert {f['error'] for f in data['not_shown']} == {
         n for n, e in data['forecast']['errors'].items() if not e['identifiable']
     }
-    assert data['effects'] == {}
+    sight = {name: entry['visible'] for name, entry in data['effects'].items()}
+    assert sight['backlash']
+    assert not sight['tracker_scale']  # an equal slope of all axes
+    assert not sight['target_offset']
 
 
 def test_plan_judges_a_given_path(tmp_path, machine_file, capsys):

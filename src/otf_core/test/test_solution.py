@@ -283,9 +283,6 @@ def test_short_bursts_of_displaced_samples_do_not_reach_the_tables(cell):
     assert left < 0.02 * before
 
 
-@pytest.mark.xfail(
-    strict=True, reason='corners rounded over more than corner_exclusion are fitted as errors'
-)
 def test_corners_rounded_by_the_control_do_not_reach_the_tables(cell):
     plan = small_plan(cell.machine, corner_dwell=0.0)
     recording, width = record(cell.machine, plan, 200.0), 40  # jerk filter of 0.2 s: 3 mm

@@ -59,7 +59,10 @@ def row(rows, label):
             lambda v: along(2, 8e-6 * v.speed * v.direction[:, 1]),
             ('sense of travel of Y', 'grows with its feed', '0.8'),
         ),
-        (lambda v: along(0, 2e-6 * np.sin(2 * np.pi * v.time / 60)), ('period 60', 'along X')),
+        (
+            lambda v: along(0, 2e-6 * np.sin(2 * np.pi * v.time / 60)),
+            ('period ', ' s, amplitude ', ' um along X'),
+        ),
         (lambda v: along(1, 4e-6 * (v.q > 0.66 * SIZE).all(axis=1)), ('X high, Y high, Z high',)),
         (
             lambda v: along(2, 4e-6 * np.sin(2 * np.pi * 6 * v.time)),
@@ -84,8 +87,17 @@ def test_moment_and_size_of_a_step_are_found(start):
     moment, size = re.match(
         r'since (\d+) s, step of ([\d.]+) um', describe_structure([view])
     ).groups()
-    assert float(moment) == pytest.approx(start, abs=1.5)
+    unseen = max(view.time[high - 1] - view.time[low] for low, high in view.bounds)  # along Z
+    assert float(moment) == pytest.approx(start, abs=unseen + 1.0)
     assert float(size) == pytest.approx(3.1, abs=0.25)
+
+
+@pytest.mark.parametrize('period', [20.0, 60.0, 85.0])
+def test_period_of_a_slow_wave_is_found(period):
+    text = describe_structure(
+        [small(lambda v: along(0, 2e-6 * np.sin(2 * np.pi * v.time / period)))]
+    )
+    assert float(re.match(r'period ([\d.]+) s', text).group(1)) == pytest.approx(period, rel=0.02)
 
 
 def test_far_from_the_tracker_is_said():

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.shapes import Shape, all_shapes
+from otf_core.diagnosis.shape_families import all_shapes
+from otf_core.diagnosis.shapes import Shape
 from otf_core.diagnosis.views import RunView
 from otf_core.uncertainty import check_residuals
 
