@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from otf_core.config import CalibrationConfig
 from otf_core.frames import RigidTransform
@@ -24,6 +23,7 @@ from otf_core.runs import Recording, Run, prepare_runs
 from otf_core.solution import Solution
 from otf_core.system import build_system
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.threads import one_thread
 from otf_core.uncertainty import check_residuals
 from otf_core.unknowns import Unknowns, layout
 
@@ -236,7 +236,7 @@ def calibrate_runs(
     """
     config = config or CalibrationConfig()
     progress = progress or (lambda stage, fraction: None)
-    with threadpool_limits(1):  # the matrices are small: threads cost more than they give
+    with one_thread():
         progress('aligning', 0.0)
         runs, nodes = prepare(recordings, config)
         progress('solving', 0.0)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.diagnosis.before import forecast_effects
@@ -21,6 +20,7 @@ from otf_core.observability import findings
 from otf_core.optimised_planning import PathOptimiser
 from otf_core.plan_report import EffectForecast, PlanReport
 from otf_core.planning import Plan, plan_path
+from otf_core.threads import one_thread
 from otf_core.tracker_places import advice, check_place, compare_places, rough
 
 
@@ -142,7 +142,7 @@ def make_plan(
     """
     place = None if request.tracker_place is None else np.array(request.tracker_place)
     setup = Setup.of(machine, place, request.noise, judged)
-    with threadpool_limits(1):  # the matrices are small: threads cost more than they give
+    with one_thread():
         plan, how = _choose(request, setup, config)
         plan = on_increment(plan, machine.lower, machine.upper)
         check_place(plan, setup)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
-from threadpoolctl import threadpool_limits
 
 from otf_core.blind.draw import Trial
 from otf_core.config import CalibrationConfig
@@ -21,6 +20,7 @@ from otf_core.runs import Recording, prepare_runs
 from otf_core.sim.cell import SimulatedRun
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import displaced, run_state
+from otf_core.threads import one_thread
 from otf_core.unknowns import layout
 
 Array = NDArray[np.float64]
@@ -114,7 +114,7 @@ def make_ruler(trial: Trial) -> Ruler:
     config = CalibrationConfig()
     simulated = trial.runs()
     recordings = [Recording(r.samples, trial.plan.path, trial.machine) for r in simulated]
-    with threadpool_limits(1):
+    with one_thread():
         runs, nodes = prepare_runs(recordings, config)
         done = solve_jointly(runs, layout(nodes, len(runs)), config, lambda *_: None)
         rows = build_rows(runs, done, config.unidentifiable_above)

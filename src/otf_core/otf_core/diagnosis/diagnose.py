@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.assess import (
@@ -37,6 +36,7 @@ from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, solve_jointly
 from otf_core.runs import Recording, Run, prepare_runs
 from otf_core.tables import ErrorTables
+from otf_core.threads import one_thread
 from otf_core.unknowns import layout
 
 Array = NDArray[np.float64]
@@ -134,7 +134,7 @@ def find(
     """
     config = config or CalibrationConfig()
     progress = progress or (lambda stage, fraction: None)
-    with threadpool_limits(1):
+    with one_thread():
         runs, done = _solved(recordings, config, progress)
         progress('simulating', 0.0)
         rows = build_rows(runs, done, config.unidentifiable_above)

@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One thread for linear algebra: the matrices are small, threads cost more than they give.
+
+On busy machines several threads make a calibration ten times slower, and their number changes the
+last bits. threadpoolctl has no rosdep key; without it the number of threads stays as it is, and
+OPENBLAS_NUM_THREADS=1 in the environment does the same.
+"""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+try:
+    from threadpoolctl import threadpool_limits
+except ImportError:
+    threadpool_limits = None
+
+
+def one_thread() -> AbstractContextManager[Any]:
+    """Return a context in which linear algebra uses one thread."""
+    return nullcontext() if threadpool_limits is None else threadpool_limits(1)
