@@ -51,10 +51,11 @@ class Calibrator(Node):
         self._results = ResultPublishers(self)
         self.create_subscription(Path, 'planner/path', self._on_path, qos.PATH)
         self.create_subscription(TrackerStatus, 'tracker/status', self._on_status, qos.STATUS)
-        Drain(self, PointStamped, 'tracker/point', self._on_points, qos.MEASUREMENT)
         self.create_service(Trigger, 'calibrator/calibrate', self._on_calibrate)
         self.create_service(Trigger, 'calibrator/reset', self._on_reset)
         self.create_timer(PERIOD, self._tick)
+        # last: samples may come at once
+        Drain(self, PointStamped, 'tracker/point', self._on_points, qos.MEASUREMENT)
 
     def close(self) -> None:
         """End a calibration under way; files are whole or not there."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
@@ -147,7 +148,7 @@ def _hidden_section(diagnosis: Diagnosis) -> str:
     )
     return (
         '<p>These effects leave no trace in these data, so they are neither found nor absent.</p>'
-        '<table><thead><tr><th>Effect</th><th>Shown by</th></tr></thead>'
+        '<table class="halves"><thead><tr><th>Effect</th><th>Shown by</th></tr></thead>'
         f'<tbody>{rows}</tbody></table>'
     )
 
@@ -158,8 +159,15 @@ def _list(lines: Sequence[str], empty: str) -> str:
     return f'<ul>{"".join(f"<li>{text(line)}</li>" for line in lines)}</ul>'
 
 
+def _version() -> str:
+    try:
+        return version('otf_core')
+    except PackageNotFoundError:
+        return 'not installed, run from source'
+
+
 def _conditions_section(diagnosis: Diagnosis, data: ReportData) -> str:
-    items = [('runs', ', '.join(diagnosis.runs)), *data.conditions.items()]
+    items = {'runs': ', '.join(diagnosis.runs), 'otf_core': _version(), **data.conditions}.items()
     rows = ''.join(f'<tr><th>{text(k)}</th><td>{text(v)}</td></tr>' for k, v in items)
     return f'<table><tbody>{rows}</tbody></table>'
 

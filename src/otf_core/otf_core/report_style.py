@@ -29,6 +29,7 @@ th, td { text-align: left; vertical-align: top; padding: 0.35rem 0.8rem 0.35rem 
 th { font-weight: 600; color: var(--soft); font-size: 0.85rem; }
 td.number, th.number { text-align: right; white-space: nowrap; }
 th { white-space: nowrap; } td.short { min-width: 4rem; } td.words { min-width: 8.5rem; }
+table.halves { table-layout: fixed; }
 table table { width: auto; margin: 0; }
 table table td { border: 0; padding: 0 0.8rem 0 0; white-space: nowrap; }
 svg { width: 100%; height: auto; color: var(--ink); }

@@ -32,6 +32,7 @@ def text(value: object) -> str:
     """Escape for HTML, with micrometres as metrologists write them."""
     plain = re.sub(r'(?<![A-Za-z0-9_])u(m|rad)(?![A-Za-z0-9_])', r'µ\1', str(value))
     plain = re.sub(r'(?<= )\+/-(?= )', '±', plain)
+    plain = re.sub(r'(?<=\d) (?=%)', '\u00a0', plain)
     return html.escape(plain, quote=True)
 
 
@@ -134,16 +135,21 @@ def next_measurements(diagnosis: Diagnosis) -> list[str]:
 
 
 def _merged(wishes: Iterable[tuple[str, str]], hidden: set[str]) -> list[str]:
-    grouped: dict[str, list[str]] = {}
+    """One line for wishes that begin alike: what is wanted, details, what for."""
+    grouped: dict[str, tuple[list[str], list[str]]] = {}
     for wish, reason in wishes:
-        grouped.setdefault(wish, []).append(reason)
+        head, *rest = re.split(r'[,;:] ', wish, maxsplit=1)
+        details, reasons = grouped.setdefault(head, ([], []))
+        details += [r for r in rest if r not in details]
+        reasons.append(reason)
     lines = []
-    for wish, reasons in grouped.items():
+    for head, (details, reasons) in grouped.items():
         own = [r for r in reasons if r not in hidden]
         unseen = [r for r in reasons if r in hidden]
         if unseen:
             own.append('to see ' + _listed(unseen))
-        lines.append(f'{wish[:1].upper()}{wish[1:]}: {"; ".join(dict.fromkeys(own))}.')
+        detail = f' ({"; ".join(details)})' if details else ''
+        lines.append(f'{head[:1].upper()}{head[1:]}{detail}: {"; ".join(dict.fromkeys(own))}.')
     return lines
 
 

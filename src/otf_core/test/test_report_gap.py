@@ -257,6 +257,15 @@ def test_next_measurements_tell_rivals_apart_first(view):
     assert any(line.startswith('A calibrated length') for line in lines)
 
 
+def test_wishes_that_begin_alike_share_a_line(view):
+    hidden = (
+        ('table_tilt', 'a second tracker place, or a level'),
+        ('other', 'a second tracker place'),
+    )
+    lines = next_measurements(diagnosis(view, not_visible=hidden))
+    assert lines == ['A second tracker place (or a level): to see table tilt and other.']
+
+
 @pytest.mark.parametrize(
     ('value', 'u', 'unit', 'text'),
     [

@@ -117,7 +117,17 @@ def test_two_structures_are_found_the_larger_first():
     assert 'period 30.' in found[1].words
 
 
-@pytest.mark.parametrize('seed', range(8))
+def test_sizes_of_two_structures_are_those_of_a_joint_fit():
+    view = small(lambda v: along(0, 2e-6 * sense(v, 0)) + along(2, -1.5e-6 * sense(v, 2)))
+    text = describe_structure([view])
+    sizes = dict(re.findall(r'travel of (\w): ([\d.]+) um', text))
+    assert float(sizes['X']) == pytest.approx(2.0, abs=0.15)
+    assert float(sizes['Z']) == pytest.approx(1.5, abs=0.15)
+    assert 'along machine +X forward' in text
+    assert 'along machine -Z forward' in text
+
+
+@pytest.mark.parametrize('seed', range(4))
 def test_noise_alone_has_no_structure(seed):
     view = small(None, seed=seed)
     assert describe_structure([view]) == 'no structure beyond noise'

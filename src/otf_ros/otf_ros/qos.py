@@ -18,9 +18,10 @@ def _reliable(depth: int, durability: DurabilityPolicy) -> QoSProfile:
     )
 
 
-MEASUREMENT = _reliable(5000, DurabilityPolicy.VOLATILE)
-"""Tracker samples: a lost sample is lost data, so reliable, and deep enough for 5 s at 1000 Hz
-(trackers deliver bursts; a subscriber may be busy). Volatile: old samples are no news."""
+MEASUREMENT = _reliable(20000, DurabilityPolicy.VOLATILE)
+"""Tracker samples: a lost sample is lost data, so reliable, and deep enough for 20 s at 1000 Hz or
+4 s of a replay at 5000 Hz, should a subscriber be held up. Memory is taken only as the queue
+fills. Volatile: old samples are no news."""
 
 PATH = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Nominal path and plan: published once; a node that starts later still gets the last one."""

@@ -64,11 +64,11 @@ def _whole(options: Sequence[Option]) -> list[Option]:
 
 def _imitates(own: Option, other: Option) -> bool:
     """Tell whether another effect can leave every trace of this one."""
-    basis, size, _ = np.linalg.svd(other.own / other.size, full_matrices=False)
-    basis = basis[:, size > 1e-6 * size[0]]
-    mine = own.own / own.size
-    left = mine - basis @ (basis.T @ mine)
-    return float(np.sum(left**2)) < (1.0 - SAME) * float(np.sum(mine**2))
+    mine, theirs = own.own / own.size, other.own / other.size
+    values, vectors = np.linalg.eigh(theirs.T @ theirs)
+    seen = values > 1e-9 * values[-1]
+    shared = (mine.T @ theirs) @ vectors[:, seen] / np.sqrt(values[seen])
+    return float(np.sum(shared**2)) > SAME * float(np.sum(mine**2))
 
 
 def not_told_apart(

@@ -9,7 +9,7 @@ what is left.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,6 +191,19 @@ def _without_means(views: Sequence[RunView]) -> Projection:
     return lambda wide: np.asarray(wide - basis @ (basis.T @ wide))
 
 
+def _joint_words(
+    views: Sequence[RunView], shapes: Sequence[Shape], residual: Array, project: Projection
+) -> list[str]:
+    """Words with the sizes that shapes have when all are fitted together."""
+    if not shapes:
+        return []
+    white = [_candidates(views, [shape], project)[0].white for shape in shapes]
+    value, _ = _fit(np.concatenate(white, axis=1), residual)
+    ends = np.cumsum([w.shape[1] for w in white])
+    parts = np.split(value, ends[:-1])
+    return [shape.words(part) for shape, part in zip(shapes, parts, strict=True)]
+
+
 def find_structures(
     views: Sequence[RunView],
     residuals: Sequence[Array] | None = None,
@@ -221,6 +234,8 @@ def find_structures(
         if family
     ]
     found: list[Structure] = []
+    chosen: list[Shape] = []
+    plain, whole = project, residual
     while families and len(found) < MAX_STRUCTURES:
         candidate, value, score = _best(families, views, residual, project)
         before = _squares(views, residual)
@@ -229,8 +244,8 @@ def find_structures(
         share = gain / max(first - noise, 0.1 * noise)
         if score < NEEDED_SCORE or share < NEEDED_SHARE:
             break
-        words = candidate.shape.words(value)
-        found.append(Structure(candidate.shape.family, words, min(share, 1.0), score))
+        chosen.append(candidate.shape)
+        found.append(Structure(candidate.shape.family, '', min(share, 1.0), score))
         # axes may each have their own sense of travel; a second step or wave is a refinement
         family, removal = candidate.shape.family, _removal(candidate.white)
         families = [
@@ -239,4 +254,6 @@ def find_structures(
             if family in SEVERAL or part[0].shape.family != family
         ]
         project = _chained(project, removal)
+    words = _joint_words(views, chosen, whole, plain)
+    found = [replace(s, words=w) for s, w in zip(found, words, strict=True)]
     return sorted(found, key=lambda s: -s.share)

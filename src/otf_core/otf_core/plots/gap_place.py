@@ -18,6 +18,8 @@ CELLS = 8
 PLANES = ((0, 1), (0, 2), (1, 2))
 ARROW = 0.9
 """Length of the longest arrow, cells."""
+FEWEST = 5
+"""Pieces in a cell from which it is drawn."""
 LEVELS = 12
 """Colours."""
 
@@ -36,12 +38,14 @@ def _cells(views: Sequence[RunView], vectors: Any, plane: tuple[int, int], size:
     q = np.concatenate([v.q[:, plane] for v in views])
     low = q.min(axis=0)
     index = np.floor((q - low) / size + 1e-9).astype(int)
-    keys, cell = np.unique(index, axis=0, return_inverse=True)
-    cell = cell.reshape(-1)
+    number = index @ np.array([index[:, 1].max() + 1, 1])
+    enough = np.bincount(number)[number] >= FEWEST
+    keys, cell = np.unique(index[enough], axis=0, return_inverse=True)
+    cell, vectors = cell.reshape(-1), vectors[enough]
     count = np.bincount(cell)
     square = np.bincount(cell, (vectors**2).sum(axis=1)) / count
     mean = np.stack([np.bincount(cell, vectors[:, k]) / count for k in plane], axis=1)
-    shape = keys.max(axis=0) + 1
+    shape = index.max(axis=0) + 1
     rms = np.full(shape, np.nan)
     rms[tuple(keys.T)] = 1e6 * np.sqrt(square)
     edges = (low[0] + size * np.arange(shape[0] + 1), low[1] + size * np.arange(shape[1] + 1))
