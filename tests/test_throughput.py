@@ -1,20 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No sample is lost, at the rate of a fast tracker and beyond it."""
+"""No sample is lost: at the rate of a fast tracker, beyond it, and when a node is held up."""
+
+import signal
 
 import pytest
 from cells import SHORT
 
+QUICK = {'feed': 2.0, 'corner_dwell': 0.0, 'end_dwell': 1.5}
 
-@pytest.mark.parametrize(('rate', 'time_scale'), [(1000.0, 1.0), (1000.0, 6.0)])
+
+def start_cell(graph, machine_file, **driver):
+    """Start a cell that calibrates when the stream has ended; returns the calibrator."""
+    graph.start('path_planner', machine_file=machine_file, **SHORT, **QUICK)
+    given = {'machine_file': machine_file, 'output_directory': graph.folder / 'out'}
+    node = graph.start('calibrator', **given, save_bag=False, finish_at_standstill=False)
+    graph.start('tracker_driver', machine_file=machine_file, acceleration=20.0, **driver)
+    return node
+
+
+@pytest.mark.parametrize(('rate', 'time_scale'), [(1000.0, 1.0), (1000.0, 5.0)])
 def test_no_sample_is_lost(graph, machine_file, rate, time_scale):
-    fast = {'feed': 2.0, 'corner_dwell': 0.0, 'end_dwell': 1.5}
-    graph.start('path_planner', machine_file=machine_file, **SHORT, **fast)
-    out = graph.folder / 'out'
-    given = {'machine_file': machine_file, 'output_directory': out, 'save_bag': False}
-    graph.start('calibrator', **given, finish_at_standstill=False)
-    driver = {'rate': rate, 'time_scale': time_scale, 'max_rate': 10000.0, 'acceleration': 20.0}
-    graph.start('tracker_driver', machine_file=machine_file, **driver)
+    start_cell(graph, machine_file, rate=rate, time_scale=time_scale)
     result, state = graph.wait_for_result()
     status = graph.wait_for_status('FINISHED')
     assert result.samples_lost == 0
     assert state.samples == status.samples_published == status.samples_expected
+
+
+def hold_up(graph, node, samples):
+    """Stop a node while the driver publishes this many samples."""
+    graph.wait(lambda: graph.state() and graph.state().samples > 1000, 'samples')
+    node.interrupt(signal.SIGSTOP)
+    until = graph.status().samples_published + samples
+    graph.wait(lambda: graph.status().samples_published > until, 'further samples')
+    node.interrupt(signal.SIGCONT)
+
+
+def test_no_sample_is_lost_when_the_calibrator_is_held_up_for_a_while(graph, machine_file):
+    node = start_cell(graph, machine_file, rate=1000.0, time_scale=2.0)
+    graph.wait_for_status('STREAMING')
+    hold_up(graph, node, 4000)
+    result, _ = graph.wait_for_result()
+    assert result.samples_lost == 0
+
+
+def test_lost_samples_are_counted_and_reported(graph, machine_file):
+    node = start_cell(graph, machine_file, rate=5000.0, time_scale=2.0, max_rate=10000.0)
+    graph.wait_for_status('STREAMING')
+    hold_up(graph, node, 50_000)
+    result, state = graph.wait_for_result()
+    status = graph.wait_for_status('FINISHED')
+    assert result.samples_lost == status.samples_published - state.samples > 0
+    assert f'{result.samples_lost} samples were lost' in ' '.join(result.warnings)

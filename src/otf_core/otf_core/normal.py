@@ -16,8 +16,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
+from otf_core.errors import InputError
 from otf_core.noise import NoiseModel, mean_covariance
 from otf_core.pieces import Pieces
 from otf_core.system import System
@@ -105,7 +106,13 @@ class Whitener:
         own = np.diag(total)
         step = own[1:] + own[:-1] - 2.0 * np.diag(total, 1)
         self._step_variance[component, part.start + 1 : part.stop] = step
-        return np.asarray(cholesky(total, lower=True, check_finite=False))
+        try:
+            return np.asarray(cholesky(total, lower=True, check_finite=False))
+        except LinAlgError:
+            raise InputError(
+                f'leg {pieces.leg[part.start]} of the path: its samples belong to two passes; '
+                f'path and track do not agree there'
+            ) from None
 
     @property
     def factors(self) -> tuple[tuple[Array, ...], ...]:

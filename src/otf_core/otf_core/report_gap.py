@@ -185,16 +185,14 @@ def report_html(diagnosis: Diagnosis, data: ReportData) -> str:
     sections = (
         ('', _gap_section(diagnosis.gap, causes)),
         ('Causes', _causes_section(diagnosis)),
-        (
-            'Where it lies',
-            f'<p>{text(diagnosis.where.summary)}</p>{_figures_section(diagnosis, data)}',
-        ),
+        ('Where it lies', f'<p>{text(diagnosis.where.summary)}</p>'),
         ('What stays unexplained', _unexplained_section(diagnosis)),
         ('What these data cannot show', _hidden_section(diagnosis)),
         (
             'What to measure next',
             _list(next_measurements(diagnosis), 'Nothing more is needed for this question.'),
         ),
+        ('Pictures', _figures_section(diagnosis, data)),
         ('Conditions', _conditions_section(diagnosis, data)),
     )
     body = '\n'.join(

@@ -38,5 +38,5 @@ figure { margin: 1rem 0; break-inside: avoid; }
 figcaption { font-size: 0.9rem; color: var(--soft); }
 li { margin: 0.25rem 0; max-width: 52rem; }
 @media print { body { max-width: none; padding: 0; font-size: 11pt; }
-  h2 { break-after: avoid; } tr { break-inside: avoid; } }
+  h2, h3 { break-after: avoid; } tr { break-inside: avoid; } figure svg { max-height: 11cm; } }
 """

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 HOP = 1e-3
 """m; distance between the points that describe the track."""
+REACH = 4
+"""hops; distance over which a direction is taken."""
 GAP_TIME = 0.05
 """s; at least this long without samples, and a hop of movement, is a gap."""
 STRIDE_TIME = 0.005
@@ -90,8 +92,25 @@ def _farthest(points: Array, i: int, j: int) -> tuple[int, float]:
     return i + 1 + k, math.sqrt(float(distance[k]))
 
 
+def reversals(points: Array) -> NDArray[np.int64]:
+    """Points where the track turns by more than a right angle, shape (k,).
+
+    A line driven to and fro lies on its own chord, so distance alone does not show its ends.
+    """
+    if len(points) <= 2 * REACH:
+        return np.zeros(0, dtype=np.int64)
+    step = points[REACH:] - points[:-REACH]
+    turn = np.einsum('ij,ij->i', step[REACH:], step[:-REACH])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], turn < 0, [False]])))
+    found = [
+        int(low + np.argmin(turn[low:high])) + REACH
+        for low, high in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return np.array(found, dtype=np.int64)
+
+
 def simplify(points: Array, tolerance: float) -> NDArray[np.int64]:
-    """Corner points of a polyline (Ramer, Douglas, Peucker).
+    """Corner points of a polyline (Ramer, Douglas, Peucker), between its reversals.
 
     Parameters
     ----------
@@ -104,8 +123,9 @@ def simplify(points: Array, tolerance: float) -> NDArray[np.int64]:
     ndarray of int64, shape (k,)
         Indices of the corner points, first and last included.
     """
-    keep = {0, len(points) - 1}
-    stack = [(0, len(points) - 1)]
+    ends = sorted({0, *reversals(points).tolist(), len(points) - 1})
+    keep = set(ends)
+    stack = list(pairwise(ends))
     while stack:
         i, j = stack.pop()
         if j - i < 2:

@@ -171,7 +171,7 @@ def test_gap_is_shown_before_and_after_with_its_interval(page):
 
 def test_every_effect_that_is_not_visible_is_listed_with_what_shows_it(page):
     text = parsed(page).text
-    part = text[text.index('cannot show') : text.index('Conditions')]
+    part = text[text.index('cannot show') : text.index('Pictures')]
     for effect, needs in HIDDEN:
         assert effect.replace('_', ' ') in part
         assert needs in part

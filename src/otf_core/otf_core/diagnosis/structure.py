@@ -8,7 +8,7 @@ what is left.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,9 +24,8 @@ Projection = Callable[[Array], Array]
 _Family = tuple[list['_Candidate'], int]
 """Candidates, and how many shapes were looked at."""
 
-MAX_STRUCTURES = 3
-NEEDED_SCORE = 9.0
-"""Logarithm of the odds that a shape needs."""
+MAX_STRUCTURES, NEEDED_SCORE = 3, 9.0
+"""Shapes named; logarithm of the odds that each needs."""
 NEEDED_SHARE = 0.1
 """Share of the excess that a shape must explain to be worth a word."""
 SEVERAL = ('sense', 'product')
@@ -84,12 +83,7 @@ def _screened(
     """Most promising of many shapes: exact products with the residual, sizes interpolated."""
     if len(shapes) <= EXACT:
         return _candidates(views, shapes, project)
-    pull, start = [], 0
-    for view in views:
-        size = view.expected.size
-        part = residual[start : start + size].reshape(view.expected.shape)
-        pull.append(view.vectors(view.whiten_transposed(part)))
-        start += size
+    pull = [v.vectors(v.whiten_transposed(part)) for v, part in _parts(views, residual)]
     sample = np.unique(np.linspace(0, len(shapes) - 1, EXACT // 2).round().astype(int))
     exact = _candidates(views, [shapes[k] for k in sample], project)
     normals = np.array([(c.white.T @ c.white).ravel() for c in exact])
@@ -115,15 +109,24 @@ def _fit(white: Array, residual: Array) -> tuple[Array, float]:
     return coefficients, float(residual @ (white @ coefficients))
 
 
+def _parts(views: Sequence[RunView], white: Array) -> Iterator[tuple[RunView, Array]]:
+    """Whitened values (r,) run by run, shape (c, p)."""
+    start = 0
+    for view in views:
+        size = view.expected.size
+        yield view, white[start : start + size].reshape(view.expected.shape)
+        start += size
+
+
 def _inflation(views: Sequence[RunView], residual: Array) -> float:
     """Variance of what counts as noise in a whitened residual, correlation included."""
-    start, found = 0, []
-    for view in views:
-        shape = view.expected.shape
-        part = residual[start : start + shape[0] * shape[1]].reshape(shape)
-        found.append(check_residuals(part, view.leg, 0).inflation)
-        start += shape[0] * shape[1]
-    return float(np.mean(found))
+    parts = _parts(views, residual)
+    return float(np.mean([check_residuals(p, v.leg, 0).inflation for v, p in parts]))
+
+
+def _squares(views: Sequence[RunView], white: Array) -> float:
+    """Sum of squares of whitened values turned back, m^2."""
+    return sum(float((v.unwhiten(p) ** 2).sum()) for v, p in _parts(views, white))
 
 
 def _best(
@@ -168,16 +171,6 @@ def _removal(taken: Array) -> Projection:
 
 def _chained(first: Projection, then: Projection) -> Projection:
     return lambda wide: then(first(wide))
-
-
-def _squares(views: Sequence[RunView], white: Array) -> float:
-    """Sum of squares of whitened values turned back, m^2."""
-    total, start = 0.0, 0
-    for view in views:
-        part = white[start : start + view.expected.size].reshape(view.expected.shape)
-        total += float((view.unwhiten(part) ** 2).sum())
-        start += view.expected.size
-    return total
 
 
 def _without_means(views: Sequence[RunView]) -> Projection:
