@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from itertools import pairwise
+
 import numpy as np
 
 from otf_core.track import reversals, simplify
@@ -7,7 +9,7 @@ from otf_core.track import reversals, simplify
 def driven(corners, step=1e-3):
     """Points along a polyline, one per step, and the index of every corner."""
     parts, index, total = [], [0], 0
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
+    for a, b in pairwise(corners):
         count = round(float(np.linalg.norm(b - a)) / step)
         parts.append(a + np.arange(count)[:, None] / count * (b - a))
         total += count
