@@ -52,7 +52,7 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
         Check('ruff format --check', [python, '-m', 'ruff', 'format', '--check'], core),
         Check('mypy', [python, '-m', 'mypy'], core),
         Check('no ROS for the core suite', [python, '-c', PROOF], core),
-        Check(f'pytest {CORE_SUITE}', [python, '-m', 'pytest', CORE_SUITE], core),
+        Check(f'pytest {CORE_SUITE}', [python, '-m', 'pytest', '-n', '2', CORE_SUITE], core),
         Check('pytest tests', [node_python, '-m', 'pytest', 'tests'], workspace_env),
     ]
 
