@@ -50,6 +50,8 @@ MATERIAL_SHARE = 0.12
 """Least share of a further cause in the gap, as amplitude."""
 NO_GAP_SHARE = 0.35
 """Gap over simulated residual below which there is nothing to explain."""
+PLAIN_GAP_SHARE = 0.6
+"""The same for a residual without structure: the level of noise is known to ten percent only."""
 EXPLAINED_SHARE, KNOWN_SHARE = 0.3, 0.55
 """Share of the gap left (as amplitude) up to which it counts as explained; as known at all."""
 FREE_OF_STRUCTURE = 1.2
@@ -74,6 +76,8 @@ class Findings:
         With all causes fitted to all legs.
     visible : mapping of effect name to Visibility
     considered : tuple of (name, log odds)
+    structured : bool
+        True if neighbouring pieces share more of the residual than noise explains.
     """
 
     rows: Rows
@@ -83,6 +87,7 @@ class Findings:
     fitted: Residuals
     visible: dict[str, Visibility]
     considered: tuple[tuple[str, float], ...]
+    structured: bool = True
 
 
 def _solved(
@@ -150,7 +155,16 @@ def find(
         causes, steps = _named(rows, found, simulated)
         fitted = residuals_with(rows, causes, held_out=False)
     sight = {n: v for n, v in visible.items() if n not in DECOY_NAMES}
-    return Findings(rows, tuple(causes), simulated, tuple(steps), fitted, sight, tuple(considered))
+    return Findings(
+        rows,
+        tuple(causes),
+        simulated,
+        tuple(steps),
+        fitted,
+        sight,
+        tuple(considered),
+        _structure(rows, rows.residual) > FREE_OF_STRUCTURE,
+    )
 
 
 def _named(
@@ -178,11 +192,16 @@ def _noise_level(rows: Rows, found: Sequence[Cause]) -> float:
     for cause in found:
         white = cause.option.white
         residual = residual - white @ estimate(white, cause.option.size, residual).value
-    structure = noise_variance(rows, residual) / max(float(np.mean(residual**2)), 1e-300)
+    structure = _structure(rows, residual)
     variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - rows.base.shape[1])
     if structure > FREE_OF_STRUCTURE or not NOISE_RANGE[0] < variance < NOISE_RANGE[1]:
         return 1.0
     return float(np.sqrt(variance))
+
+
+def _structure(rows: Rows, residual: Array) -> float:
+    """Inflation by the correlation of neighbouring pieces; 1 for noise as assumed."""
+    return noise_variance(rows, residual) / max(float(np.mean(residual**2)), 1.0)
 
 
 def decoyed(findings: Findings) -> bool:
@@ -202,7 +221,8 @@ def verdict_of(findings: Findings) -> str:
     before = gap_um(findings.steps[0].rms_um, simulated)
     after = gap_um(findings.steps[-1].rms_um, simulated)
     if not findings.causes:
-        return 'none' if before < NO_GAP_SHARE * simulated else 'unknown'
+        least = NO_GAP_SHARE if findings.structured else PLAIN_GAP_SHARE
+        return 'none' if before < least * simulated else 'unknown'
     if decoyed(findings):
         return 'unknown'
     left = after if after > NO_GAP_SHARE * simulated else 0.0
