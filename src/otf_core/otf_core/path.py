@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from otf_core.errors import InputError, ShapeError
 
+Array = NDArray[np.float64]
+
 MIN_LEG = 1e-6
 """m; shorter legs are repeated corner points, not motion."""
 
@@ -83,3 +85,39 @@ class NominalPath:
         turn = np.linalg.norm(np.diff(unit, axis=0), axis=1) > 1e-6
         index = kept[np.concatenate([[True], turn, [True]])]
         return self.points[index], index
+
+
+def along_legs(points: Array, corners: Array, leg: NDArray[np.int64]) -> LegPosition:
+    """Project points on the legs they belong to.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3), m
+    corners : ndarray, shape (m + 1, 3), m
+        Leg j runs from corner j to corner j + 1.
+    leg : ndarray of int64, shape (n,)
+    """
+    step = np.diff(corners, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    unit = (step / length[:, None])[leg]
+    along = np.einsum('ij,ij->i', points - corners[leg], unit)
+    return LegPosition(along, unit, np.asarray(length[leg]))
+
+
+@dataclass(frozen=True)
+class LegPosition:
+    """Where points lie on their legs.
+
+    Attributes
+    ----------
+    along : ndarray, shape (n,), m
+        From the start of the leg, not clipped.
+    unit : ndarray, shape (n, 3)
+        Direction of the leg.
+    length : ndarray, shape (n,), m
+        Of the leg.
+    """
+
+    along: Array
+    unit: Array
+    length: Array

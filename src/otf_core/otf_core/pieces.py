@@ -19,6 +19,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.matching import OFF_PATH
 from otf_core.observation import Samples
+from otf_core.path import along_legs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -180,13 +181,15 @@ def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
 
 def samples_on_lines(
     samples: Samples, alignment: Alignment, config: CalibrationConfig
-) -> tuple[Index, Array, int]:
+) -> tuple[Index, Array, Array, int]:
     """Samples in steady motion on the lines of the path.
 
     Returns
     -------
     index : ndarray of int64, shape (n,)
         Neither near corners nor standing still nor outliers.
+    along : ndarray, shape (n,), m
+        From the start of the leg.
     speed : ndarray, shape (n,), m/s
     outliers : int
         Samples left out as outliers.
@@ -196,23 +199,21 @@ def samples_on_lines(
     InputError
         If there is none.
     """
-    corners = alignment.corners
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = step / length[:, None]
     leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
     points = alignment.T_machine_tracker.apply(samples.xyz)
-    along = np.einsum('ij,ij->i', points - corners[leg], unit[leg])
+    place = along_legs(points, alignment.corners, leg)
+    along = place.along
     speed = _moving(samples, along, alignment.leg, config)
-    margin = np.minimum(config.corner_exclusion, 0.25 * length[leg])
+    margin = np.minimum(config.corner_exclusion, 0.25 * place.length)
     keep = (alignment.leg != OFF_PATH) & (speed > 0)
-    keep &= (along > margin) & (along < length[leg] - margin)
+    keep &= (along > margin) & (along < place.length - margin)
     chosen = np.flatnonzero(keep)
     if not len(chosen):
         raise InputError('no sample is left on the lines of the path away from corners and stops')
-    offset = points[chosen] - along[chosen, None] * unit[leg[chosen]]
+    offset = points[chosen] - along[chosen, None] * place.unit[chosen]
     far = _outliers(offset, leg[chosen], config.outlier_limit)
-    return chosen[~far], speed[chosen[~far]], int(far.sum())
+    chosen = chosen[~far]
+    return chosen, along[chosen], speed[chosen], int(far.sum())
 
 
 def reduce_to_pieces(
@@ -233,13 +234,11 @@ def reduce_to_pieces(
     InputError
         If nothing is left.
     """
-    chosen, speed, outliers = samples_on_lines(samples, alignment, config)
+    chosen, along, speed, outliers = samples_on_lines(samples, alignment, config)
     corners, leg = alignment.corners, alignment.leg[chosen]
     step = np.diff(corners, axis=0)
     length = np.linalg.norm(step, axis=1)
     unit = step / length[:, None]
-    points = alignment.T_machine_tracker.apply(samples.xyz[chosen])
-    along = np.einsum('ij,ij->i', points - corners[leg], unit[leg])
     marks = [piece_boundaries(corners, j, nodes, config.piece_length) for j in range(len(length))]
     shift = np.concatenate([[0.0], np.cumsum(length + 1.0)])
     bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])

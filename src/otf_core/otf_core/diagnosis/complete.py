@@ -29,6 +29,7 @@ from otf_core.joint import Progress
 from otf_core.kinematics import displacement
 from otf_core.matching import OFF_PATH
 from otf_core.observation import Samples
+from otf_core.path import along_legs
 from otf_core.results import write_calibration
 from otf_core.runs import Recording, Run
 from otf_core.tables import ErrorTables
@@ -53,11 +54,9 @@ def corrected_recording(
     """
     samples, leg, corners = run.recording.samples, run.alignment.leg, run.alignment.corners
     on = leg != OFF_PATH
-    step = np.diff(corners, axis=0)
-    unit = step / np.linalg.norm(step, axis=1)[:, None]
-    points = pose.apply(samples.xyz[on])
-    along = np.einsum('ij,ij->i', points - corners[leg[on]], unit[leg[on]])
-    q = corners[leg[on]] + along[:, None] * unit[leg[on]]
+    place = along_legs(pose.apply(samples.xyz[on]), corners, leg[on])
+    along = place.along
+    q = corners[leg[on]] + along[:, None] * place.unit
     time = samples.time[on]
     half = max(1, len(time) // 20000 + 2)
     speed = np.abs(np.gradient(np.convolve(along, np.ones(half) / half, 'same'), time))

@@ -29,9 +29,8 @@ from otf_core.diagnosis.catalogue import (
     spectral_lines,
 )
 from otf_core.diagnosis.decoys import DECOY_NAMES, DECOYS
-from otf_core.diagnosis.evidence import estimate
 from otf_core.diagnosis.rows import Rows, build_rows
-from otf_core.diagnosis.search import Cause, noise_variance, search
+from otf_core.diagnosis.search import Cause, fit_out, noise_variance, search
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, solve_jointly
 from otf_core.runs import Recording, Run, prepare_runs
@@ -190,8 +189,7 @@ def _noise_level(rows: Rows, found: Sequence[Cause]) -> float:
     """
     residual = rows.residual
     for cause in found:
-        white = cause.option.white
-        residual = residual - white @ estimate(white, cause.option.size, residual).value
+        residual = fit_out(cause.option, residual)
     structure = _structure(rows, residual)
     variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - rows.base.shape[1])
     if structure > FREE_OF_STRUCTURE or not NOISE_RANGE[0] < variance < NOISE_RANGE[1]:

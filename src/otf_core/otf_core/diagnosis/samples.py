@@ -12,6 +12,7 @@ from otf_core.effects import State
 from otf_core.effects.state import state_on_path
 from otf_core.frames import RigidTransform
 from otf_core.kinematics import displacement
+from otf_core.path import along_legs
 from otf_core.runs import Run
 from otf_core.tables import ErrorTables
 
@@ -58,14 +59,12 @@ def sample_state(
     samples, corners, index = run.recording.samples, run.alignment.corners, run.pieces.samples
     leg = run.alignment.leg[index]
     points = pose.apply(samples.xyz[index])
-    step = np.diff(corners, axis=0)
-    unit = (step / np.linalg.norm(step, axis=1)[:, None])[leg]
-    along = np.einsum('ij,ij->i', points - corners[leg], unit)
+    place = along_legs(points, corners, leg)
     return state_on_path(
         run.machine,
         corners,
         leg,
-        corners[leg] + along[:, None] * unit,
+        corners[leg] + place.along[:, None] * place.unit,
         run.pieces.speed[run.pieces.piece],
         samples.time[index],
         pose,

@@ -66,7 +66,8 @@ def noise_variance(rows: Rows, residual: Array) -> float:
     return float(np.mean(total))
 
 
-def _fit_out(option: Option, residual: Array) -> Array:
+def fit_out(option: Option, residual: Array) -> Array:
+    """Residual less the best fit of one option."""
     fit = estimate(option.white, option.size, residual)
     return residual - option.white @ fit.value
 
@@ -146,7 +147,7 @@ def search(
         if not first:
             break
         # noise is judged on what the best candidate leaves: its own trace must not count as noise
-        variance = noise_variance(rows, _fit_out(first[0][1], residual))
+        variance = noise_variance(rows, fit_out(first[0][1], residual))
         ranking = _ranking(remaining, residual, variance)
         considered = [(o.effect.name, s) for s, o in ranking]
         score, option = ranking[0]

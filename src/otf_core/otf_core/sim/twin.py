@@ -16,6 +16,7 @@ from otf_core.frames import RigidTransform
 from otf_core.kinematics import exact_position
 from otf_core.matching import OFF_PATH
 from otf_core.observation import Samples
+from otf_core.path import along_legs
 from otf_core.runs import Recording, Run
 from otf_core.sim.tracker import measure
 from otf_core.tables import ErrorTables
@@ -44,13 +45,9 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
     samples, leg = run.recording.samples, run.alignment.leg
     on = leg != OFF_PATH
     corners = run.alignment.corners
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = step / length[:, None]
-    points = pose.apply(samples.xyz[on])
-    along = np.einsum('ij,ij->i', points - corners[leg[on]], unit[leg[on]])
-    along = np.clip(along, 0.0, length[leg[on]])
-    q = corners[leg[on]] + along[:, None] * unit[leg[on]]
+    place = along_legs(pose.apply(samples.xyz[on]), corners, leg[on])
+    along = np.clip(place.along, 0.0, place.length)
+    q = corners[leg[on]] + along[:, None] * place.unit
     true_points = (exact_position(tables, q) - pose.translation) @ pose.rotation
     seconds = max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
     config = SimulationConfig(
