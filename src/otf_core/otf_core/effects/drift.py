@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from otf_core.effects.base import Array, Shape, State
+from otf_core.effects.base import Array, Effect, Shape, State
 
 ORDER = 4
 SHAPE_NAMES = ('tau', 'until', 'order')
@@ -56,3 +57,15 @@ def drift_shapes(state: State) -> Sequence[Shape]:
     until = state.end or 1.0
     simple = [{'tau': f * until, 'until': until, 'order': 1.0} for f in (*TIME_CONSTANTS, LINEAR)]
     return (*simple, {'tau': LINEAR * until, 'until': until, 'order': float(ORDER)})
+
+
+class DriftingEffect(Effect):
+    """Base of the effects whose course in time is one of these functions."""
+
+    shape_names: ClassVar[tuple[str, ...]] = SHAPE_NAMES
+    shape_units: ClassVar[tuple[str, ...]] = SHAPE_UNITS
+    shape_defaults: ClassVar[Mapping[str, float]] = SHAPE_DEFAULTS
+
+    def shapes(self, state: State) -> Sequence[Shape]:
+        """Time constants around the duration, a line, and a general slow drift."""
+        return drift_shapes(state)

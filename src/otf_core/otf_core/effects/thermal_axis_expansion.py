@@ -7,18 +7,17 @@ of the axis, else its minimum. S_a = expansion coefficient times warming.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from otf_core.effects import drift
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Shape, State, Terms
 from otf_core.effects.position import travel_from_reference
 from otf_core.machine import AXES
 
 
-class ThermalAxisExpansion(Effect):
+class ThermalAxisExpansion(drift.DriftingEffect):
     """Strain of each axis that grows with time."""
 
     name: ClassVar[str] = 'thermal_axis_expansion'
@@ -41,13 +40,6 @@ class ThermalAxisExpansion(Effect):
     needs: ClassVar[str] = (
         'one reference line repeated every few minutes, one line along the beam, axis temperatures'
     )
-    shape_names: ClassVar[tuple[str, ...]] = drift.SHAPE_NAMES
-    shape_units: ClassVar[tuple[str, ...]] = drift.SHAPE_UNITS
-    shape_defaults: ClassVar[Mapping[str, float]] = drift.SHAPE_DEFAULTS
-
-    def shapes(self, state: State) -> Sequence[Shape]:
-        """Time constants around the duration, a line, and a general slow course."""
-        return drift.drift_shapes(state)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return S_X, S_Y, S_Z: strain at ``until``; S_X_2 ...: further functions of time."""

@@ -6,13 +6,12 @@ delta = sum over k of D_k g_k(t), the same vector at every place; g as in ``drif
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from otf_core.effects import drift
-from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.base import Array, Shape, State, Terms
 from otf_core.machine import AXES
 
 
@@ -21,7 +20,7 @@ def translation_columns(functions: list[tuple[str, Array]]) -> Array:
     return np.concatenate([g[:, None, None] * np.eye(3) for _, g in functions], axis=2)
 
 
-class ThermalStructureDrift(Effect):
+class ThermalStructureDrift(drift.DriftingEffect):
     """Slow shift of the target that does not depend on position."""
 
     name: ClassVar[str] = 'thermal_structure_drift'
@@ -43,13 +42,6 @@ class ThermalStructureDrift(Effect):
         'lines repeated at other times; a fixed second target on the table tells it from a drift '
         'of the tracker, with which it agrees exactly'
     )
-    shape_names: ClassVar[tuple[str, ...]] = drift.SHAPE_NAMES
-    shape_units: ClassVar[tuple[str, ...]] = drift.SHAPE_UNITS
-    shape_defaults: ClassVar[Mapping[str, float]] = drift.SHAPE_DEFAULTS
-
-    def shapes(self, state: State) -> Sequence[Shape]:
-        """Time constants around the duration, a line, and a general slow drift."""
-        return drift.drift_shapes(state)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return D_X, D_Y, D_Z: shift at ``until``; D_X_2 ...: further functions of time."""

@@ -7,18 +7,17 @@ r is the beam, g as in ``drift``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from otf_core.effects import drift
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Shape, State, Terms
 from otf_core.effects.thermal_structure_drift import translation_columns
 from otf_core.machine import AXES
 
 
-class TrackerPoseDrift(Effect):
+class TrackerPoseDrift(drift.DriftingEffect):
     """Slow rigid motion of all measured points."""
 
     name: ClassVar[str] = 'tracker_pose_drift'
@@ -40,13 +39,6 @@ class TrackerPoseDrift(Effect):
         'fixed nests on the table, measured again and again; its shift agrees exactly with a '
         'drift of the structure'
     )
-    shape_names: ClassVar[tuple[str, ...]] = drift.SHAPE_NAMES
-    shape_units: ClassVar[tuple[str, ...]] = drift.SHAPE_UNITS
-    shape_defaults: ClassVar[Mapping[str, float]] = drift.SHAPE_DEFAULTS
-
-    def shapes(self, state: State) -> Sequence[Shape]:
-        """Time constants around the duration, a line, and a general slow drift."""
-        return drift.drift_shapes(state)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return M_X ... W_Z: reached at ``until``; M_X_2 ...: further functions of time."""
