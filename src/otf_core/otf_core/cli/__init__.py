@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line of the offline verbs; ``./otf VERB --help`` describes each.
+
+Exit codes: 0 done, 1 internal error, 2 wrong usage or configuration, 3 input unusable, 4 done but
+a quality gate failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from otf_core.cli.measuring import (
+    run_calibrate,
+    run_compare,
+    run_diagnose,
+    run_noise,
+    run_predict,
+)
+from otf_core.cli.options import add_parameters
+from otf_core.cli.output import note
+from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
+from otf_core.config import (
+    CalibrationConfig,
+    ForecastConfig,
+    PlannerConfig,
+    SimulationConfig,
+)
+from otf_core.errors import OtfError
+
+LARGEST_SEED = 10_000_000
+Handler = Callable[[argparse.Namespace], int]
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if not 0 <= value <= LARGEST_SEED:
+        raise argparse.ArgumentTypeError(f'{value} is out of range [0, {LARGEST_SEED}]')
+    return value
+
+
+class _Parser(argparse.ArgumentParser):
+    """One clear line instead of the usage text in front of every error."""
+
+    def error(self, message: str) -> Any:
+        """Print what is wrong and leave with exit code 2."""
+        self.exit(2, f'{self.prog}: {message} (see {self.prog} --help)\n')
+
+
+def _add_plan_options(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        '--time-budget', type=float, metavar='S',
+        help='choose lines, passes and feeds up to --feed so that the grid is known best after '
+        'this time, accelerations and dwells included; --passes, --feed-ratio and --levels do '
+        'not count then (s)',
+    )  # fmt: skip
+    sub.add_argument(
+        '--wanted-uncertainty', type=float, metavar='UM',
+        help='the same for a forecast mean grid uncertainty in a short time (um, k = 1)',
+    )  # fmt: skip
+    sub.add_argument(
+        '--tracker-place', metavar='X,Y,Z',
+        help='beam origin of the tracker in the machine frame (m; default in front, at -Y)',
+    )  # fmt: skip
+    sub.add_argument('--noise', help='noise.json of otf noise; as in machine.yaml if not given')
+    sub.add_argument(
+        '--dialect', choices=('sinumerik', 'fanuc', 'heidenhain', 'linuxcnc'),
+        help='write the NC program for this control; there is no generic one',
+    )  # fmt: skip
+
+
+def _add_runs(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        'bag', nargs='+',
+        help='rosbag2 folders or .mcap files: runs of one machine, e.g. with other stations, '
+        'feeds or target offsets',
+    )  # fmt: skip
+    sub.add_argument(
+        '--machine', required=True, action='append', metavar='M.yaml',
+        help='machine.yaml of all bags; or given once per bag, in their order',
+    )  # fmt: skip
+
+
+def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentParser]) -> None:
+    """Verbs that judge a tracker, a calibration or this program."""
+    sub = verb('noise', run_noise, 'Tracker noise in the standstills of a bag.')
+    sub.add_argument('bag', help='rosbag2 folder or .mcap file; /tracker/point suffices')
+    sub.add_argument('--out', required=True, help='folder for the results')
+    add_parameters(sub, CalibrationConfig, ('standstill_speed',))
+
+    sub = verb('compare', run_compare, 'Error tables or direct measurements, motion by motion.')
+    sub.add_argument('a', help='error_tables.json, or CSV of a direct measurement')
+    sub.add_argument('b', help='the same')
+    sub.add_argument('--machine', help='machine.yaml, for direct measurements')
+    sub.add_argument('--points', help='CSV with the header x,y,z; a grid if not given')
+    sub.add_argument('--out', required=True, help='folder for the results')
+
+    sub = verb('validate', run_validate, "The paper's comparisons on simulated cells.")
+    sub.add_argument('--out', required=True, help='folder for table and figures')
+    sub.add_argument('--quick', action='store_true', help='two cells instead of eight')
+    sub.add_argument(
+        '--seed', dest='first_cell', type=_seed, default=2001, metavar='N',
+        help='of the first cell (default 2001)',
+    )  # fmt: skip
+
+    sub = verb('blind', run_blind, 'Blind trial: draw and seal cells, diagnose them, score.')
+    sub.add_argument('--trials', type=int, required=True, help='cells to draw')
+    sub.add_argument('--seed', type=int, required=True, help='all random numbers hang on it')
+    sub.add_argument('--out', required=True, help='folder; an interrupted trial goes on there')
+    sub.add_argument('--jobs', type=int, default=2, help='processes at once (default 2)')
+    sub.add_argument(
+        '--leave-one-out',
+        action='store_true',
+        help='every effect diagnosed with itself taken out of the catalogue',
+    )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog='otf', description='On-the-fly machine-tool calibration, offline verbs.')
+    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
+
+    def verb(name: str, handler: Handler, text: str) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
+        sub.set_defaults(handler=handler)
+        return sub
+
+    sub = verb('calibrate', run_calibrate, 'Error tables from recorded bags.')
+    _add_runs(sub)
+    sub.add_argument('--out', required=True, help='folder for the results')
+    sub.add_argument('--method', choices=('otf', 'standstill'), default='otf')
+    add_parameters(sub, CalibrationConfig)
+
+    sub = verb('diagnose', run_diagnose, 'Where and why a real run departs from its simulation.')
+    _add_runs(sub)
+    sub.add_argument('--out', required=True, help='folder for gap.json and report.html')
+    sub.add_argument(
+        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+    )
+    add_parameters(sub, CalibrationConfig)
+
+    sub = verb('predict', run_predict, 'Volumetric errors at points, from error tables.')
+    sub.add_argument('--tables', required=True, help='error_tables.json')
+    sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
+    sub.add_argument('--out', required=True, help='CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz; m, k = 1')
+
+    _add_judging_verbs(verb)
+
+    sub = verb('plan', run_plan, 'Path for a machine, forecast of what it can see, NC program.')
+    sub.add_argument('--machine', required=True, help='machine.yaml')
+    sub.add_argument('--out', required=True, help='folder for path, forecast and program')
+    sub.add_argument('--path', help='CSV with the header x,y,z: take this path instead')
+    _add_plan_options(sub)
+    add_parameters(sub, PlannerConfig)
+    add_parameters(sub, ForecastConfig)
+
+    sub = verb('simulate', run_simulate, 'Bag of a simulated run.')
+    sub.add_argument('--machine', required=True, help='machine.yaml')
+    sub.add_argument('--out', required=True, help='bag folder to write')
+    sub.add_argument('--tables', help='error_tables.json of the truth; drawn if not given')
+    sub.add_argument('--path', help='CSV with the header x,y,z; planned if not given')
+    sub.add_argument('--effects', help='effects.yaml: what to add to the cell')
+    add_parameters(sub, SimulationConfig)
+    add_parameters(sub, PlannerConfig)
+    return parser
+
+
+def _joined(argv: Sequence[str]) -> list[str]:
+    """Join --tracker-place with its value: argparse takes '-0.3,0,0' for an option."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and joined[-1] == '--tracker-place':
+            joined[-1] += '=' + word
+        else:
+            joined.append(word)
+    return joined
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; return the exit code."""
+    arguments = _parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
+    try:
+        return int(arguments.handler(arguments))
+    except OtfError as error:
+        note(f'otf {arguments.verb}: {error}')
+        return error.exit_code
+    except KeyboardInterrupt:
+        note(f'otf {arguments.verb}: interrupted')
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0

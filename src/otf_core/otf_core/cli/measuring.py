@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verbs that work on recorded bags and on tables: calibrate, diagnose, noise, predict, compare."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from otf_core.cli.options import parameters
+from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
+from otf_core.config import CalibrationConfig
+from otf_core.errors import ConfigError, OtfError
+from otf_core.runs import Recording
+
+
+def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
+    """Read the bags of a command, each with its machine.yaml.
+
+    Raises
+    ------
+    ConfigError
+        If there is neither one machine.yaml nor one per bag.
+    InputError
+        Names the bag that cannot be read.
+    """
+    from otf_core.io.bag import read_bag
+    from otf_core.machine import load_machine
+
+    bags, files = arguments.bag, arguments.machine
+    if len(files) not in (1, len(bags)):
+        raise ConfigError(
+            f'--machine: given {len(files)} times for {len(bags)} bags; give one machine.yaml '
+            f'for all of them, or one for each in their order'
+        )
+    machines = [load_machine(file) for file in files]
+    if len(machines) == 1:
+        machines *= len(bags)
+    contents = [read_bag(name) for name in bags]
+    return [
+        Recording(content.samples, content.path, machine)
+        for content, machine in zip(contents, machines, strict=True)
+    ]
+
+
+def run_calibrate(arguments: argparse.Namespace) -> int:
+    """Error tables from recorded bags."""
+    config = parameters(CalibrationConfig, arguments)
+    from otf_core.calibrate import calibrate_runs
+    from otf_core.io.files import ensure_folder
+    from otf_core.results import format_result, write_calibration
+    from otf_core.runs import prepare_runs
+    from otf_core.standstill_method import prepare_stops
+
+    prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[arguments.method]
+    recordings = read_recordings(arguments)
+    try:
+        result = calibrate_runs(recordings, config, prepare=prepare)
+    except OtfError as error:
+        raise type(error)(f'{", ".join(arguments.bag)}: {error}') from None
+    files = write_calibration(result, ensure_folder(arguments.out))
+    say(format_result(result) + '\n' + listed(files, arguments.out))
+    for gate in result.failed_gates:
+        note(f'otf: quality gate failed: {gate}')
+    return QUALITY_GATE_FAILED if result.failed_gates else 0
+
+
+def run_diagnose(arguments: argparse.Namespace) -> int:
+    """Where and why real runs depart from their simulation."""
+    config = parameters(CalibrationConfig, arguments)
+    from otf_core.diagnosis.complete import diagnose, write_diagnosis
+    from otf_core.diagnosis.result import format_diagnosis
+    from otf_core.effects import REGISTRY
+    from otf_core.io.files import ensure_folder
+    from otf_core.sim.twin import twin_recording
+
+    unknown = sorted(set(arguments.exclude) - set(REGISTRY))
+    if unknown:
+        raise ConfigError(f'--exclude: {unknown[0]}: no effect; known: {", ".join(REGISTRY)}')
+    recordings = read_recordings(arguments)
+    ensure_folder(arguments.out)
+    try:
+        diagnosis, data = diagnose(
+            recordings, arguments.bag, twin_recording, arguments.exclude, config
+        )
+    except OtfError as error:
+        raise type(error)(f'{", ".join(arguments.bag)}: {error}') from None
+    files = write_diagnosis(diagnosis, data, arguments.out, config)
+    say(format_diagnosis(diagnosis) + listed(files, arguments.out))
+    return 0
+
+
+def run_noise(arguments: argparse.Namespace) -> int:
+    """Tracker noise in the standstills of a bag."""
+    from otf_core.io.bag import read_points
+    from otf_core.noise_files import format_noise, write_noise
+    from otf_core.noise_report import noise_report
+
+    speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
+    samples = read_points(arguments.bag)
+    try:
+        report = noise_report(samples, speed)
+    except OtfError as error:
+        raise type(error)(f'{arguments.bag}: {error}') from None
+    files = write_noise(report, arguments.out)
+    say(format_noise(report) + '\n' + listed(files, arguments.out))
+    return 0
+
+
+def run_predict(arguments: argparse.Namespace) -> int:
+    """Volumetric errors at points, from error tables."""
+    import numpy as np
+
+    from otf_core.io.csv_points import read_points_csv, write_csv
+    from otf_core.io.files import ensure_folder
+    from otf_core.prediction import predict
+
+    points = read_points_csv(arguments.points)
+    prediction = predict(arguments.tables, points)
+    ensure_folder(Path(arguments.out).parent)
+    columns = np.hstack([points, prediction.error, prediction.u])
+    write_csv(arguments.out, 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz', columns)
+    if not prediction.correlated:
+        note('otf predict: the tables hold no covariance; u takes their nodes as independent')
+    return 0
+
+
+def run_compare(arguments: argparse.Namespace) -> int:
+    """Error tables or direct measurements, motion by motion."""
+    from otf_core.comparison import compare, load_source
+    from otf_core.comparison_report import format_comparison, write_comparison
+    from otf_core.io.csv_points import read_points_csv
+    from otf_core.machine import load_machine
+
+    machine = load_machine(arguments.machine) if arguments.machine else None
+    points = read_points_csv(arguments.points) if arguments.points else None
+    a, b = load_source(arguments.a, machine), load_source(arguments.b, machine)
+    result = compare(a, b, points)
+    files = write_comparison(result, arguments.out)
+    say(format_comparison(result) + '\n' + listed(files, arguments.out))
+    return 0

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verbs that plan, simulate and judge: plan, simulate, validate, blind."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from otf_core.cli.options import parameters
+from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
+from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
+from otf_core.errors import ConfigError, OtfError
+
+
+def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
+    from otf_core.io.csv_points import read_points_csv
+    from otf_core.path import NominalPath
+    from otf_core.planning import check_inside, plan_for_path, plan_path
+
+    if arguments.path is None:
+        return plan_path(machine, config)
+    try:
+        path = NominalPath(read_points_csv(arguments.path))
+        check_inside(path, machine)
+    except ConfigError:
+        raise
+    except OtfError as error:
+        raise ConfigError(f'{arguments.path}: {error}') from None
+    return plan_for_path(path, config)
+
+
+def run_simulate(arguments: argparse.Namespace) -> int:
+    """Bag of a simulated run."""
+    config = parameters(SimulationConfig, arguments)
+    planning = parameters(PlannerConfig, arguments)
+    from otf_core.io.bag import BagContent, write_bag
+    from otf_core.io.effects_yaml import read_effects
+    from otf_core.io.files import ensure_folder
+    from otf_core.machine import load_machine
+    from otf_core.sim.cell import simulate
+    from otf_core.tables import load_tables
+
+    machine = load_machine(arguments.machine)
+    effects = read_effects(arguments.effects, machine) if arguments.effects else ()
+    tables = load_tables(arguments.tables).tables if arguments.tables else None
+    if tables is not None:
+        tables = dataclasses.replace(tables, machine=machine)
+    plan = _plan_of(arguments, planning, machine)
+    run = simulate(machine, plan, config, tables, effects)
+    ensure_folder(Path(arguments.out).parent)
+    write_bag(arguments.out, BagContent(run.samples, plan.path))
+    say(f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}')
+    return 0
+
+
+def run_plan(arguments: argparse.Namespace) -> int:
+    """Path for a machine, forecast of what it can see, NC program."""
+    config = parameters(PlannerConfig, arguments)
+    judged = parameters(ForecastConfig, arguments)
+    from otf_core.io.files import check_folder, ensure_folder
+    from otf_core.machine import load_machine
+    from otf_core.nc import DIALECTS
+    from otf_core.plan_report import format_report, write_report
+    from otf_core.planning_job import PlanRequest, make_plan, read_noise, read_place
+
+    machine = load_machine(arguments.machine)
+    check_folder(arguments.out)
+    place, wanted = arguments.tracker_place, arguments.wanted_uncertainty
+    request = PlanRequest(
+        given=None if arguments.path is None else _plan_of(arguments, config, machine),
+        time_budget=arguments.time_budget,
+        wanted_uncertainty=None if wanted is None else 1e-6 * wanted,
+        tracker_place=None if place is None else read_place(place),
+        noise=None if arguments.noise is None else read_noise(arguments.noise),
+    )
+    report = make_plan(machine, request, config, judged)
+    dialect = None if arguments.dialect is None else DIALECTS[arguments.dialect]
+    files = write_report(report, ensure_folder(arguments.out), dialect)
+    say(format_report(report))
+    say(f'written: {", ".join(f.name for f in files)} in {arguments.out}')
+    if dialect is None:
+        say(f'no NC program: give --dialect {"|".join(DIALECTS)} for one')
+    return 0
+
+
+def run_validate(arguments: argparse.Namespace) -> int:
+    """The paper's comparisons on simulated cells."""
+    from otf_core.io.files import ensure_folder
+    from otf_core.sim.laboratory import SimulatedLaboratory
+    from otf_core.validation.files import write_validation
+    from otf_core.validation.laboratory import scale
+    from otf_core.validation.run import validate
+    from otf_core.validation.table import format_rows
+
+    ensure_folder(arguments.out)
+    laboratory, cells = SimulatedLaboratory(), scale(arguments.quick, arguments.first_cell)
+    found = validate(laboratory, cells, note)
+    truth = found.cells[0].reference.truth
+    direct = laboratory.measure_directly(truth, found.seeds[0])
+    files = write_validation(found, direct, arguments.out)
+    say(format_rows(found.rows) + '\n' + listed(files, arguments.out))
+    failed = [row.quantity for row in found.rows if row.passed is False]
+    for quantity in failed:
+        note(f'otf: quality gate failed: {quantity}')
+    return QUALITY_GATE_FAILED if failed else 0
+
+
+def run_blind(arguments: argparse.Namespace) -> int:
+    """Blind trial: draw and seal cells, diagnose them, score."""
+    from otf_core.blind.trial import run_leave_one_out, run_trial
+
+    run = run_leave_one_out if arguments.leave_one_out else run_trial
+    say(run(arguments.trials, arguments.seed, arguments.out, arguments.jobs, note))
+    return 0
