@@ -239,9 +239,20 @@ def calibrate_runs(
     with one_thread():
         progress('aligning', 0.0)
         runs, nodes = prepare(recordings, config)
+        return calibrate_prepared(runs, layout(nodes, len(runs)), config, progress)
+
+
+def calibrate_prepared(
+    runs: Sequence[Run],
+    unknowns: Unknowns,
+    config: CalibrationConfig,
+    progress: Progress = lambda stage, fraction: None,
+) -> CalibrationResult:
+    """Calibrate runs that are reduced to pieces; see ``calibrate_runs``."""
+    with one_thread():
         progress('solving', 0.0)
-        runs, done = solve_robustly(runs, layout(nodes, len(runs)), config, progress)
-        return _assemble(runs, done, config)
+        kept, done = solve_robustly(runs, unknowns, config, progress)
+        return _assemble(kept, done, config)
 
 
 def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:

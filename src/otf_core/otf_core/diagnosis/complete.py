@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from otf_core.calibrate import CalibrationResult, calibrate_runs
+from otf_core.calibrate import CalibrationResult, calibrate_prepared
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.answer import DiagnosisData, answer, fitted_causes, run_views
 from otf_core.diagnosis.assess import gap_um
@@ -18,64 +19,41 @@ from otf_core.diagnosis.decoys import DECOY_NAMES
 from otf_core.diagnosis.diagnose import NO_GAP_SHARE, Findings, Twin, find
 from otf_core.diagnosis.noise_check import check_noise
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.diagnosis.where import describe_structure, where_of
-from otf_core.effects import AppliedEffect, total_displacement
-from otf_core.effects.state import state_on_path
+from otf_core.diagnosis.rows import Rows
+from otf_core.diagnosis.where import describe_structure, where_and_shape
+from otf_core.effects import AppliedEffect
 from otf_core.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.frames import RigidTransform
 from otf_core.io.effects_yaml import write_effects
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.joint import Progress
 from otf_core.kinematics import displacement
-from otf_core.matching import OFF_PATH
-from otf_core.observation import Samples
-from otf_core.path import along_legs
 from otf_core.results import write_calibration
-from otf_core.runs import Recording, Run
-from otf_core.tables import ErrorTables
+from otf_core.runs import Recording
+
+Array = NDArray[np.float64]
 
 
-def corrected_recording(
-    run: Run, pose: RigidTransform, tables: ErrorTables, applied: Sequence[AppliedEffect]
-) -> Recording:
-    """Take fitted effects off the samples of a run.
-
-    Parameters
-    ----------
-    run : Run
-    pose : RigidTransform
-        Tracker to machine.
-    tables : ErrorTables
-    applied : sequence of AppliedEffect
-
-    Returns
-    -------
-    Recording
-    """
-    samples, leg, corners = run.recording.samples, run.alignment.leg, run.alignment.corners
-    on = leg != OFF_PATH
-    place = along_legs(pose.apply(samples.xyz[on]), corners, leg[on])
-    along = place.along
-    q = corners[leg[on]] + along[:, None] * place.unit
-    time = samples.time[on]
-    half = max(1, len(time) // 20000 + 2)
-    speed = np.abs(np.gradient(np.convolve(along, np.ones(half) / half, 'same'), time))
-    ends = float(samples.time[-1])
-    state = state_on_path(run.machine, corners, leg[on], q, speed, time, pose, {}, tables, ends)
-    xyz = samples.xyz.copy()
-    xyz[on] -= total_displacement(state, applied) @ pose.rotation
-    return replace(run.recording, samples=Samples(samples.stamp_ns, xyz))
+def _displacement_of_pieces(rows: Rows, number: int, applied: Sequence[AppliedEffect]) -> Array:
+    """Mean displacement of the pieces of one run by fitted effects, shape (p, 3), m."""
+    pieces, total = rows.runs[number].pieces, np.zeros((len(rows.runs[number].pieces), 3))
+    for one in applied:
+        if one.effect.sample_resolution:
+            state = rows.sample_states[number]
+            total += pieces.mean_of(one.effect.displacement(state, one.parameters))
+        else:
+            total += one.effect.displacement(rows.states[number], one.parameters)
+    return total
 
 
 def _with_causes(
-    findings: Findings, applied: Sequence[AppliedEffect], config: CalibrationConfig
+    rows: Rows, applied: Sequence[AppliedEffect], config: CalibrationConfig
 ) -> CalibrationResult:
-    rows = findings.rows
-    recordings = [
-        corrected_recording(run, solved.pose, rows.tables, applied)
-        for run, solved in zip(rows.runs, rows.done.runs, strict=True)
-    ]
-    return calibrate_runs(recordings, config)
+    """Calibrate again with fitted effects taken off the pieces."""
+    runs = []
+    for number, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True)):
+        shift = _displacement_of_pieces(rows, number, applied) @ solved.pose.rotation
+        runs.append(replace(run, pieces=replace(run.pieces, xyz=run.pieces.xyz - shift)))
+    return calibrate_prepared(runs, rows.done.unknowns, config)
 
 
 def _table_change_um(plain: CalibrationResult, other: CalibrationResult) -> float:
@@ -139,12 +117,10 @@ def diagnose(
     diagnosis, findings = answer(names, findings, noise)
     views = run_views(names, findings)
     project = findings.rows.project
-    left = 'residual_after' if findings.causes else 'residual_before'
-    diagnosis = replace(
-        diagnosis,
-        where=where_of(views, project=project),
-        unexplained_where=describe_structure(views, left, project),
-    )
+    where, shape = where_and_shape(views, project=project)
+    if findings.causes:
+        shape = describe_structure(views, 'residual_after', project)
+    diagnosis = replace(diagnosis, where=where, unexplained_where=shape)
     applied = tuple(
         part.applied()
         for part in fitted_causes(findings)
@@ -175,8 +151,8 @@ def write_diagnosis(
     if data.applied:
         machine = rows.runs[0].machine
         write_effects(folder / 'effects.yaml', data.applied, machine)
-        plain = calibrate_runs([r.recording for r in rows.runs], config)
-        better = _with_causes(data.findings, data.applied, config)
+        plain = calibrate_prepared(rows.runs, rows.done.unknowns, config)
+        better = _with_causes(rows, data.applied, config)
         diagnosis = replace(diagnosis, table_change_um=_table_change_um(plain, better))
         write_calibration(plain, folder / 'calibration_plain')
         write_calibration(better, folder / 'calibration_with_effects')

@@ -138,12 +138,12 @@ def describe_structure(
     return _located(views, [getattr(v, residual) for v in views], project).shape
 
 
-def where_of(
+def where_and_shape(
     views: Sequence[RunView],
     residual: str = 'residual_before',
     project: Projection | None = None,
-) -> Where:
-    """Tell where the gap lies.
+) -> tuple[Where, str]:
+    """Tell where the gap lies, and its shape as ``describe_structure`` does, in one search.
 
     Parameters
     ----------
@@ -157,4 +157,14 @@ def where_of(
     details = _leg_details(views, residuals)
     rows['by_path_piece'] = [r | d for r, d in zip(rows['by_path_piece'], details, strict=True)]
     summary = summary_words(found.total, found.every, found.shape)
-    return Where(summary=summary, **{name: tuple(part) for name, part in rows.items()})
+    where = Where(summary=summary, **{name: tuple(part) for name, part in rows.items()})
+    return where, found.shape
+
+
+def where_of(
+    views: Sequence[RunView],
+    residual: str = 'residual_before',
+    project: Projection | None = None,
+) -> Where:
+    """Tell where the gap lies; parameters as of ``describe_structure``."""
+    return where_and_shape(views, residual, project)[0]
