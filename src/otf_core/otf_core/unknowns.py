@@ -21,6 +21,8 @@ from otf_core.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
 Array = NDArray[np.float64]
 
 POSE = 6
+SAME_PLACE = 1e-6
+"""m; positions that differ by less are one."""
 
 
 @dataclass(frozen=True)
@@ -85,15 +87,17 @@ def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
     Returns
     -------
     mapping of axis to ndarray, m
-        The ends of the covered part and the regular nodes between; a regular node closer to an
-        end than a quarter of the spacing gives way to it.
+        The ends of the covered part and the regular nodes between; a regular node closer than a
+        quarter of the spacing to an end that is not the axis' own gives way to it.
     """
     nodes = {}
     for k, axis in enumerate(AXES):
         spec = machine.axes[axis]
-        grid, margin = axis_nodes(spec), 0.25 * spec.table_pitch
-        inner = grid[(grid > low[k] + margin) & (grid < high[k] - margin)]
-        if high[k] - low[k] < 1e-6:
+        grid = axis_nodes(spec)
+        own = np.abs(np.array([low[k] - spec.min, high[k] - spec.max])) < SAME_PLACE
+        margin = np.where(own, SAME_PLACE, 0.25 * spec.table_pitch)
+        inner = grid[(grid > low[k] + margin[0]) & (grid < high[k] - margin[1])]
+        if high[k] - low[k] < SAME_PLACE:
             nodes[axis] = np.array([low[k]])
         else:
             nodes[axis] = np.concatenate([[low[k]], inner, [high[k]]])

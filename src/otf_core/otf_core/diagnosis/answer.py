@@ -224,7 +224,7 @@ def answer(
     findings = _without_unknown(findings, verdict)
     causes = _named_causes(findings)
     gap = _gap(findings, simulated_after)
-    if noise is not None:
+    if noise is not None and verdict != 'unknown':
         last = gap_um(findings.steps[-1].rms_um, findings.simulated_um)
         causes.append(_noise_cause(noise, last, gap.after_um))
         verdict = 'explained' if verdict == 'none' else verdict

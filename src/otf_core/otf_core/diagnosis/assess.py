@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 JACKKNIFE = 20
 """Groups of legs."""
+SIMULATED_U = 0.04
+"""Relative standard uncertainty of the simulated residual: how fast noise averages out."""
 
 
 @dataclass(frozen=True)
@@ -109,14 +111,17 @@ def shrink_percent(before_um: float, after_um: float) -> float:
 def shrink_interval(
     before: Residuals, after: Residuals, simulated_um: float
 ) -> tuple[float, float]:
-    """95 % interval of the shrink, from leaving out groups of legs in turn (jackknife)."""
+    """95 % interval of the shrink.
+
+    Scatter between groups of legs, left out in turn (jackknife), and ``SIMULATED_U``.
+    """
     group = before.leg % JACKKNIFE
     sums = [np.bincount(group, r.square, JACKKNIFE) for r in (before, after)]
     count = np.bincount(group, minlength=JACKKNIFE)
 
-    def shrink(keep: NDArray[np.bool_]) -> float:
+    def shrink(keep: NDArray[np.bool_], level: float = 1.0) -> float:
         sizes = (1e6 * np.sqrt(s[keep].sum() / count[keep].sum()) for s in sums)
-        return shrink_percent(*(gap_um(float(x), simulated_um) for x in sizes))
+        return shrink_percent(*(gap_um(float(x), level * simulated_um) for x in sizes))
 
     used = np.flatnonzero(count)
     if len(used) < 2:
@@ -124,5 +129,7 @@ def shrink_interval(
     whole = shrink(count > 0)
     left = np.array([shrink((count > 0) & (np.arange(JACKKNIFE) != k)) for k in used])
     u = float(np.sqrt((len(used) - 1) / len(used) * np.sum((left - left.mean()) ** 2)))
-    low, high = np.clip([whole - 2 * u, whole + 2 * u], 0.0, 100.0)
-    return float(low), float(high)
+    levels = [shrink(count > 0, 1.0 + k * SIMULATED_U) - whole for k in (-2.0, 2.0)]
+    low = whole - float(np.hypot(2 * u, min(0.0, *levels)))
+    high = whole + float(np.hypot(2 * u, max(0.0, *levels)))
+    return max(0.0, low), min(100.0, high)

@@ -7,12 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.diagnosis.evidence import Option, axis_subsets
 from otf_core.diagnosis.rows import Rows, column_size
 from otf_core.diagnosis.samples import sample_residuals
 from otf_core.diagnosis.spectral import Line, strongest_lines
-from otf_core.effects import REGISTRY, Effect, Shape
+from otf_core.effects import REGISTRY, Effect, Shape, Terms
+
+Array = NDArray[np.float64]
 
 DETECTABLE = 25.0
 """Rise of the sum of squares at which an effect is found."""
@@ -101,29 +104,68 @@ def collect_options(
         name = effect.name
         looked_for = () if effect.sample_resolution else effect.shapes(rows.states[0])
         chosen = shapes.get(name, looked_for)
-        options[name], share, smallest = [], 0.0, np.inf
-        for shape in (*chosen, *(() if chosen else (PROBES[name],))):
-            terms = effect.terms(rows.states[0], shape)
-            if not terms.names:
-                continue
-            plain = rows.plain_columns(effect, shape)
-            white, size = rows.whiten(plain), column_size(plain)
-            whole = np.einsum('ij,ij->j', white, white)
-            white = rows.project(white)
-            left = np.einsum('ij,ij->j', white, white)
-            acts = size > NO_TRACE
-            if acts.any():
-                ratio = np.sqrt(left[acts] / np.maximum(whole[acts], 1e-300))
-                found = np.sqrt(DETECTABLE / np.maximum(left[acts], 1e-300)) * size[acts]
-                share = max(share, float(np.median(ratio)))
-                smallest = min(smallest, float(np.median(found)))
-            for subset in axis_subsets(terms) if chosen else ():
-                take = subset[acts[subset]]
-                if take.size:
-                    own = white[:, take]
-                    option = Option(
-                        effect, shape, terms, take, own, size[take], own, plain[:, take]
-                    )
-                    options[name].append(option)
-        visible[name] = Visibility(share, smallest)
+        tried = _tried(rows, effect, chosen or (PROBES[name],))
+        options[name] = [o for t in tried for o in t.options()] if chosen else []
+        seen = [t.visibility() for t in tried]
+        visible[name] = Visibility(
+            max((v.share for v in seen), default=0.0),
+            min((v.smallest for v in seen), default=np.inf),
+        )
     return options, visible
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Columns of one shape of an effect: ``plain``, whitened, and with the tables taken off."""
+
+    effect: Effect
+    shape: Shape
+    terms: Terms
+    plain: Array
+    whole: Array
+    white: Array
+
+    def options(self) -> list[Option]:
+        """Options for all terms that act, and for those of each axis."""
+        size = column_size(self.plain)
+        found = []
+        for subset in axis_subsets(self.terms):
+            take = subset[size[subset] > NO_TRACE]
+            if take.size:
+                own = self.white[:, take]
+                found.append(
+                    Option(
+                        self.effect, self.shape, self.terms, take, own, size[take], own,
+                        self.plain[:, take],
+                    )
+                )  # fmt: skip
+        return found
+
+    def visibility(self) -> Visibility:
+        """How well the data see this shape."""
+        size = column_size(self.plain)
+        acts = size > NO_TRACE
+        if not acts.any():
+            return Visibility(0.0, np.inf)
+        whole = np.einsum('ij,ij->j', self.whole, self.whole)[acts]
+        left = np.einsum('ij,ij->j', self.white, self.white)[acts]
+        ratio = np.sqrt(left / np.maximum(whole, 1e-300))
+        found = np.sqrt(DETECTABLE / np.maximum(left, 1e-300)) * size[acts]
+        return Visibility(float(np.median(ratio)), float(np.median(found)))
+
+
+def _tried(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[_Tried]:
+    """Columns of all shapes, whitened and projected at once."""
+    terms = [effect.terms(rows.states[0], shape) for shape in shapes]
+    kept = [(s, t) for s, t in zip(shapes, terms, strict=True) if t.names]
+    if not kept:
+        return []
+    plain = np.concatenate([rows.plain_columns(effect, s) for s, _ in kept], axis=1)
+    whole = rows.whiten(plain)
+    white = rows.project(whole)
+    found, start = [], 0
+    for shape, term in kept:
+        part = slice(start, start + len(term.names))
+        start = part.stop
+        found.append(_Tried(effect, shape, term, plain[:, part], whole[:, part], white[:, part]))
+    return found

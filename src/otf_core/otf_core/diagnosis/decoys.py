@@ -49,6 +49,27 @@ class Jump(Effect):
         return Terms(tuple(f'J_{a}' for a in AXES), ('m',) * 3, ('',) * 3, columns)
 
 
+class Knock(Jump):
+    """Turn and shift of the tracker, or of what carries it, at a moment."""
+
+    name: ClassVar[str] = 'knock'
+    cause: ClassVar[str] = 'somebody knocked against the tracker or its table'
+    equation: ClassVar[str] = '(D + W x r) [t > moment]'
+    signature: ClassVar[str] = 'everything lies shifted and turned from a moment on'
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return J_X, J_Y, J_Z, and the turns W_X, W_Y, W_Z."""
+        shift = super().terms(state, shape)
+        after = (state.time > shape['moment']).astype(float)[:, None]
+        turns = np.stack([after * np.cross(e, state.beam) for e in np.eye(3)], axis=2)
+        return Terms(
+            (*shift.names, *(f'W_{a}' for a in AXES)),
+            (*shift.units, *('rad',) * 3),
+            ('',) * 6,
+            np.concatenate([shift.columns, turns], axis=2),
+        )
+
+
 class SlowWave(Effect):
     """Shift that swings slowly in time."""
 
@@ -80,5 +101,5 @@ class SlowWave(Effect):
         return Terms(names, ('m',) * 6, ('',) * 6, columns)
 
 
-DECOYS: tuple[Effect, ...] = (Jump(), SlowWave())
+DECOYS: tuple[Effect, ...] = (Jump(), Knock(), SlowWave())
 DECOY_NAMES = frozenset(d.name for d in DECOYS)
