@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole diagnosis on small simulated cells: what is named, what is not, what is written."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from core_cells import some_machine
 
@@ -97,3 +100,22 @@ def test_jolt_is_unknown_and_described():
     answer, _ = diagnosed(recording([JOLT]))
     assert (answer.verdict, answer.causes) == ('unknown', ())
     assert 'step' in answer.unexplained_where
+
+
+def test_drifts_have_coefficients_of_their_own_in_every_run(clean):
+    rows = clean[1].findings.rows
+    twice = replace(
+        rows,
+        runs=rows.runs * 2,
+        states=rows.states * 2,
+        done=replace(rows.done, runs=rows.done.runs * 2),
+    )
+    for name, own in (('tracker_pose_drift', True), ('backlash', False)):
+        effect = REGISTRY[name]
+        shape = effect.shapes(rows.states[0])[0]
+        one, two = rows.plain_columns(effect, shape), twice.plain_columns(effect, shape)
+        names = twice.terms(effect, shape).names
+        assert two.shape == (2 * len(one), len(names)) and len(set(names)) == len(names)
+        assert len(names) == one.shape[1] * (1 + own)
+        assert np.array_equal(two[len(one) :, -one.shape[1] :], one)
+        assert own is not np.any(two[: len(one), -one.shape[1] :])

@@ -14,6 +14,7 @@ from otf_core.diagnosis.decoys import DECOY_NAMES
 from otf_core.diagnosis.diagnose import Findings, verdict_of
 from otf_core.diagnosis.noise_check import NoiseFinding
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Where
+from otf_core.diagnosis.rows import name_in_run
 from otf_core.diagnosis.search import Cause, fit_jointly
 from otf_core.diagnosis.views import RunView
 from otf_core.effects import REGISTRY, AppliedEffect
@@ -33,14 +34,14 @@ class DiagnosisData:
     findings : Findings
     views : tuple of RunView
     conditions : mapping of str to str
-    applied : tuple of AppliedEffect
-        The causes with their fitted parameters, ready for a simulation.
+    applied : tuple of tuple of AppliedEffect
+        For every run the causes with their fitted parameters, ready for a simulation.
     """
 
     findings: Findings
     views: tuple[RunView, ...]
     conditions: Mapping[str, str]
-    applied: tuple[AppliedEffect, ...]
+    applied: tuple[tuple[AppliedEffect, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,13 @@ class _Fitted:
         kept = {a: s for a, s in strength.items() if s > 0.02 * largest}
         return tuple(sorted(kept, key=lambda a: -kept[a]))
 
-    def applied(self) -> AppliedEffect:
-        """The effect with its fitted parameters."""
+    def applied(self, run: int) -> AppliedEffect:
+        """The effect with its fitted parameters in one run."""
         option = self.cause.option
         values = dict(zip(self.names, self.value.tolist(), strict=True))
+        if option.effect.own_per_run:
+            own = [n for n in option.terms.names if n == name_in_run(n.split(' (')[0], run)]
+            values = {n.split(' (')[0]: values[n] for n in own if n in values}
         return AppliedEffect(option.effect, {**option.shape, **values})
 
 

@@ -156,7 +156,7 @@ class _Tried:
 
 def _tried(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[_Tried]:
     """Columns of all shapes, whitened and projected at once."""
-    terms = [effect.terms(rows.states[0], shape) for shape in shapes]
+    terms = [rows.terms(effect, shape) for shape in shapes]
     kept = [(s, t) for s, t in zip(shapes, terms, strict=True) if t.names]
     if not kept:
         return []

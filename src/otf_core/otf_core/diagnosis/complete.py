@@ -46,12 +46,12 @@ def _displacement_of_pieces(rows: Rows, number: int, applied: Sequence[AppliedEf
 
 
 def _with_causes(
-    rows: Rows, applied: Sequence[AppliedEffect], config: CalibrationConfig
+    rows: Rows, applied: Sequence[Sequence[AppliedEffect]], config: CalibrationConfig
 ) -> CalibrationResult:
     """Calibrate again with fitted effects taken off the pieces."""
     runs = []
     for number, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True)):
-        shift = _displacement_of_pieces(rows, number, applied) @ solved.pose.rotation
+        shift = _displacement_of_pieces(rows, number, applied[number]) @ solved.pose.rotation
         runs.append(replace(run, pieces=replace(run.pieces, xyz=run.pieces.xyz - shift)))
     return calibrate_prepared(runs, rows.done.unknowns, config)
 
@@ -121,13 +121,19 @@ def diagnose(
     if findings.causes:
         shape = describe_structure(views, 'residual_after', project)
     diagnosis = replace(diagnosis, where=where, unexplained_where=shape)
-    applied = tuple(
-        part.applied()
+    named = [
+        part
         for part in fitted_causes(findings)
         if part.cause.option.effect.name not in DECOY_NAMES
-    )
+    ]
+    applied = tuple(tuple(p.applied(k) for p in named) for k in range(len(recordings)))
     data = DiagnosisData(findings, views, _conditions(findings), applied)
     return diagnosis, data
+
+
+def effects_file(run: int) -> str:
+    """File of the effects in one run; further runs have one where theirs differ."""
+    return f'effects_run_{run + 1}.yaml' if run else 'effects.yaml'
 
 
 def write_diagnosis(
@@ -147,16 +153,19 @@ def write_diagnosis(
 
     config = config or CalibrationConfig()
     folder = ensure_folder(folder)
-    rows, written = data.findings.rows, []
-    if data.applied:
-        machine = rows.runs[0].machine
-        write_effects(folder / 'effects.yaml', data.applied, machine)
+    rows = data.findings.rows
+    written: list[Path] = []
+    if data.applied[0]:
+        for number, (run, applied) in enumerate(zip(rows.runs, data.applied, strict=True)):
+            if not number or applied != data.applied[0]:
+                written.append(folder / effects_file(number))
+                write_effects(written[-1], applied, run.machine)
         plain = calibrate_prepared(rows.runs, rows.done.unknowns, config)
         better = _with_causes(rows, data.applied, config)
         diagnosis = replace(diagnosis, table_change_um=_table_change_um(plain, better))
         write_calibration(plain, folder / 'calibration_plain')
         write_calibration(better, folder / 'calibration_with_effects')
-        written += [folder / 'effects.yaml', folder / 'calibration_with_effects']
+        written.append(folder / 'calibration_with_effects')
     write_report(diagnosis, data, folder / 'report.html')
     write_text(folder / 'gap.json', json.dumps(diagnosis.to_dict(), indent=1) + '\n')
     return [*written, folder / 'report.html', folder / 'gap.json']

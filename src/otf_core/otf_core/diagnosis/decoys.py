@@ -35,6 +35,7 @@ class Jump(Effect):
     needs: ClassVar[str] = 'lines repeated before and after'
     shape_names: ClassVar[tuple[str, ...]] = ('moment',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
+    own_per_run: ClassVar[bool] = True
     refine: ClassVar[str] = 'moment'
     refine_width: ClassVar[float] = 0.02
 
@@ -82,6 +83,7 @@ class SlowWave(Effect):
     needs: ClassVar[str] = 'a run of several periods'
     shape_names: ClassVar[tuple[str, ...]] = ('period',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
+    own_per_run: ClassVar[bool] = True
     refine: ClassVar[str] = 'period'
     refine_width: ClassVar[float] = 0.05
 

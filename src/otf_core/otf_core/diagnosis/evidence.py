@@ -40,7 +40,7 @@ class Option:
     effect : Effect
     shape : mapping of str to float
     terms : Terms
-        Of the first run; columns not to be relied on for others.
+        Of all runs; columns those of the first.
     take : ndarray of int, shape (k,)
         Terms that take part.
     white : ndarray, shape (r, k)

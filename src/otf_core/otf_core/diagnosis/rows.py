@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from otf_core.diagnosis.samples import sample_state
-from otf_core.effects import Effect, Shape, State
+from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.state import state_on_path
 from otf_core.joint import JointSolution, SolvedRun, tables_of
 from otf_core.runs import Run
@@ -104,7 +104,18 @@ class Rows:
                 columns = effect.terms(self.states[k], shape).columns
             across = np.einsum('cij,ijk->cik', solved.system.axes, columns)
             parts.append(across.reshape(-1, across.shape[2]))
-        return np.concatenate(parts)
+        return linalg.block_diag(*parts) if effect.own_per_run else np.concatenate(parts)
+
+    def terms(self, effect: Effect, shape: Shape) -> Terms:
+        """Terms of the columns; each run's own where they differ from run to run."""
+        first = effect.terms(self.states[0], shape)
+        runs = range(len(self.runs)) if effect.own_per_run else range(1)
+        return Terms(
+            tuple(name_in_run(name, k) for k in runs for name in first.names),
+            first.units * len(runs),
+            first.axes * len(runs),
+            first.columns,
+        )
 
     def whiten(self, columns: Array) -> Array:
         """Whiten columns (r, k) of all runs."""
@@ -135,6 +146,11 @@ class Rows:
     def residual(self) -> Array:
         """Whitened deviations less tables and poses, shape (r,)."""
         return self.project(self.deviation[:, None])[:, 0]
+
+
+def name_in_run(name: str, run: int) -> str:
+    """Name of a coefficient that belongs to one run; plain in the first."""
+    return f'{name} (run {run + 1})' if run else name
 
 
 def used_columns(done: JointSolution) -> Index:

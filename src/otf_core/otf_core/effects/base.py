@@ -142,6 +142,8 @@ class Effect(ABC):
     """Shape parameter that a fit improves beyond the raster of ``shapes``; '' for none."""
     refine_width: ClassVar[float] = 0.0
     """Relative distance over which it may move."""
+    own_per_run: ClassVar[bool] = False
+    """True if every run has coefficients of its own, as what drifts since its start."""
     sample_resolution: ClassVar[bool] = False
     """True if means over path pieces wash it out."""
 

@@ -65,6 +65,7 @@ class DriftingEffect(Effect):
     shape_names: ClassVar[tuple[str, ...]] = SHAPE_NAMES
     shape_units: ClassVar[tuple[str, ...]] = SHAPE_UNITS
     shape_defaults: ClassVar[Mapping[str, float]] = SHAPE_DEFAULTS
+    own_per_run: ClassVar[bool] = True
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Time constants around the duration, a line, and a general slow drift."""

@@ -147,11 +147,16 @@ def _reference_rows(cells: list[Cell]) -> list[Row]:
                              for f in feeds]))
         for t in tests
     )  # fmt: skip
+    feeds_agree = tuple(
+        100 * share_within(agreement(t.results[feeds[0]], t.results[feeds[-1]])) for t in tests
+    )
     return [
         *rows,
         Row('2.2', 'on the fly less standstill', '0.5 um', 'um', slow, (-np.inf, 0.5)),
         Row('2.2', 'fastest less slowest feed', 'not significant', 'um', fast,
             (-np.inf, MAX_FEED_INFLUENCE)),
+        Row('2.2', 'fastest and slowest feed within U, k = 2', '', '%', feeds_agree,
+            (MIN_AGREEMENT, 100.0)),
         Row('2.2', 'standstill and on the fly within U, k = 2', '', '%', within,
             (MIN_AGREEMENT, 100.0)),
     ]  # fmt: skip
