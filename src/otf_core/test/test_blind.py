@@ -11,6 +11,7 @@ from otf_core.blind.draw import draw_trial, nodal
 from otf_core.blind.draw_effects import draw_effect, scaled
 from otf_core.blind.outcome import NOISE, outcome
 from otf_core.blind.recovery import parameter_deviations
+from otf_core.blind.score import calibration
 from otf_core.blind.seal import KEY, SEAL, open_key, orders
 from otf_core.blind.trace import sample_state
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS, since_reversal
@@ -155,3 +156,16 @@ def test_changed_key_is_refused(tmp_path):
     (tmp_path / SEAL).write_text('0\n')
     with pytest.raises(InputError, match='sealed'):
         open_key(tmp_path)
+
+
+def test_stated_confidence_is_compared_with_what_is_there():
+    named = [('backlash', 0.995), ('servo_mismatch', 0.95), ('cross_coupling', 0.999)]
+    given = {
+        'verdict': 'explained',
+        'not_visible': [],
+        'causes': [{'effect': e, 'confidence': c, 'indistinguishable_from': []} for e, c in named],
+    }
+    scored = outcome(entry(part('backlash'), part('servo_mismatch'), kind='two'), given)
+    assert scored.confidence == (0.995, 0.95, 0.999)
+    lines = calibration([scored])
+    assert [line.split('  ')[-1].strip() for line in lines] == ['1 of 1 (100 %)', '1 of 2 (50 %)']

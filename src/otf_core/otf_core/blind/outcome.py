@@ -50,6 +50,8 @@ class Outcome:
         Which parts are named anywhere.
     extra : tuple of str
         Named, but neither hidden nor indistinguishable from what is.
+    confidence : tuple of float
+        Of the causes in ``named``.
     """
 
     cell: str
@@ -62,6 +64,7 @@ class Outcome:
     result: str
     found: tuple[bool, ...]
     extra: tuple[str, ...]
+    confidence: tuple[float, ...] = ()
 
     @property
     def is_right(self) -> bool:
@@ -168,4 +171,5 @@ def outcome(
         result='failed' if failed else _result(parts, causes, answer, exclude, entry['bends_um']),
         found=tuple(t in everything for t in truth),
         extra=() if failed else extra,
+        confidence=tuple(float(c.get('confidence', 0.0)) for c in causes),
     )

@@ -18,6 +18,8 @@ GAP_TOLERANCE = 0.2
 SMALL_GAP_UM = 0.3
 CLOSE = (2.0, 3.0)
 """Standard uncertainties."""
+CONFIDENCE = ((0.0, 0.9), (0.9, 0.99), (0.99, 1.01))
+"""Classes of the confidence stated."""
 
 
 def _share(hits: int, of: int) -> str:
@@ -152,6 +154,20 @@ def details(outcomes: Sequence[Outcome]) -> list[str]:
     return lines
 
 
+def calibration(outcomes: Sequence[Outcome]) -> list[str]:
+    """Share of the named causes that are hidden in the cell, by the confidence stated."""
+    named = [
+        (c, n not in o.extra) for o in outcomes for n, c in zip(o.named, o.confidence, strict=True)
+    ]
+    lines = []
+    for low, high in CONFIDENCE:
+        hits = [right for c, right in named if low <= c < high]
+        if hits:
+            stated = f'{low:.2f} to {min(high, 1.0):.2f}'
+            lines.append(_line(stated, sum(hits), len(hits)))
+    return lines
+
+
 def first_place(alone: Sequence[Outcome]) -> list[str]:
     """What the first tracker place alone says of cells measured from two."""
     hidden = [o for o in alone if not o.visible[0]]
@@ -175,6 +191,7 @@ def report(
         ('of two places only the first', first_place(alone) if alone else []),
         ('named rightly, by size in the residual', by_size(outcomes)),
         ('hidden effect, answered rightly, answers', confusion(outcomes)),
+        ('causes named that are there, by stated confidence', calibration(outcomes)),
         ('sizes', sizes(recovered)),
         ('cells not answered rightly, or with a needless cause', details([*outcomes, *alone])),
     ]
