@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +95,10 @@ class RunResult:
 
     Attributes
     ----------
+    name : str
+        Of the recording.
+    target_offset : ndarray, shape (3,), m
+    samples : int
     T_machine_tracker : RigidTransform
     noise : NoiseModel
         Noise of single samples as assumed in the solution.
@@ -114,6 +119,9 @@ class RunResult:
         Residual freed of the assumed noise covariance.
     """
 
+    name: str
+    target_offset: Array
+    samples: int
     T_machine_tracker: RigidTransform
     noise: NoiseModel
     coverage: float
@@ -268,6 +276,9 @@ def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
         NoiseModel.from_spec(run.machine.tracker), solved.system.along, solved.system.across
     )
     return RunResult(
+        name=Path(run.recording.name).name,
+        target_offset=run.machine.target_offset,
+        samples=len(run.recording.samples),
         T_machine_tracker=solved.pose,
         noise=run.noise,
         coverage=run.alignment.coverage,

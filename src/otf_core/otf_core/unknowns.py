@@ -2,9 +2,10 @@
 """The unknowns of a calibration and their gauge.
 
 Unknowns are a pose correction per run (3 translations, 3 rotations), 3 squareness errors, the
-node values of 18 error motions and, if asked for, reversal coefficients of these motions. The gauge (docs/formulation.md): positioning and rotations are
-zero at the axis' zero position, else at its minimum; straightness is zero at both ends. Gauge
-conditions are met exactly, by leaving nodes out: ``full = gauge @ free``.
+node values of 18 error motions and, if asked for, reversal coefficients of these motions. The
+gauge (docs/formulation.md): positioning and rotations are zero at the axis' zero position, else
+at its minimum; straightness is zero at both ends. Gauge conditions are met exactly, by leaving
+nodes out: ``full = gauge @ free``.
 """
 
 from __future__ import annotations

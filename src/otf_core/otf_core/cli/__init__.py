@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from otf_core.cli.measuring import (
+    DIAGNOSIS_PARAMETERS,
     run_calibrate,
     run_compare,
     run_diagnose,
@@ -138,9 +139,14 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
     )
-    add_parameters(sub, CalibrationConfig)
+    add_parameters(sub, CalibrationConfig, DIAGNOSIS_PARAMETERS)
 
-    sub = verb('predict', run_predict, 'Volumetric errors at points, from error tables.')
+    sub = verb(
+        'predict',
+        run_predict,
+        'Volumetric errors at points, from error tables: '
+        'the mean of forward and backward travel, with the target offset of their machine.',
+    )
     sub.add_argument('--tables', required=True, help='error_tables.json')
     sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
     sub.add_argument('--out', required=True, help='CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz; m, k = 1')
