@@ -8,24 +8,29 @@ squared whitened residuals of leg j, the gain of a richer model over a simpler o
     D = sum_j ( S_j simple - S_j rich ),    s_D = sqrt(n) * standard deviation of the n differences
 
 A model of k parameters that are not there loses about k. The richer one is taken if D > 3 s_D.
+Servo mismatch flips with travel too, but grows with the feed: where it explains the held-out legs
+better, by the same rule, no reversal is modelled.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from otf_core.config import CalibrationConfig
-from otf_core.joint import JointSolution, Progress, solve_robustly, tables_of
-from otf_core.normal import NormalEquations, sum_groups
+from otf_core.effects.servo_mismatch import ServoMismatch
+from otf_core.effects.state import state_of_travel
+from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
+from otf_core.normal import sum_groups
 from otf_core.reversal import MODELS
 from otf_core.runs import Run
-from otf_core.solution import estimate, identifiable_blocks
+from otf_core.solution import TRACE, estimate, free_columns, identifiable_blocks, smoothness
 from otf_core.system import System, build_system
 from otf_core.unknowns import Unknowns, is_reversal, layout, reversal_order
 
@@ -36,6 +41,8 @@ Evidence = dict[str, float | int | str]
 FOLDS = 8
 CLEAR = 3.0
 """Gain over its own scatter from which a richer model is taken."""
+RIVAL = ServoMismatch()
+"""What is taken for a reversal most easily."""
 MIN_LEGS = 16
 """Fewer legs tell nothing of the scatter: no reversal is modelled then."""
 
@@ -101,8 +108,8 @@ def choose(
     model : str
     evidence : dict
         'legs', 'folds', 'needed' gain over scatter; per model 'held_out_MODEL', sum of squared
-        whitened residuals, and for those with reversal 'gain_MODEL' and 'scatter_MODEL' over the
-        best simpler one.
+        whitened residuals; 'gain_MODEL' and 'scatter_MODEL' over the best simpler one, for the
+        rival over the model chosen; 'rival', if it was better.
     """
     fold = _folds(done)
     legs = sum(len(f) for f in fold)
@@ -114,17 +121,19 @@ def choose(
         'legs': legs,
         'folds': FOLDS,
         'needed': CLEAR,
+        **{f'held_out_{model}': float(square.sum()) for model, square in left.items()},
     }
     best = 'none'
     for model, square in left.items():
-        evidence[f'held_out_{model}'] = float(square.sum())
-        if model == best:
+        if model == best or (best == 'none' and model == RIVAL.name):
             continue
         difference = left[best] - square
         gain, scatter = float(difference.sum()), float(np.sqrt(legs) * difference.std(ddof=1))
         evidence |= {f'gain_{model}': gain, f'scatter_{model}': scatter}
         if gain > CLEAR * scatter:
             best = model
+    if best == RIVAL.name:
+        return 'none', evidence | {'rival': RIVAL.name}
     return best, evidence
 
 
@@ -149,20 +158,33 @@ def _held_out_squares(
         build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
         for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True))
     ]
-    parts = _sums(systems, done, unknowns, fold)
+    rivals = [_rival_columns(run, system) for run, system in zip(runs, systems, strict=True)]
+    sums = [
+        sum_groups(system, unknowns, solved.whitener, group, rival, FOLDS)
+        for system, solved, group, rival in zip(systems, done.runs, fold, rivals, strict=True)
+    ]
+    parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
     total = reduce(add, parts)
     seen = done.solution.accepted
-    visible = [
-        n for n in identifiable_blocks(total, unknowns, limit) if n in seen or is_reversal(n)
-    ]
+    visible = identifiable_blocks(total, unknowns, limit)
+    columns = {
+        model: free_columns(
+            unknowns,
+            [n for n in visible if reversal_order(n) < count and _motion(n) in seen],
+        )
+        for model, count in MODELS.items()
+    }
+    width = rivals[0].shape[2]
+    columns[RIVAL.name] = np.append(columns['none'], unknowns.free + np.arange(width))
+    smooth = block_diag(smoothness(unknowns), TRACE * np.eye(width))
     left = {}
-    for model, count in MODELS.items():
-        blocks = [n for n in visible if reversal_order(n) < count and _motion(n) in seen]
-        values = [
-            unknowns.gauge @ estimate(total.less(part), unknowns, limit, blocks) * limit
-            for part in parts
+    for model, use in columns.items():
+        values = [estimate(total.less(part), use, smooth, limit) for part in parts]
+        squares = [
+            _squares(system, solved, group, rival, unknowns, np.stack(values, axis=1))
+            for system, solved, group, rival in zip(systems, done.runs, fold, rivals, strict=True)
         ]
-        left[model] = _squares(systems, done, fold, np.stack(values, axis=1))
+        left[model] = np.concatenate(squares)
     return left
 
 
@@ -170,27 +192,27 @@ def _motion(block: str) -> str:
     return block[:3] if is_reversal(block) else block
 
 
-def _sums(
-    systems: Sequence[System], done: JointSolution, unknowns: Unknowns, fold: Sequence[Index]
-) -> list[NormalEquations]:
-    """Normal equations of every fold over all runs."""
-    runs = [
-        sum_groups(system, unknowns, solved.whitener, group, groups=FOLDS)
-        for system, solved, group in zip(systems, done.runs, fold, strict=True)
-    ]
-    return [reduce(add, parts) for parts in zip(*runs, strict=True)]
+def _rival_columns(run: Run, system: System) -> Array:
+    """Columns of the rival across the path, shape (c, p, k)."""
+    state = state_of_travel(run.machine, system.q, run.pieces.direction)
+    terms = RIVAL.terms(replace(state, speed=run.pieces.speed), {})
+    return np.asarray(np.einsum('cij,ijk->cik', system.axes, terms.columns))
 
 
 def _squares(
-    systems: Sequence[System], done: JointSolution, fold: Sequence[Index], values: Array
+    system: System,
+    solved: SolvedRun,
+    fold: Index,
+    rival: Array,
+    unknowns: Unknowns,
+    values: Array,
 ) -> Array:
-    """Sum of squares of each leg with the full vector (full, folds) that belongs to its fold."""
-    squares = []
-    for system, solved, group in zip(systems, done.runs, fold, strict=True):
-        size = [high - low for low, high in solved.whitener.bounds]
-        number = np.repeat(np.arange(len(size)), size)
-        predicted = (system.design @ values).reshape(*system.deviation.shape, FOLDS)
-        of_fold = np.take_along_axis(predicted, group[number][None, :, None], axis=2)[..., 0]
-        white = solved.whitener.vector(system.deviation - of_fold)
-        squares.append(np.bincount(number, (white**2).sum(axis=0), len(size)))
-    return np.concatenate(squares)
+    """Sum of squares of each leg of a run with the values (columns, folds) of its fold."""
+    size = [high - low for low, high in solved.whitener.bounds]
+    number = np.repeat(np.arange(len(size)), size)
+    predicted = (system.design @ (unknowns.gauge @ values[: unknowns.free])).reshape(
+        *system.deviation.shape, FOLDS
+    ) + rival @ values[unknowns.free :]
+    of_fold = np.take_along_axis(predicted, fold[number][None, :, None], axis=2)[..., 0]
+    white = solved.whitener.vector(system.deviation - of_fold)
+    return np.asarray(np.bincount(number, (white**2).sum(axis=0), len(size)), dtype=float)

@@ -82,6 +82,11 @@ def _why(reversal: Reversal) -> list[str]:
                 f'{gain:.1f} +/- {scatter:.1f} than that of the best simpler model; more than '
                 f'{evidence["needed"]:g} times the scatter is needed'
             )
+    if 'rival' in evidence:
+        lines.append(
+            f'  but {evidence["rival"]} explains these legs better: an error that flips with '
+            f'travel and grows with the feed; see otf diagnose'
+        )
     return lines
 
 

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 TIE_BREAK = 1e-2
 """Weight of the smoothness condition, in units of 1 / unidentifiable_above^2."""
+TRACE = 1e-2
+"""Weight of the size of the values beside that of their second differences."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def smoothness(unknowns: Unknowns) -> Array:
             bend = np.diff(np.eye(count), 2, axis=0)
             total[block, block] = bend.T @ bend
     gauge = unknowns.gauge.toarray()
-    return np.asarray(gauge.T @ total @ gauge + 1e-2 * np.eye(unknowns.free))
+    return np.asarray(gauge.T @ total @ gauge + TRACE * np.eye(unknowns.free))
 
 
 def identifiable_blocks(
@@ -116,15 +118,28 @@ def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> NDArray[np.int64]
 
 
 def estimate(
-    normal: NormalEquations, unknowns: Unknowns, limit: float, accepted: Sequence[str]
+    normal: NormalEquations, use: NDArray[np.int64], smooth: Array, limit: float
 ) -> Array:
-    """Free vector of the solution in units of ``limit``, shape (free,); see ``solve``."""
-    use = free_columns(unknowns, accepted)
-    prior = TIE_BREAK * smoothness(unknowns)[np.ix_(use, use)]
-    data = normal.matrix[np.ix_(use, use)] * limit**2
-    free = np.zeros(unknowns.free)
-    free[use] = linalg.solve(data + prior, normal.right[use] * limit, assume_a='pos')
-    return free
+    """Solve for some columns of normal equations, all others zero; see ``solve``.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+        Of k columns.
+    use : ndarray of int, shape (m,)
+    smooth : ndarray, shape (k, k)
+        As of ``smoothness``.
+    limit : float
+
+    Returns
+    -------
+    ndarray, shape (k,), m and rad
+    """
+    place = np.ix_(use, use)
+    data = normal.matrix[place] * limit**2 + TIE_BREAK * smooth[place]
+    value = np.zeros(len(normal.right))
+    value[use] = linalg.solve(data, normal.right[use] * limit, assume_a='pos') * limit
+    return value
 
 
 def solve(

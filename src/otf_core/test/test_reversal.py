@@ -24,7 +24,7 @@ from otf_core.effects.state import state_of_travel
 from otf_core.machine import AXES
 from otf_core.normal import Whitener, normal_equations
 from otf_core.planning import plan_for_path
-from otf_core.results import write_calibration
+from otf_core.results import format_result, write_calibration
 from otf_core.runs import Recording
 from otf_core.sim.cell import simulate
 from otf_core.solution import identifiable_blocks
@@ -159,6 +159,15 @@ def test_reversal_of_a_motion_that_is_not_identifiable_is_zero_and_says_so(chose
     for name in chosen.reversal.not_identifiable:
         assert not chosen.reversal.motions[name].value.any()
         assert not chosen.reversal.motions[name].u.any()
+
+
+def test_servo_mismatch_at_two_feeds_is_not_taken_for_reversal():
+    result = solved(cell(servo_mismatch={'T_X': 4e-5, 'T_Y': -2e-5}))
+    assert result.reversal.model == 'none'
+    evidence = result.reversal.evidence
+    assert evidence['gain_constant'] > evidence['needed'] * evidence['scatter_constant']
+    assert evidence['rival'] == 'servo_mismatch'
+    assert 'servo_mismatch explains' in format_result(result)
 
 
 def test_a_short_path_gives_no_evidence():
