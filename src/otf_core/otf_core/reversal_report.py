@@ -78,9 +78,8 @@ def _why(reversal: Reversal) -> list[str]:
         if f'gain_{model}' in evidence:
             gain, scatter = evidence[f'gain_{model}'], evidence[f'scatter_{model}']
             lines.append(
-                f'  {model}: sum of squares on {evidence["legs"]} held-out legs smaller by '
-                f'{gain:.1f} +/- {scatter:.1f} than that of the best simpler model; more than '
-                f'{evidence["needed"]:g} times the scatter is needed'
+                f'  {model}: gain over the best simpler model on {evidence["legs"]} held-out legs '
+                f'{gain:.1f} +/- {scatter:.1f}; {evidence["needed"]:g} times the scatter is needed'
             )
     if 'rival' in evidence:
         lines.append(
