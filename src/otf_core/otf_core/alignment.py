@@ -24,6 +24,9 @@ from otf_core.track import Track, measured_track
 
 Array = NDArray[np.float64]
 
+WIDER = (2.5, 5.0, 10.0)
+"""Multiples of the tolerance that are tried to say what is wrong."""
+
 
 @dataclass(frozen=True)
 class Alignment:
@@ -132,7 +135,17 @@ def _hop_legs(match: Match, track: Track) -> NDArray[np.int64]:
     return legs
 
 
-def _complaint(track: Track, corners: Array, tolerance: float) -> str:
+def _wider(samples: Samples, corners: Array, tolerance: float) -> float | None:
+    """Tolerance within which the track would fit the path, m; None if none of ``WIDER`` does."""
+    for factor in WIDER:
+        track = measured_track(samples, factor * tolerance)
+        match = find_match(track, corners, factor * tolerance)
+        if match is not None and _explained(match, track) > 0.8:
+            return factor * tolerance
+    return None
+
+
+def _complaint(samples: Samples, track: Track, corners: Array, tolerance: float) -> str:
     """Say why nothing fits, as far as the shapes tell."""
     ratio = np.ptp(track.points, axis=0).max() / np.ptp(corners, axis=0).max()
     if not 0.3 < ratio < 3:
@@ -149,7 +162,17 @@ def _complaint(track: Track, corners: Array, tolerance: float) -> str:
     match = find_match(mirrored, corners, tolerance)
     if match is not None and _explained(match, track) > 0.8:
         return 'the track fits only mirrored: are the tracker coordinates left-handed?'
-    return 'no run of measured corners fits the path: do bag and path belong together?'
+    enough = _wider(samples, corners, tolerance)
+    if enough is not None:
+        return (
+            f'it does within {1e3 * enough:g} mm, but match_tolerance is {1e3 * tolerance:g} mm. '
+            f'If the machine rounds its corners that much, raise match_tolerance to {enough:g} '
+            f'(m) and corner_exclusion to the length that is rounded, about {3 * enough:g}'
+        )
+    return (
+        f'no run of measured corners fits the path within match_tolerance '
+        f'({1e3 * tolerance:g} mm): do bag and path belong together?'
+    )
 
 
 def _explained(match: Match, track: Track) -> float:
@@ -198,7 +221,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     match = find_match(track, corners, tolerance)
     if match is None or _explained(match, track) < 0.3:
         raise InputError(
-            f'samples do not follow the path: {_complaint(track, corners, tolerance)}'
+            f'samples do not follow the path: {_complaint(samples, track, corners, tolerance)}'
         )
     for _ in range(2):
         pose = _refine(match, track, corners, config)
@@ -207,7 +230,8 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
             raise InputError(
                 f'samples do not follow the path: only {100 * _explained(match, track):.0f} % of '
                 f'the measured track lies within {1e3 * tolerance:g} mm of it; '
-                f'do bag and path belong together?'
+                f'do bag and path belong together? If the machine rounds its corners by more, '
+                f'raise match_tolerance'
             )
     return Alignment(
         _refine(match, track, corners, config),

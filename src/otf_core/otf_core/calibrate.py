@@ -6,7 +6,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,15 @@ from otf_core.noise import NoiseModel, sample_variance
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
 from otf_core.pieces import Pieces
+from otf_core.reversal import Reversal, reversal_tables
+from otf_core.reversal_choice import ReversalSolution, solve_with_reversal
 from otf_core.runs import Recording, Run, prepare_runs
 from otf_core.solution import Solution
 from otf_core.system import build_system
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
 from otf_core.threads import one_thread
 from otf_core.uncertainty import check_residuals
-from otf_core.unknowns import Unknowns, layout
+from otf_core.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 Preparation = Callable[
@@ -92,6 +95,10 @@ class RunResult:
 
     Attributes
     ----------
+    name : str
+        Of the recording.
+    target_offset : ndarray, shape (3,), m
+    samples : int
     T_machine_tracker : RigidTransform
     noise : NoiseModel
         Noise of single samples as assumed in the solution.
@@ -112,6 +119,9 @@ class RunResult:
         Residual freed of the assumed noise covariance.
     """
 
+    name: str
+    target_offset: Array
+    samples: int
     T_machine_tracker: RigidTransform
     noise: NoiseModel
     coverage: float
@@ -138,6 +148,8 @@ class CalibrationResult:
         Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order, m and rad.
     runs : tuple of RunResult
     fit : Fit
+    reversal : Reversal
+        How the motions differ between forward and backward travel; ``tables`` hold the mean.
     not_identifiable : tuple of str
         Motions and squareness errors the data cannot see.
     warnings : tuple of str
@@ -151,6 +163,7 @@ class CalibrationResult:
     covariance: Array
     runs: tuple[RunResult, ...]
     fit: Fit
+    reversal: Reversal
     not_identifiable: tuple[str, ...]
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
@@ -239,7 +252,8 @@ def calibrate_runs(
     with one_thread():
         progress('aligning', 0.0)
         runs, nodes = prepare(recordings, config)
-        return calibrate_prepared(runs, layout(nodes, len(runs)), config, progress)
+        progress('solving', 0.0)
+        return _assemble(solve_with_reversal(runs, nodes, config, progress), config)
 
 
 def calibrate_prepared(
@@ -248,11 +262,12 @@ def calibrate_prepared(
     config: CalibrationConfig,
     progress: Progress = lambda stage, fraction: None,
 ) -> CalibrationResult:
-    """Calibrate runs that are reduced to pieces; see ``calibrate_runs``."""
+    """Calibrate runs that are reduced to pieces, without reversal; see ``calibrate_runs``."""
     with one_thread():
         progress('solving', 0.0)
+        config = replace(config, reversal='none')
         kept, done = solve_robustly(runs, unknowns, config, progress)
-        return _assemble(kept, done, config)
+        return _assemble(ReversalSolution(kept, done, 'none', {}), config)
 
 
 def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
@@ -261,6 +276,9 @@ def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
         NoiseModel.from_spec(run.machine.tracker), solved.system.along, solved.system.across
     )
     return RunResult(
+        name=Path(run.recording.name).name,
+        target_offset=run.machine.target_offset,
+        samples=len(run.recording.samples),
         T_machine_tracker=solved.pose,
         noise=run.noise,
         coverage=run.alignment.coverage,
@@ -328,9 +346,8 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
     return tuple(failed)
 
 
-def _assemble(
-    runs: Sequence[Run], done: JointSolution, config: CalibrationConfig
-) -> CalibrationResult:
+def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> CalibrationResult:
+    runs, done = solved.runs, solved.done
     solution, unknowns = done.solution, done.unknowns
     results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
     fit = _fit(runs, results, done)
@@ -342,6 +359,17 @@ def _assemble(
         covariance=solution.covariance[np.ix_(index, index)] * fit.inflation,
         runs=tuple(results),
         fit=fit,
+        reversal=Reversal(
+            solved.model,
+            solved.evidence,
+            reversal_tables(
+                runs[0].machine,
+                unknowns,
+                solution.value,
+                solution.covariance * fit.inflation,
+                solution.accepted,
+            ),
+        ),
         not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
         warnings=tuple(_warnings(fit, unknowns, solution)),
         failed_gates=_failed_gates(fit),

@@ -110,6 +110,11 @@ class CalibrationConfig(Parameters):
         1e-4, 'a combination of errors more uncertain than this counts as not identifiable',
         'm or rad', 1e-7, 1.0,
     )  # fmt: skip
+    reversal: str = parameter(
+        'auto', 'errors that differ between forward and backward travel: one value a motion, '
+        'tables along the axis, or by evidence on held-out legs',
+        choices=('auto', 'none', 'constant', 'tables'),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

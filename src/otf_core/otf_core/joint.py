@@ -17,7 +17,7 @@ from otf_core.frames import RigidTransform
 from otf_core.machine import Machine
 from otf_core.normal import NormalEquations, Whitener, normal_equations
 from otf_core.pieces import GROSS, RAYLEIGH_MEDIAN
-from otf_core.runs import Run
+from otf_core.runs import Run, blamed
 from otf_core.solution import Solution, identifiable_blocks, solve
 from otf_core.system import System, build_system
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
@@ -169,7 +169,10 @@ def solve_jointly(
         build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=nodal_lever)
         for k, run in enumerate(runs)
     ]
-    whiteners = [Whitener(s, r.pieces, r.noise, r.floor) for s, r in zip(first, runs, strict=True)]
+    whiteners = []
+    for system, run in zip(first, runs, strict=True):
+        with blamed(run.recording):
+            whiteners.append(Whitener(system, run.pieces, run.noise, run.floor))
     accepted = identifiable_blocks(_summed(first, unknowns, whiteners), unknowns, limit)
     tables, rest, change = None, [np.inf] * len(runs), np.inf
     for iteration in range(1, config.max_iterations + 1):
@@ -189,7 +192,8 @@ def solve_jointly(
                 unknowns, solution, tuple(SolvedRun(*parts) for parts in solved), iteration
             )
         poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
+    names = ', '.join(run.recording.name for run in runs if run.recording.name)
     raise InputError(
-        f'the solution did not settle in {config.max_iterations} iterations (last change '
-        f'{1e6 * change:.3g} um); the path may not determine the errors'
+        f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
+        f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
     )

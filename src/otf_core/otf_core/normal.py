@@ -62,6 +62,15 @@ class NormalEquations:
             self.rows + other.rows,
         )
 
+    def less(self, part: NormalEquations) -> NormalEquations:
+        """Return the sums over the rows that are not in ``part``."""
+        return NormalEquations(
+            self.matrix - part.matrix,
+            self.right - part.right,
+            self.square - part.square,
+            self.rows - part.rows,
+        )
+
 
 class Whitener:
     """Frees the rows of each leg of the correlation of their noise.
@@ -186,6 +195,7 @@ def sum_groups(
     whitener: Whitener,
     group: NDArray[np.int64],
     extra: Array | None = None,
+    groups: int = 0,
 ) -> list[NormalEquations]:
     """Sum up whitened rows, group by group of legs.
 
@@ -198,6 +208,8 @@ def sum_groups(
         Group of each entry of ``whitener.bounds``, from 0.
     extra : ndarray, shape (c, p, k), optional
         Further columns, appended to the free unknowns.
+    groups : int
+        Number of groups, if some may be empty.
 
     Returns
     -------
@@ -207,7 +219,7 @@ def sum_groups(
     count = system.deviation.shape[1]
     width = 0 if extra is None else extra.shape[2]
     size = unknowns.free + width
-    groups = int(group.max()) + 1
+    groups = max(groups, int(group.max()) + 1)
     matrix, right = np.zeros((groups, size, size)), np.zeros((groups, size))
     square, rows = np.zeros(groups), np.zeros(groups, dtype=int)
     for leg, (low, high) in enumerate(whitener.bounds):

@@ -47,7 +47,8 @@ class Pieces:
     leg : ndarray of int64, shape (p,)
         Leg of the path.
     origin, direction : ndarray, shape (p, 3)
-        Start point (m) and unit direction of that leg, machine frame.
+        Start point (m) and unit direction of that leg, machine frame; at standstill the point
+        itself and the direction of approach, zero where unknown.
     count : ndarray of int64, shape (p,)
         Samples averaged.
     time : ndarray, shape (p,), s

@@ -19,6 +19,7 @@ import numpy as np
 from otf_core.forecast import Forecast, Setup
 from otf_core.io.csv_points import write_csv
 from otf_core.io.files import write_text
+from otf_core.io.plan_json import SCHEMA
 from otf_core.machine import AXES
 from otf_core.nc import Dialect, program
 from otf_core.observability import Finding
@@ -101,7 +102,7 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
     """Return a report as plain data in the layout of plan.json."""
     plan, found, setup = report.plan, report.forecast, report.setup
     return {
-        'schema': 'otf-plan/1',
+        'schema': SCHEMA,
         'machine': setup.machine.to_dict(),
         'how': report.how,
         'path': plan.path.points.tolist(),

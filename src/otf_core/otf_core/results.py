@@ -2,8 +2,8 @@
 """The files and the text of a calibration.
 
 ``error_tables.json`` (INTERFACES layout; holds the covariance in full precision, so that a copy
-of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node),
-``residuals.csv`` (one row a path piece), ``summary.txt``.
+of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv``
+(the same, forward and backward), ``residuals.csv`` (one row a path piece), ``summary.txt``.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from otf_core.calibrate import GAUGE, CalibrationResult, RunResult
 from otf_core.io.csv_points import write_csv
 from otf_core.io.files import ensure_folder, write_text
+from otf_core.reversal_report import format_reversal, reversal_csv, reversal_to_dict
 from otf_core.tables import MOTIONS, SQUARENESS, tables_to_dict, unit_of
 
 TABLES_FILE = 'error_tables.json'
@@ -36,6 +37,8 @@ def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
             'translation': pose.translation.tolist(),
         },
         'fit': asdict(result.fit),
+        'reversal': reversal_to_dict(result.reversal, result.tables),
+        'runs': [_run_to_dict(run) for run in result.runs],
         'run_id': result.run_id,
         'gauge': GAUGE,
         'covariance': pack_covariance(result.covariance),
@@ -45,6 +48,23 @@ def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
         'config': asdict(result.config),
     }
     return data
+
+
+def _run_to_dict(run: RunResult) -> dict[str, Any]:
+    pose = run.T_machine_tracker
+    return {
+        'name': run.name,
+        'target_offset': run.target_offset.tolist(),
+        'alignment': {
+            'rotation': pose.rotation.tolist(),
+            'translation': pose.translation.tolist(),
+        },
+        'coverage': run.coverage,
+        'samples': run.samples,
+        'pieces': len(run.pieces),
+        'residual_rms': float(np.sqrt(np.mean(np.sum(run.residual**2, axis=0)))),
+        'noise': asdict(run.noise),
+    }
 
 
 def _tidy_rows(result: CalibrationResult) -> str:
@@ -118,11 +138,12 @@ def write_calibration(result: CalibrationResult, folder: str | Path) -> list[Pat
     """
     folder = ensure_folder(folder)
     write_text(folder / 'error_tables.csv', _tidy_rows(result))
+    write_text(folder / 'reversal.csv', reversal_csv(result.reversal, result.tables))
     rows = [_residual_columns(k, run) for k, run in enumerate(result.runs)]
     write_csv(folder / 'residuals.csv', _residual_header(result.runs[0]), np.concatenate(rows))
     write_text(folder / 'summary.txt', format_result(result) + '\n')
     write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result), indent=1) + '\n')
-    names = (TABLES_FILE, 'error_tables.csv', 'residuals.csv', 'summary.txt')
+    names = (TABLES_FILE, 'error_tables.csv', 'reversal.csv', 'residuals.csv', 'summary.txt')
     return [folder / name for name in names]
 
 
@@ -164,10 +185,24 @@ def format_result(result: CalibrationResult) -> str:
         f'{fit.unknowns} unknowns, rank {fit.rank}; path driven {100 * fit.coverage:.1f} %',
         f'mean distance from the path {1e6 * fit.path_mae_before:.2f} um, compensated '
         f'{1e6 * fit.path_mae_after:.2f} um; residual rms {1e6 * fit.residual_rms:.2f} um',
+        *(_run_line(number, run) for number, run in enumerate(result.runs, start=1)),
         '',
         format_tables(result),
+        '',
+        format_reversal(result.reversal),
     ]
     return '\n'.join(lines)
+
+
+def _run_line(number: int, run: RunResult) -> str:
+    place, offset = (
+        ', '.join(f'{v:.3f}' for v in vector)
+        for vector in (run.T_machine_tracker.translation, run.target_offset)
+    )
+    return (
+        f'run {number}{f" ({run.name})" if run.name else ""}: {run.samples} samples, '
+        f'{100 * run.coverage:.1f} % driven, tracker at ({place}) m, target offset ({offset}) m'
+    )
 
 
 def format_tables(result: CalibrationResult) -> str:

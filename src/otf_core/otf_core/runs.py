@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from otf_core.alignment import Alignment, align, line_step
 from otf_core.config import CalibrationConfig
-from otf_core.errors import ConfigError, InputError
+from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.frames import RigidTransform
 from otf_core.machine import AXES, Machine
 from otf_core.matching import OFF_PATH
@@ -39,11 +40,25 @@ class Recording:
     path : NominalPath
     machine : Machine
         The same machine in all runs; its target offset and tracker may differ.
+    name : str
+        Where it comes from, for messages and reports; empty if it needs none.
     """
 
     samples: Samples
     path: NominalPath
     machine: Machine
+    name: str = ''
+
+
+@contextmanager
+def blamed(recording: Recording) -> Iterator[None]:
+    """Put the name of a recording in front of what is wrong with it."""
+    try:
+        yield
+    except OtfError as error:
+        if not recording.name:
+            raise
+        raise type(error)(f'{recording.name}: {error}') from None
 
 
 @dataclass(frozen=True)
@@ -76,13 +91,23 @@ class Run:
 
 
 def check_same_machine(recordings: Sequence[Recording]) -> None:
-    """Refuse runs whose chains or axes differ; ConfigError names the key."""
-    first = recordings[0].machine.to_dict()
+    """Refuse runs whose chains or axes differ; ConfigError names run and key."""
+    first = _described(recordings[0].machine)
     for number, recording in enumerate(recordings[1:], start=2):
-        other = recording.machine.to_dict()
-        for key in ('chain', 'axes'):
-            if other[key] != first[key]:
-                raise ConfigError(f'run {number}: {key}: differs from run 1; not one machine')
+        for key, value in _described(recording.machine).items():
+            if value != first[key]:
+                raise ConfigError(
+                    f'{recording.name or f"run {number}"}: {key}: {value}, but {first[key]} in '
+                    f'{recordings[0].name or "run 1"}; runs that are solved as one are of one '
+                    f'machine (target_offset and tracker may differ)'
+                )
+
+
+def _described(machine: Machine) -> dict[str, float | str]:
+    """What makes a machine: its chain and axes, key by key."""
+    axes: dict[str, dict[str, float]] = machine.to_dict()['axes']
+    keys = {f'axes: {a}: {key}': v for a, spec in axes.items() for key, v in spec.items()}
+    return {'chain': str(machine.chain), **keys}
 
 
 def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Array]:
@@ -138,16 +163,20 @@ def prepare_runs(
     nodes : mapping of axis to ndarray, m
     """
     check_same_machine(recordings)
-    alignments = [align(r.samples, r.path, config) for r in recordings]
-    ranges = [covered_range(a, r) for a, r in zip(alignments, recordings, strict=True)]
+    alignments, ranges = [], []
+    for recording in recordings:
+        with blamed(recording):
+            alignments.append(align(recording.samples, recording.path, config))
+            ranges.append(covered_range(alignments[-1], recording))
     low = np.min([r[0] for r in ranges], axis=0)
     high = np.max([r[1] for r in ranges], axis=0)
     nodes = table_nodes(recordings[0].machine, low, high)
     runs = []
     for recording, alignment in zip(recordings, alignments, strict=True):
         samples, spec = recording.samples, recording.machine.tracker
-        pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
-        pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
-        noise = noise_model(samples, spec, config.standstill_speed)
+        with blamed(recording):
+            pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
+            pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
+            noise = noise_model(samples, spec, config.standstill_speed)
         runs.append(Run(recording, alignment, pieces, pose, noise))
     return runs, nodes

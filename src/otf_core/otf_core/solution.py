@@ -10,6 +10,7 @@ reported too. 'Undetermined' has a physical meaning: the data leave more than
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,12 +19,14 @@ from scipy import linalg
 
 from otf_core.normal import NormalEquations
 from otf_core.tables import MOTIONS
-from otf_core.unknowns import Unknowns
+from otf_core.unknowns import Unknowns, is_reversal
 
 Array = NDArray[np.float64]
 
 TIE_BREAK = 1e-2
 """Weight of the smoothness condition, in units of 1 / unidentifiable_above^2."""
+TRACE = 1e-2
+"""Weight of the size of the values beside that of their second differences."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ def smoothness(unknowns: Unknowns) -> Array:
             bend = np.diff(np.eye(count), 2, axis=0)
             total[block, block] = bend.T @ bend
     gauge = unknowns.gauge.toarray()
-    return np.asarray(gauge.T @ total @ gauge + 1e-2 * np.eye(unknowns.free))
+    return np.asarray(gauge.T @ total @ gauge + TRACE * np.eye(unknowns.free))
 
 
 def identifiable_blocks(
@@ -77,28 +80,66 @@ def identifiable_blocks(
     limit : float
         m and rad; ``unidentifiable_above``. In its units an eigenvalue of the normal matrix
         below 1 means undetermined.
+
+    Notes
+    -----
+    Reversal is not solved for where the motion itself is not identifiable: what little tells
+    them apart is the shape assumed along the axis, no property of the machine.
     """
     matrix = normal.matrix * limit**2
     smooth = smoothness(unknowns)
     accepted: list[str] = []
-    factor = np.zeros((0, 0))
+    factor = np.zeros_like(matrix)
     use = np.zeros(0, dtype=int)
     for name, block in unknowns.free_blocks.items():
         new = np.arange(block.start, block.stop)
-        if not new.size:
+        if not new.size or (is_reversal(name) and name[:3] not in accepted):
             continue
-        cross = linalg.solve_triangular(factor, matrix[np.ix_(use, new)], lower=True)
+        old, end = use.size, use.size + new.size
+        cross = linalg.solve_triangular(
+            factor[:old, :old], matrix[np.ix_(use, new)], lower=True, check_finite=False
+        )
         left = matrix[np.ix_(new, new)] - cross.T @ cross
         if linalg.eigvalsh(left)[-1] <= 1.0:
             continue
-        corner = linalg.cholesky(left + TIE_BREAK * smooth[np.ix_(new, new)], lower=True)
-        grown = np.zeros((use.size + new.size,) * 2)
-        grown[: use.size, : use.size] = factor
-        grown[use.size :, : use.size] = cross.T
-        grown[use.size :, use.size :] = corner
-        factor, use = grown, np.concatenate([use, new])
+        factor[old:end, :old] = cross.T
+        factor[old:end, old:end] = linalg.cholesky(
+            left + TIE_BREAK * smooth[np.ix_(new, new)], lower=True
+        )
+        use = np.concatenate([use, new])
         accepted.append(name)
     return tuple(accepted)
+
+
+def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> NDArray[np.int64]:
+    """Places of blocks in the free vector."""
+    parts = (unknowns.free_blocks[n] for n in blocks)
+    return np.concatenate([np.arange(part.start, part.stop) for part in parts])
+
+
+def estimate(
+    normal: NormalEquations, use: NDArray[np.int64], smooth: Array, limit: float
+) -> Array:
+    """Solve for some columns of normal equations, all others zero; see ``solve``.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+        Of k columns.
+    use : ndarray of int, shape (m,)
+    smooth : ndarray, shape (k, k)
+        As of ``smoothness``.
+    limit : float
+
+    Returns
+    -------
+    ndarray, shape (k,), m and rad
+    """
+    place = np.ix_(use, use)
+    data = normal.matrix[place] * limit**2 + TIE_BREAK * smooth[place]
+    value = np.zeros(len(normal.right))
+    value[use] = linalg.solve(data, normal.right[use] * limit, assume_a='pos') * limit
+    return value
 
 
 def solve(
@@ -121,9 +162,7 @@ def solve(
     """
     matrix, right = normal.matrix * limit**2, normal.right * limit
     smooth = smoothness(unknowns)
-    use = np.concatenate(
-        [np.arange(unknowns.free_blocks[n].start, unknowns.free_blocks[n].stop) for n in accepted]
-    )
+    use = free_columns(unknowns, accepted)
     data = matrix[np.ix_(use, use)]
     factor = linalg.cho_factor(data + TIE_BREAK * smooth[np.ix_(use, use)], lower=True)
     free = np.zeros(unknowns.free)

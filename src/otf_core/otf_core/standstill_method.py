@@ -23,7 +23,7 @@ from otf_core.matching import OFF_PATH, find_match
 from otf_core.observation import Samples
 from otf_core.path import MIN_LEG, NominalPath
 from otf_core.pieces import Pieces
-from otf_core.runs import Recording, Run, check_same_machine, covered_range
+from otf_core.runs import Recording, Run, blamed, check_same_machine, covered_range
 from otf_core.standstill import find_standstills, noise_model
 from otf_core.track import Track
 from otf_core.unknowns import table_nodes
@@ -180,8 +180,13 @@ def align_stops(
 
 
 def stop_pieces(samples: Samples, alignment: Alignment, stops: Stops, point: Index) -> Pieces:
-    """Return the stops at points of the path as pieces, each with a leg number of its own."""
+    """Return the stops at points of the path as pieces, each with a leg number of its own.
+
+    Their direction is that of approach from the point before; zero, as unknown, at the first.
+    """
     use = np.flatnonzero(point != OFF_PATH)
+    approach = np.diff(alignment.corners, axis=0, prepend=alignment.corners[:1])
+    approach[1:] /= np.linalg.norm(approach[1:], axis=1, keepdims=True)
     span, time = stops.span[use], samples.time
     averaged = [stops.samples[k] for k in use]
     count = np.array([len(a) for a in averaged])
@@ -189,7 +194,7 @@ def stop_pieces(samples: Samples, alignment: Alignment, stops: Stops, point: Ind
         xyz=stops.xyz[use],
         leg=np.arange(len(use)),
         origin=alignment.corners[point[use]],
-        direction=np.tile([1.0, 0.0, 0.0], (len(use), 1)),
+        direction=approach[point[use]],
         count=count,
         time=0.5 * (time[span[:, 0]] + time[span[:, 1] - 1]),
         duration=time[span[:, 1] - 1] - time[span[:, 0]],
@@ -207,14 +212,19 @@ def prepare_stops(
 ) -> tuple[list[Run], dict[str, Array]]:
     """Align and average stops for a common set of table nodes; see ``runs.prepare_runs``."""
     check_same_machine(recordings)
-    found = [align_stops(r.samples, r.path, config) for r in recordings]
-    pieces = [stop_pieces(r.samples, *f) for r, f in zip(recordings, found, strict=True)]
-    ranges = [covered_range(f[0], r) for f, r in zip(found, recordings, strict=True)]
+    found, pieces, ranges = [], [], []
+    for recording in recordings:
+        with blamed(recording):
+            found.append(align_stops(recording.samples, recording.path, config))
+            pieces.append(stop_pieces(recording.samples, *found[-1]))
+            ranges.append(covered_range(found[-1][0], recording))
     low = np.min([r[0] for r in ranges], axis=0)
     high = np.max([r[1] for r in ranges], axis=0)
     nodes = table_nodes(recordings[0].machine, low, high)
     runs = []
     for recording, (alignment, _, _), part in zip(recordings, found, pieces, strict=True):
-        noise = noise_model(recording.samples, recording.machine.tracker, config.standstill_speed)
+        with blamed(recording):
+            samples, spec = recording.samples, recording.machine.tracker
+            noise = noise_model(samples, spec, config.standstill_speed)
         runs.append(Run(recording, alignment, part, alignment.T_machine_tracker, noise))
     return runs, nodes

@@ -18,6 +18,7 @@ from otf_core.kinematics import displacement, motion_influence, squareness_influ
 from otf_core.machine import AXES, Machine
 from otf_core.noise import beam_shares, path_frame
 from otf_core.pieces import Pieces
+from otf_core.reversal import reversal_columns
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
 from otf_core.unknowns import Unknowns, interval, pose_block
 
@@ -56,7 +57,8 @@ def nominal_positions(
     """Point of the path that each measured point belongs to.
 
     The nearest point is off by the error along the path; once tables are known, their
-    displacement is taken off first.
+    displacement is taken off first (not the reversal: 100 um of it move a table of 300 urad by
+    0.015 um, forward and backward to opposite sides).
 
     Parameters
     ----------
@@ -98,6 +100,7 @@ def _design(
     q: Array,
     points: Array,
     axes: Array,
+    direction: Array,
     nodal_lever: bool,
 ) -> sparse.csr_array:
     count, components, pose = len(q), len(axes), unknowns.blocks[pose_block(run)].start
@@ -125,6 +128,8 @@ def _design(
             if nodal_lever:
                 lever_q[:, axis] = nodes[index + step]
             add(motion_influence(machine, name, lever_q), start + index + step, factor)
+    for name, influence in reversal_columns(machine, q, direction, unknowns.reversal):
+        add(influence, np.full(count, unknowns.blocks[name].start), 1.0)
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return sparse.csr_array(sparse.coo_array(entries, shape=(components * count, unknowns.full)))
 
@@ -171,7 +176,7 @@ def build_system(
         q=q,
         axes=axes,
         deviation=np.einsum('kij,ij->ki', axes, points - q),
-        design=_design(machine, unknowns, run, q, points, axes, nodal_lever),
+        design=_design(machine, unknowns, run, q, points, axes, pieces.direction, nodal_lever),
         along=along,
         across=across,
     )

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The unknowns of a calibration and their gauge.
 
-Unknowns are a pose correction per run (3 translations, 3 rotations), 3 squareness errors and the
-node values of 18 error motions. The gauge (docs/formulation.md): positioning and rotations are
-zero at the axis' zero position, else at its minimum; straightness is zero at both ends. Gauge
-conditions are met exactly, by leaving nodes out: ``full = gauge @ free``.
+Unknowns are a pose correction per run (3 translations, 3 rotations), 3 squareness errors, the
+node values of 18 error motions and, if asked for, reversal coefficients of these motions. The
+gauge (docs/formulation.md): positioning and rotations are zero at the axis' zero position, else
+at its minimum; straightness is zero at both ends. Gauge conditions are met exactly, by leaving
+nodes out: ``full = gauge @ free``.
 """
 
 from __future__ import annotations
@@ -34,22 +35,21 @@ class Unknowns:
     nodes : mapping of axis to ndarray, m
         Table nodes of each axis.
     blocks : mapping of block name to slice
-        Place of the poses, the squareness names and the motions in the full vector; dependent
-        ones give way in this order: pose, squareness, translations, rotations.
+        Place of the poses, the squareness names, the motions and the reversal coefficients in
+        the full vector; a dependent one gives way to those before it: pose, squareness,
+        translations, rotations, then reversal polynomial by polynomial.
     gauge : sparse array, shape (full, free)
     free_blocks : mapping of block name to slice
         The same blocks in the free vector.
+    reversal : int
+        Reversal polynomials per motion.
     """
 
     nodes: dict[str, Array]
     blocks: dict[str, slice]
     gauge: sparse.csr_array
     free_blocks: dict[str, slice]
-
-    @property
-    def tables(self) -> slice:
-        """Place of squareness and tables in the full vector: all but the poses."""
-        return slice(self.blocks[SQUARENESS[0]].start, self.full)
+    reversal: int = 0
 
     @property
     def full(self) -> int:
@@ -155,12 +155,37 @@ def pose_block(run: int) -> str:
     return f'pose {run}'
 
 
-def layout(nodes: dict[str, Array], runs: int = 1) -> Unknowns:
-    """Lay out the unknowns for given nodes and a number of runs, each with its own pose."""
+def reversal_block(motion: str, order: int) -> str:
+    """Name of the block of one reversal coefficient of a motion: as in the effects, EYX_1."""
+    return f'{motion}_{order}'
+
+
+def is_reversal(block: str) -> bool:
+    """Tell whether a block is a reversal coefficient; its first letters are the motion."""
+    return block[3:4] == '_' and block[:3] in MOTIONS
+
+
+def reversal_order(block: str) -> int:
+    """Order of the polynomial of a reversal coefficient; -1 for all other blocks."""
+    return int(block[4:]) if is_reversal(block) else -1
+
+
+def layout(nodes: dict[str, Array], runs: int = 1, reversal: int = 0) -> Unknowns:
+    """Lay out the unknowns.
+
+    Parameters
+    ----------
+    nodes : mapping of axis to ndarray, m
+    runs : int
+        Each has its own pose.
+    reversal : int
+        Reversal polynomials per motion.
+    """
     order = [m for m in MOTIONS if unit_of(m) == 'm'] + [m for m in MOTIONS if unit_of(m) == 'rad']
     parts: list[tuple[str, Array]] = [(pose_block(run), np.eye(POSE)) for run in range(runs)]
     parts += [(name, np.eye(1)) for name in SQUARENESS]
     parts += [(name, _motion_gauge(name, nodes[name[2]])) for name in order]
+    parts += [(reversal_block(m, k), np.eye(1)) for k in range(reversal) for m in order]
     blocks, free_blocks = {}, {}
     full = free = 0
     for name, basis in parts:
@@ -168,4 +193,4 @@ def layout(nodes: dict[str, Array], runs: int = 1) -> Unknowns:
         free_blocks[name] = slice(free, free + basis.shape[1])
         full, free = full + basis.shape[0], free + basis.shape[1]
     gauge = sparse.block_diag([basis for _, basis in parts], format='csr')
-    return Unknowns(nodes, blocks, sparse.csr_array(gauge), free_blocks)
+    return Unknowns(nodes, blocks, sparse.csr_array(gauge), free_blocks, reversal)

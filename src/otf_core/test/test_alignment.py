@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from core_cells import Recording, corner_path, record, small_plan, some_machine, some_pose
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from otf_core.alignment import align, line_step
@@ -275,6 +276,47 @@ def test_single_line_cannot_be_aligned():
     path = corner_path(machine, (0, 0, 0), (1, 1, 1))
     plan = plan_for_path(path, PlannerConfig())
     assert 'single straight line' in refusal(record(machine, plan).measured(), path)
+
+
+def rounded(machine, gap, speed=0.2, rate=100.0):
+    """Path driven without stops, right-angled corners cut by ``gap`` m."""
+    path = small_plan(machine).path
+    reach = np.concatenate([[0.0], np.cumsum(path.leg_lengths)])
+    time = np.arange(int(reach[-1] / speed * rate)) / rate
+    q = np.stack([np.interp(time * speed, reach, path.points[:, k]) for k in range(3)], axis=1)
+    q = uniform_filter1d(q, int(gap * 8 / np.sqrt(2) / speed * rate), axis=0, mode='nearest')
+    return Recording(machine, path, time, q)
+
+
+def test_rounded_corners_are_refused_naming_the_parameter_and_a_value_that_works():
+    recording = rounded(some_machine(), 0.008)
+    samples = recording.measured()
+    with pytest.raises(InputError, match=r'raise match_tolerance to 0\.01 .* corner_exclusion'):
+        align(samples, recording.path, CONFIG)
+    found = align(
+        samples,
+        recording.path,
+        CalibrationConfig(match_tolerance=0.01, corner_exclusion=0.03),
+    )
+    assert found.coverage > 0.85
+
+
+@pytest.mark.parametrize('times', [1, 3])
+def test_shuttle_on_one_line_within_a_path_is_followed(times):
+    machine = some_machine()
+    points = small_plan(machine).path.points
+    half = len(points) // 2
+    there_and_back = np.tile(points[half - 2 : half], (times, 1))
+    path = NominalPath(np.concatenate([points[:half], there_and_back, points[half:]]))
+    check(record(machine, plan_for_path(path, PlannerConfig(corner_dwell=0.05, end_dwell=0.5))))
+
+
+def test_shuttle_on_one_line_alone_does_not_fix_the_tracker():
+    machine = some_machine()
+    path = corner_path(machine, (0, 0, 0), (1, 1, 1), (0, 0, 0), (1, 1, 1), (0, 0, 0))
+    recording = record(machine, plan_for_path(path, PlannerConfig()))
+    with pytest.raises(InputError, match='do not fix the place of the tracker'):
+        align(recording.measured(), path, CONFIG)
 
 
 def test_lines_that_are_all_parallel_do_not_fix_the_tracker():

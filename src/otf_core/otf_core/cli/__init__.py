@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from otf_core.cli.measuring import (
+    DIAGNOSIS_PARAMETERS,
     run_calibrate,
     run_compare,
     run_diagnose,
@@ -138,9 +139,14 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
     )
-    add_parameters(sub, CalibrationConfig)
+    add_parameters(sub, CalibrationConfig, DIAGNOSIS_PARAMETERS)
 
-    sub = verb('predict', run_predict, 'Volumetric errors at points, from error tables.')
+    sub = verb(
+        'predict',
+        run_predict,
+        'Volumetric errors at points, from error tables: '
+        'the mean of forward and backward travel, with the target offset of their machine.',
+    )
     sub.add_argument('--tables', required=True, help='error_tables.json')
     sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
     sub.add_argument('--out', required=True, help='CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz; m, k = 1')
@@ -150,7 +156,9 @@ def _parser() -> argparse.ArgumentParser:
     sub = verb('plan', run_plan, 'Path for a machine, forecast of what it can see, NC program.')
     sub.add_argument('--machine', required=True, help='machine.yaml')
     sub.add_argument('--out', required=True, help='folder for path, forecast and program')
-    sub.add_argument('--path', help='CSV with the header x,y,z: take this path instead')
+    sub.add_argument(
+        '--path', help='CSV with the header x,y,z, or a plan.json: take this path instead'
+    )
     _add_plan_options(sub)
     add_parameters(sub, PlannerConfig)
     add_parameters(sub, ForecastConfig)
@@ -159,7 +167,11 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument('--machine', required=True, help='machine.yaml')
     sub.add_argument('--out', required=True, help='bag folder to write')
     sub.add_argument('--tables', help='error_tables.json of the truth; drawn if not given')
-    sub.add_argument('--path', help='CSV with the header x,y,z; planned if not given')
+    sub.add_argument(
+        '--path',
+        help='CSV with the header x,y,z; or plan.json of otf plan: its feeds and dwells, and the '
+        'tracker where its forecast puts it; planned if not given',
+    )
     sub.add_argument('--effects', help='effects.yaml: what to add to the cell')
     add_parameters(sub, SimulationConfig)
     add_parameters(sub, PlannerConfig)

@@ -12,6 +12,9 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
 from otf_core.runs import Recording
 
+DIAGNOSIS_PARAMETERS = tuple(p.name for p in CalibrationConfig.infos() if p.name != 'reversal')
+"""Reversal is an effect like others there: tables are solved for without it."""
+
 
 def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     """Read the bags of a command, each with its machine.yaml.
@@ -37,8 +40,8 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
         machines *= len(bags)
     contents = [read_bag(name) for name in bags]
     return [
-        Recording(content.samples, content.path, machine)
-        for content, machine in zip(contents, machines, strict=True)
+        Recording(content.samples, content.path, machine, str(name))
+        for content, machine, name in zip(contents, machines, bags, strict=True)
     ]
 
 
@@ -53,10 +56,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
 
     prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[arguments.method]
     recordings = read_recordings(arguments)
-    try:
-        result = calibrate_runs(recordings, config, prepare=prepare)
-    except OtfError as error:
-        raise type(error)(f'{", ".join(arguments.bag)}: {error}') from None
+    result = calibrate_runs(recordings, config, prepare=prepare)
     files = write_calibration(result, ensure_folder(arguments.out))
     say(format_result(result) + '\n' + listed(files, arguments.out))
     for gate in result.failed_gates:
@@ -66,7 +66,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
 
 def run_diagnose(arguments: argparse.Namespace) -> int:
     """Where and why real runs depart from their simulation."""
-    config = parameters(CalibrationConfig, arguments)
+    config = parameters(CalibrationConfig, arguments, DIAGNOSIS_PARAMETERS)
     from otf_core.diagnosis.complete import diagnose, write_diagnosis
     from otf_core.diagnosis.result import format_diagnosis
     from otf_core.effects import REGISTRY
@@ -78,12 +78,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
         raise ConfigError(f'--exclude: {unknown[0]}: no effect; known: {", ".join(REGISTRY)}')
     recordings = read_recordings(arguments)
     ensure_folder(arguments.out)
-    try:
-        diagnosis, data = diagnose(
-            recordings, arguments.bag, twin_recording, arguments.exclude, config
-        )
-    except OtfError as error:
-        raise type(error)(f'{", ".join(arguments.bag)}: {error}') from None
+    diagnosis, data = diagnose(
+        recordings, arguments.bag, twin_recording, arguments.exclude, config
+    )
     files = write_diagnosis(diagnosis, data, arguments.out, config)
     say(format_diagnosis(diagnosis) + listed(files, arguments.out))
     return 0

@@ -15,20 +15,45 @@ from otf_core.errors import ConfigError, OtfError
 
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
+    """Plan, and the place of the tracker that it assumes or None; as plan.json has them."""
     from otf_core.io.csv_points import read_points_csv
+    from otf_core.io.plan_json import PlanFile, looks_like_json, read_plan
     from otf_core.path import NominalPath
     from otf_core.planning import check_inside, plan_for_path, plan_path
 
-    if arguments.path is None:
-        return plan_path(machine, config)
+    name = arguments.path
+    if name is None:
+        return PlanFile(plan_path(machine, config), None)
     try:
-        path = NominalPath(read_points_csv(arguments.path))
-        check_inside(path, machine)
-    except ConfigError:
-        raise
+        if looks_like_json(name):
+            file = _with_dwells(read_plan(name), arguments, config)
+        else:
+            points = read_points_csv(name)
+            file = PlanFile(plan_for_path(NominalPath(points), config), None)
+        check_inside(file.plan.path, machine)
+    except ConfigError as error:
+        if 'x,y,z' not in str(error):
+            raise
+        raise ConfigError(f'{error}; or give the plan.json of otf plan') from None
     except OtfError as error:
-        raise ConfigError(f'{arguments.path}: {error}') from None
-    return plan_for_path(path, config)
+        raise ConfigError(f'{name}: {error}') from None
+    return file
+
+
+def _with_dwells(file: Any, arguments: argparse.Namespace, config: PlannerConfig) -> Any:
+    """Take the dwells from the options where given; refuse options that the plan decides."""
+    for option in ('passes', 'feed', 'feed_ratio', 'margin', 'levels'):
+        if getattr(arguments, option) is not None:
+            raise ConfigError(
+                f'--{option.replace("_", "-")}: {arguments.path} is a plan and decides it; '
+                f'give its path.csv to drive its path otherwise'
+            )
+    dwell = file.plan.dwell.copy()
+    if arguments.corner_dwell is not None:
+        dwell[1:-1] = config.corner_dwell
+    if arguments.end_dwell is not None:
+        dwell[[0, -1]] = config.end_dwell
+    return dataclasses.replace(file, plan=dataclasses.replace(file.plan, dwell=dwell))
 
 
 def run_simulate(arguments: argparse.Namespace) -> int:
@@ -47,11 +72,15 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     tables = load_tables(arguments.tables).tables if arguments.tables else None
     if tables is not None:
         tables = dataclasses.replace(tables, machine=machine)
-    plan = _plan_of(arguments, planning, machine)
-    run = simulate(machine, plan, config, tables, effects)
+    file = _plan_of(arguments, planning, machine)
+    run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)
     ensure_folder(Path(arguments.out).parent)
-    write_bag(arguments.out, BagContent(run.samples, plan.path))
-    say(f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}')
+    write_bag(arguments.out, BagContent(run.samples, file.plan.path))
+    place = ', '.join(f'{v:.3f}' for v in run.place)
+    say(
+        f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}, '
+        f'tracker at ({place}) m'
+    )
     return 0
 
 
@@ -69,7 +98,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     check_folder(arguments.out)
     place, wanted = arguments.tracker_place, arguments.wanted_uncertainty
     request = PlanRequest(
-        given=None if arguments.path is None else _plan_of(arguments, config, machine),
+        given=None if arguments.path is None else _plan_of(arguments, config, machine).plan,
         time_budget=arguments.time_budget,
         wanted_uncertainty=None if wanted is None else 1e-6 * wanted,
         tracker_place=None if place is None else read_place(place),

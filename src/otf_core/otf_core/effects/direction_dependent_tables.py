@@ -16,13 +16,18 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from otf_core.effects.backlash import travel_sign
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Array, Effect, Shape, State, Terms
 from otf_core.effects.position import scaled_position
 from otf_core.kinematics import motion_influence
 from otf_core.machine import AXES
 from otf_core.tables import MOTIONS, is_positioning, unit_of
 
 ORDER = 3
+
+
+def polynomials(place: Array, order: int) -> Array:
+    """Legendre polynomials P_0 to P_order at scaled positions (n,), shape (n, order + 1)."""
+    return np.asarray(legendre.legvander(place, order))
 
 
 class DirectionDependentTables(Effect):
@@ -62,9 +67,9 @@ class DirectionDependentTables(Effect):
             influence = (
                 0.5 * sign[:, axis, None] * motion_influence(state.machine, motion, state.q)
             )
-            for k in range(int(is_positioning(motion)), round(shape['order']) + 1):
+            along = polynomials(place[:, axis], round(shape['order']))
+            for k in range(int(is_positioning(motion)), along.shape[1]):
                 names.append(f'{motion}_{k}')
-                along = legendre.legval(place[:, axis], np.eye(k + 1)[k])
-                columns.append(influence * along[:, None])
+                columns.append(influence * along[:, k, None])
         units = tuple(unit_of(n[:3]) for n in names)
         return Terms(tuple(names), units, tuple(n[2] for n in names), np.stack(columns, axis=2))

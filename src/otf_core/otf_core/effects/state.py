@@ -69,6 +69,33 @@ def state_on_path(
     )
 
 
+def state_of_travel(machine: Machine, q: Array, direction: Array) -> State:
+    """Points of which only place and direction of travel are known.
+
+    For effects that depend on nothing else; all the rest is zero.
+
+    Parameters
+    ----------
+    machine : Machine
+    q, direction : ndarray, shape (n, 3), m and 1
+    """
+    zero, vector = np.zeros(len(q)), np.zeros_like(q)
+    return State(
+        machine=machine,
+        q=q,
+        direction=direction,
+        speed=zero,
+        time=zero,
+        from_corner=zero,
+        to_corner=zero,
+        before=direction,
+        after=direction,
+        beam=vector,
+        R_machine_tracker=np.eye(3),
+        nodes={},
+    )
+
+
 def probe_state(machine: Machine) -> State:
     """One point in the middle of the volume: for names and units of terms.
 

@@ -89,6 +89,7 @@ def simulate(
     config: SimulationConfig,
     tables: ErrorTables | None = None,
     effects: Sequence[AppliedEffect] = (),
+    tracker_place: Array | None = None,
 ) -> SimulatedRun:
     """Simulate a run of the plan.
 
@@ -102,6 +103,8 @@ def simulate(
     effects : sequence of AppliedEffect, optional
         What else displaces the measured point, and how the noise departs from its specification;
         all random numbers stay the same.
+    tracker_place : ndarray, shape (3,), m, optional
+        Beam origin in the machine frame; drawn from the seed if not given.
 
     Returns
     -------
@@ -115,6 +118,8 @@ def simulate(
     rngs = [np.random.default_rng([config.seed, part]) for part in range(4)]
     truth = tables if tables is not None else random_tables(machine, config.error_size, rngs[0])
     rotation, place = place_tracker(machine, rngs[1])
+    if tracker_place is not None:
+        place = tracker_place
     drive = Drive(plan, config.acceleration)
     count = int(drive.duration * config.rate) + 1
     time = np.arange(count) / config.rate

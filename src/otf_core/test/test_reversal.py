@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reversal as part of the solution: recovered, chosen on held-out legs, honest where blind."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from core_cells import (
+    corner_path,
+    grid_error,
+    pieces_of,
+    some_machine,
+    transform_pose,
+    white,
+    zero_tables,
+)
+from effect_cells import applied, some_plan
+
+from otf_core.calibrate import calibrate, calibrate_runs
+from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
+from otf_core.effects import REGISTRY
+from otf_core.effects.state import state_of_travel
+from otf_core.machine import AXES
+from otf_core.normal import Whitener, normal_equations
+from otf_core.planning import plan_for_path
+from otf_core.results import format_result, write_calibration
+from otf_core.runs import Recording
+from otf_core.sim.cell import simulate
+from otf_core.solution import identifiable_blocks
+from otf_core.standstill_method import prepare_stops
+from otf_core.system import build_system
+from otf_core.tables import MOTIONS
+from otf_core.unknowns import is_reversal, layout, table_nodes
+
+CHAIN = 'w-Y-b-X-Z-t'
+BACKLASH = {'B_X': 5e-6, 'B_Y': -3e-6, 'B_Z': 2e-6}
+TABLES = {'EYX_1': 6e-6, 'EZY_0': 4e-6, 'EXX_2': 3e-6, 'EBX_0': 2e-5}
+
+
+def cell(passes=2, **effects):
+    """Machine, plan and simulated run of a small cell with effects."""
+    machine = some_machine(CHAIN, pitch=0.1)
+    plan = some_plan(machine, passes=passes)
+    some = [applied(name, **parameters) for name, parameters in effects.items()]
+    return machine, plan, simulate(machine, plan, SimulationConfig(seed=31, rate=60), None, some)
+
+
+def solved(of, reversal='auto'):
+    machine, plan, run = of
+    return calibrate(
+        run.samples, plan.path, machine, CalibrationConfig(reversal=reversal, piece_length=0.016)
+    )
+
+
+@pytest.fixture(scope='module')
+def backlash():
+    """Cell with backlash."""
+    return cell(backlash=BACKLASH)
+
+
+@pytest.fixture(scope='module')
+def chosen(backlash):
+    """Calibration of it, model chosen."""
+    return solved(backlash)
+
+
+@pytest.fixture(scope='module')
+def along_the_axis():
+    """Calibration of a cell whose reversal changes along the axes, model chosen."""
+    return solved(cell(direction_dependent_tables=TABLES))
+
+
+def test_tables_without_reversal_error_are_exactly_those_of_the_plain_model():
+    plain = cell()
+    auto, none = solved(plain), solved(plain, 'none')
+    assert auto.reversal.model == 'none'
+    assert not auto.reversal.motions
+    np.testing.assert_array_equal(auto.covariance, none.covariance)
+    for name in MOTIONS:
+        np.testing.assert_array_equal(
+            auto.tables.motions[name].value, none.tables.motions[name].value
+        )
+
+
+def test_backlash_is_found_as_constants_within_their_uncertainty(chosen):
+    assert chosen.reversal.model == 'constant'
+    for name, table in chosen.reversal.motions.items():
+        own = name[1] == name[2]
+        true = BACKLASH[f'B_{name[2]}'] if own else 0.0
+        assert np.ptp(table.value) == 0
+        if table.identifiable:
+            assert np.all(np.abs(table.value - true) < 4 * table.u), name
+
+
+def test_reversal_that_changes_along_the_axis_is_found_within_its_uncertainty(along_the_axis):
+    assert along_the_axis.reversal.model == 'tables'
+    effect = REGISTRY['direction_dependent_tables']
+    machine = along_the_axis.tables.machine
+    for name in ('EXX', 'EYX', 'EZY', 'EBX', 'EXZ'):
+        table = along_the_axis.reversal.motions[name]
+        q = np.tile(machine.lower, (len(table.position), 1))
+        q[:, AXES.index(name[2])] = table.position
+        own = {k: v for k, v in TABLES.items() if k.startswith(name)}
+        if name == 'EBX':  # the lever is T and z
+            true = np.full(len(q), TABLES['EBX_0'])
+        else:
+            state = state_of_travel(machine, q, np.ones_like(q))
+            moved = 2.0 * effect.displacement(state, own) if own else np.zeros_like(q)
+            true = moved[:, AXES.index(name[1])]
+        assert np.all(np.abs(table.value - true) < 4 * table.u), name
+
+
+def test_tables_driven_one_way_are_better_with_the_model_than_without():
+    one_way = cell(passes=1, backlash=BACKLASH)
+    truth = one_way[2].truth
+    errors = {m: grid_error(solved(one_way, m).tables, truth)[1] for m in ('none', 'auto')}
+    assert errors['auto'] < 0.7 * errors['none']
+
+
+def test_residual_is_that_with_the_reversal_in_it(backlash, chosen):
+    plain = solved(backlash, 'none')
+    assert chosen.fit.residual_rms < 0.7 * plain.fit.residual_rms
+
+
+def test_evidence_tells_gain_scatter_and_what_is_needed(chosen):
+    evidence = chosen.reversal.evidence
+    assert evidence['gain_constant'] > evidence['needed'] * evidence['scatter_constant']
+    assert evidence['gain_tables'] < evidence['needed'] * evidence['scatter_tables']
+    lost = evidence['held_out_none'] - evidence['held_out_constant']
+    assert evidence['gain_constant'] == pytest.approx(lost)
+    assert evidence['legs'] == len({int(leg) for leg in chosen.runs[0].pieces.leg})
+
+
+def test_files_hold_forward_and_backward_with_the_mean_in_the_tables(along_the_axis, tmp_path):
+    write_calibration(along_the_axis, tmp_path)
+    data = json.loads((tmp_path / 'error_tables.json').read_text())
+    assert data['reversal']['model'] == 'tables'
+    for name, entry in data['reversal']['motions'].items():
+        forward, backward = np.array(entry['forward']), np.array(entry['backward'])
+        mean = data['motions'][name]
+        assert entry['position'] == mean['position']
+        assert entry['unit'] == mean['unit']
+        np.testing.assert_allclose(forward - backward, entry['value'], atol=1e-18)
+        np.testing.assert_allclose((forward + backward) / 2, mean['value'], atol=1e-18)
+        assert entry['identifiable'] or not any(entry['value'])
+    rows = list(csv.DictReader((tmp_path / 'reversal.csv').read_text().splitlines()))
+    assert [float(r['value']) for r in rows if r['motion'] == 'EYX'] == (
+        data['reversal']['motions']['EYX']['value']
+    )
+    text = (tmp_path / 'summary.txt').read_text()
+    assert 'Reversal model: tables' in text
+    assert 'forward less backward' in text
+
+
+def test_reversal_of_a_motion_that_is_not_identifiable_is_zero_and_says_so(chosen):
+    assert {'ECX', 'EAZ', 'EBZ', 'ECZ'} <= set(chosen.not_identifiable)
+    assert set(chosen.reversal.not_identifiable) == {'ECX', 'EAZ', 'EBZ', 'ECZ'}
+    for name in chosen.reversal.not_identifiable:
+        assert not chosen.reversal.motions[name].value.any()
+        assert not chosen.reversal.motions[name].u.any()
+
+
+def test_servo_mismatch_at_two_feeds_is_not_taken_for_reversal():
+    result = solved(cell(servo_mismatch={'T_X': 4e-5, 'T_Y': -2e-5}))
+    assert result.reversal.model == 'none'
+    evidence = result.reversal.evidence
+    assert evidence['gain_constant'] > evidence['needed'] * evidence['scatter_constant']
+    assert evidence['rival'] == 'servo_mismatch'
+    assert 'servo_mismatch explains' in format_result(result)
+
+
+def test_a_short_path_gives_no_evidence():
+    machine = some_machine(CHAIN, pitch=0.1)
+    shares = [(0, 0, 0), (1, 1, 1), (1, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 0), (0, 0, 0)]
+    plan = plan_for_path(corner_path(machine, *shares), PlannerConfig(end_dwell=1.0))
+    result = solved((machine, plan, simulate(machine, plan, SimulationConfig(rate=60))))
+    assert result.reversal.model == 'none'
+    assert 'too few legs' in result.reversal.evidence['decided_by']
+
+
+def test_backlash_in_the_ratio_of_the_axes_is_blind_on_box_diagonals():
+    machine = some_machine('w-b-X-Y-Z-t', pitch=0.1)
+    space = [
+        (0, 0, 0),
+        (1, 1, 1),
+        (1, 1, 0),
+        (0, 0, 1),
+        (1, 0, 1),
+        (0, 1, 0),
+        (0, 1, 1),
+        (1, 0, 0),
+    ]
+
+    def seen(shares):
+        path = corner_path(machine, *shares, *shares[::-1][1:])
+        pose = transform_pose(machine, 3)
+        pieces = pieces_of(machine, path, zero_tables(machine), pose)
+        # the edges between the diagonals show backlash too
+        pieces = pieces.without(np.count_nonzero(np.abs(pieces.direction) > 1e-9, axis=1) < 3)
+        unknowns = layout(table_nodes(machine, machine.lower, machine.upper), reversal=1)
+        system = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
+        normal = normal_equations(system, unknowns, Whitener(system, pieces, white(machine)))
+        blocks = identifiable_blocks(normal, unknowns, 1e-4)
+        assert all(b[:3] in blocks for b in blocks if is_reversal(b))
+        return {b for b in blocks if is_reversal(b) and b[1] == b[2]}
+
+    half = [(0, 0.5, 0), (1, 1, 1), (0, 0, 0.5), (1, 1, 0), (0.5, 0, 1)]
+    assert seen(space) == {'EXX_0', 'EYY_0'}
+    assert seen([*space, *half]) == {'EXX_0', 'EYY_0', 'EZZ_0'}
+
+
+def test_stops_show_backlash_by_their_direction_of_approach():
+    machine = some_machine(CHAIN, pitch=0.1)
+    plan = some_plan(machine, corner_dwell=0.3)
+    run = simulate(
+        machine, plan, SimulationConfig(seed=31, rate=60), None, [applied('backlash', **BACKLASH)]
+    )
+    recording = Recording(run.samples, plan.path, machine)
+    result = calibrate_runs([recording], prepare=prepare_stops)
+    assert result.reversal.model == 'constant'
+    for axis in AXES:
+        table = result.reversal.motions[f'E{axis}{axis}']
+        assert np.all(np.abs(table.value - BACKLASH[f'B_{axis}']) < 4 * table.u)
