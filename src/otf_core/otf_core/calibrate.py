@@ -21,7 +21,7 @@ from otf_core.observation import Samples
 from otf_core.path import NominalPath
 from otf_core.pieces import Pieces
 from otf_core.reversal import Reversal, reversal_tables
-from otf_core.reversal_choice import ReversalSolution, solve_with_reversal
+from otf_core.reversal_choice import Choice, ReversalSolution, solve_with_reversal
 from otf_core.runs import Recording, Run, prepare_runs
 from otf_core.solution import Solution
 from otf_core.system import build_system
@@ -267,7 +267,7 @@ def calibrate_prepared(
         progress('solving', 0.0)
         config = replace(config, reversal='none')
         kept, done = solve_robustly(runs, unknowns, config, progress)
-        return _assemble(ReversalSolution(kept, done, 'none', {}), config)
+        return _assemble(ReversalSolution(kept, done, Choice('none', False, {})), config)
 
 
 def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
@@ -360,8 +360,8 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
         runs=tuple(results),
         fit=fit,
         reversal=Reversal(
-            solved.model,
-            solved.evidence,
+            solved.choice.model,
+            solved.choice.evidence,
             reversal_tables(
                 runs[0].machine,
                 unknowns,
@@ -369,6 +369,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
                 solution.covariance * fit.inflation,
                 solution.accepted,
             ),
+            solved.choice.held,
         ),
         not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
         warnings=tuple(_warnings(fit, unknowns, solution)),

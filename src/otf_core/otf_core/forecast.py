@@ -20,7 +20,7 @@ from otf_core.frames import RigidTransform
 from otf_core.machine import AXES, Machine
 from otf_core.noise import NoiseModel
 from otf_core.normal import NormalEquations, Whitener, normal_equations
-from otf_core.path import MIN_LEG
+from otf_core.path import MIN_LEG, sides_of_travel
 from otf_core.pieces import SPEED_WINDOW, Pieces, piece_boundaries
 from otf_core.planning import Plan
 from otf_core.solution import Solution, identifiable_blocks, solve
@@ -193,6 +193,7 @@ def lay_out(
         leg=leg,
         origin=starts[leg],
         direction=direction,
+        side=sides_of_travel((ends - starts) / np.maximum(times.length, MIN_LEG)[:, None])[leg],
         count=count.astype(np.int64),
         time=time,
         duration=duration,

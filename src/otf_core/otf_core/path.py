@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 MIN_LEG = 1e-6
 """m; shorter legs are repeated corner points, not motion."""
+MOVING = 1e-6
+"""Component of a unit direction below which an axis stands."""
 
 
 @dataclass(frozen=True)
@@ -121,3 +123,23 @@ class LegPosition:
     along: Array
     unit: Array
     length: Array
+
+
+def sides_of_travel(unit: Array) -> Array:
+    """Side on which each axis ends up on every leg.
+
+    Parameters
+    ----------
+    unit : ndarray, shape (m, 3)
+        Unit directions of the legs in driving order.
+
+    Returns
+    -------
+    ndarray, shape (m, 3)
+        Sign of the travel of each axis; where it stands, that of its last travel; 0 before its
+        first.
+    """
+    moving = np.abs(unit) > MOVING
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(unit))[:, None], 0), axis=0)
+    sign = np.where(moving, np.sign(unit), 0.0)
+    return np.asarray(np.take_along_axis(sign, last, axis=0))

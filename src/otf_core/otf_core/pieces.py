@@ -19,7 +19,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.matching import OFF_PATH
 from otf_core.observation import Samples
-from otf_core.path import along_legs
+from otf_core.path import along_legs, sides_of_travel
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -49,6 +49,8 @@ class Pieces:
     origin, direction : ndarray, shape (p, 3)
         Start point (m) and unit direction of that leg, machine frame; at standstill the point
         itself and the direction of approach, zero where unknown.
+    side : ndarray, shape (p, 3)
+        Sign of the travel of each axis, see ``path.sides_of_travel``.
     count : ndarray of int64, shape (p,)
         Samples averaged.
     time : ndarray, shape (p,), s
@@ -71,6 +73,7 @@ class Pieces:
     leg: Index
     origin: Array
     direction: Array
+    side: Array
     count: Index
     time: Array
     duration: Array
@@ -87,7 +90,17 @@ class Pieces:
 
     def without(self, drop: NDArray[np.bool_]) -> Pieces:
         """Return the pieces that are not marked in ``drop``, shape (p,)."""
-        arrays = ('xyz', 'leg', 'origin', 'direction', 'count', 'time', 'duration', 'speed')
+        arrays = (
+            'xyz',
+            'leg',
+            'origin',
+            'direction',
+            'side',
+            'count',
+            'time',
+            'duration',
+            'speed',
+        )
         kept = {name: getattr(self, name)[~drop] for name in arrays}
         stays = ~drop[self.piece]
         lost = int(self.count[drop].sum())
@@ -268,6 +281,7 @@ def _collect(
         leg=leg,
         origin=alignment.corners[leg],
         direction=unit[leg],
+        side=sides_of_travel(unit)[leg],
         count=means.count,
         time=means.mean(time[chosen]),
         duration=means.count / rate,

@@ -13,12 +13,12 @@ The reversal value of a motion is its error in forward travel less that in backw
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.effects.backlash import Backlash
+from otf_core.effects.backlash import HELD, Backlash
 from otf_core.effects.direction_dependent_tables import (
     ORDER,
     DirectionDependentTables,
@@ -68,11 +68,14 @@ class Reversal:
         Why this model: see ``reversal_choice.choose``.
     motions : mapping of motion name to ReversalTable
         Empty for the model 'none'.
+    held : bool
+        Axes that stand stay on the side of their last travel.
     """
 
     model: str
     evidence: Mapping[str, float | int | str]
     motions: Mapping[str, ReversalTable]
+    held: bool = False
 
     @property
     def not_identifiable(self) -> tuple[str, ...]:
@@ -81,7 +84,7 @@ class Reversal:
 
 
 def reversal_columns(
-    machine: Machine, q: Array, direction: Array, count: int
+    machine: Machine, q: Array, direction: Array, side: Array, unknowns: Unknowns
 ) -> Iterator[tuple[str, Array]]:
     """Displacement of the target per unit of every reversal coefficient.
 
@@ -90,8 +93,10 @@ def reversal_columns(
     machine : Machine
     q, direction : ndarray, shape (n, 3), m and 1
         Positions and unit directions of travel or approach; a zero vector where unknown.
-    count : int
-        Polynomials per motion.
+    side : ndarray, shape (n, 3)
+        Sign of the travel of each axis, of its last where it stands.
+    unknowns : Unknowns
+        With the number of polynomials per motion, and ``held``.
 
     Yields
     ------
@@ -99,13 +104,14 @@ def reversal_columns(
         Name of the block of unknowns.
     columns : ndarray, shape (n, 3)
     """
-    if not count:
+    if not unknowns.reversal:
         return
-    state = state_of_travel(machine, q, direction)
-    backlash = Backlash().terms(state, {}).columns
+    state = replace(state_of_travel(machine, q, direction), side=side)
+    shape = {HELD: float(unknowns.held)}
+    backlash = Backlash().terms(state, shape).columns
     for k, axis in enumerate(AXES):
         yield reversal_block(f'E{axis}{axis}', 0), backlash[:, :, k]
-    tables = DirectionDependentTables().terms(state, {'order': count - 1.0})
+    tables = DirectionDependentTables().terms(state, {**shape, 'order': unknowns.reversal - 1.0})
     for k, name in enumerate(tables.names):
         yield name, tables.columns[:, :, k]
 

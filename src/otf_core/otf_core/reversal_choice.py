@@ -48,6 +48,24 @@ MIN_LEGS = 16
 
 
 @dataclass(frozen=True)
+class Choice:
+    """A reversal model.
+
+    Attributes
+    ----------
+    model : str
+        A name of ``reversal.MODELS``.
+    held : bool
+        Axes that stand stay on the side of their last travel.
+    evidence : mapping of str to number or text
+    """
+
+    model: str
+    held: bool
+    evidence: Evidence
+
+
+@dataclass(frozen=True)
 class ReversalSolution:
     """Solution with the reversal model that was asked for or chosen.
 
@@ -56,15 +74,12 @@ class ReversalSolution:
     runs : list of Run
         With the pieces that were kept.
     done : JointSolution
-    model : str
-        A name of ``reversal.MODELS``.
-    evidence : mapping of str to number or text
+    choice : Choice
     """
 
     runs: list[Run]
     done: JointSolution
-    model: str
-    evidence: Evidence
+    choice: Choice
 
 
 def solve_with_reversal(
@@ -79,22 +94,19 @@ def solve_with_reversal(
     config : CalibrationConfig
     progress : callable(stage, fraction)
     """
-    model: str = config.reversal
-    evidence: Evidence = {'decided_by': 'configuration'}
-    if model in ('auto', 'none'):
-        kept, done = solve_robustly(runs, layout(nodes, len(runs)), config, progress)
-        if model == 'auto':
-            model, evidence = choose(kept, done, config)
-        if model == 'none':
-            return ReversalSolution(kept, done, model, evidence)
-    unknowns = layout(nodes, len(runs), MODELS[model])
-    return ReversalSolution(*solve_robustly(runs, unknowns, config, progress), model, evidence)
+    kept, done = solve_robustly(runs, layout(nodes, len(runs)), config, progress)
+    choice = choose(kept, done, config)
+    if choice.model == 'none':
+        return ReversalSolution(kept, done, choice)
+    unknowns = layout(nodes, len(runs), MODELS[choice.model], held=choice.held)
+    return ReversalSolution(*solve_robustly(runs, unknowns, config, progress), choice)
 
 
-def choose(
-    runs: Sequence[Run], done: JointSolution, config: CalibrationConfig
-) -> tuple[str, Evidence]:
+def choose(runs: Sequence[Run], done: JointSolution, config: CalibrationConfig) -> Choice:
     """Choose a reversal model by what it leaves of held-out legs.
+
+    The model may be given by the configuration; whether axes that stand are held is always
+    chosen.
 
     Parameters
     ----------
@@ -105,17 +117,34 @@ def choose(
 
     Returns
     -------
-    model : str
-    evidence : dict
-        'legs', 'folds', 'needed' gain over scatter; per model 'held_out_MODEL', sum of squared
-        whitened residuals; 'gain_MODEL' and 'scatter_MODEL' over the best simpler one, for the
-        rival over the model chosen; 'rival', if it was better.
+    Choice
+        With the evidence: 'legs', 'folds', 'needed' gain over scatter; per model
+        'held_out_MODEL', sum of squared whitened residuals; 'gain_MODEL' and 'scatter_MODEL'
+        over the best simpler one, for the rival over the model chosen; 'rival', if it was
+        better.
     """
+    given = config.reversal
+    if given == 'none':
+        return Choice('none', False, {'decided_by': 'configuration'})
     fold = _folds(done)
     legs = sum(len(f) for f in fold)
-    if legs < MIN_LEGS:
-        return 'none', {'decided_by': f'too few legs: {legs}, {MIN_LEGS} needed', 'legs': legs}
-    left = _held_out_squares(runs, done, fold, config.unidentifiable_above)
+    if legs < MIN_LEGS and given == 'auto':
+        few = f'too few legs: {legs}, {MIN_LEGS} needed'
+        return Choice('none', False, {'decided_by': few, 'legs': legs})
+    found: dict[float, Choice] = {}
+    for held in (False, True):
+        left = _held_out_squares(runs, done, fold, config.unidentifiable_above, held)
+        choice = Choice(given, held, {'decided_by': 'configuration'})
+        if given == 'auto':
+            choice = _chosen(left, held)
+        # of equals the first counts: nothing is held where there is no reversal
+        found.setdefault(float(left[choice.model].sum()), choice)
+    return found[min(found)]
+
+
+def _chosen(left: dict[str, Array], held: bool) -> Choice:
+    """Choose among the models by the squares (legs,) that each leaves."""
+    legs = len(left['none'])
     evidence: Evidence = {
         'decided_by': 'held-out legs',
         'legs': legs,
@@ -133,8 +162,8 @@ def choose(
         if gain > CLEAR * scatter:
             best = model
     if best == RIVAL.name:
-        return 'none', evidence | {'rival': RIVAL.name}
-    return best, evidence
+        return Choice('none', False, evidence | {'rival': RIVAL.name})
+    return Choice(best, held, evidence)
 
 
 def _folds(done: JointSolution) -> list[Index]:
@@ -149,10 +178,10 @@ def _folds(done: JointSolution) -> list[Index]:
 
 
 def _held_out_squares(
-    runs: Sequence[Run], done: JointSolution, fold: Sequence[Index], limit: float
+    runs: Sequence[Run], done: JointSolution, fold: Sequence[Index], limit: float, held: bool
 ) -> dict[str, Array]:
     """Squared whitened residual of every leg under every model fitted to the other folds."""
-    unknowns = layout(done.unknowns.nodes, len(runs), max(MODELS.values()))
+    unknowns = layout(done.unknowns.nodes, len(runs), max(MODELS.values()), held=held)
     tables = tables_of(runs[0].machine, done.unknowns, done.solution)
     systems = [
         build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)

@@ -49,6 +49,7 @@ def reversal_to_dict(reversal: Reversal, tables: ErrorTables) -> dict[str, Any]:
     return {
         'model': reversal.model,
         'evidence': dict(reversal.evidence),
+        'held': reversal.held,
         'sign': 'value = forward less backward; forward: towards larger positions',
         'motions': motions,
     }
@@ -94,8 +95,12 @@ def format_reversal(reversal: Reversal) -> str:
     lines = [f'Reversal model: {reversal.model}', *_why(reversal)]
     if not reversal.motions:
         return '\n'.join(lines)
-    lines += ['reversal value, forward less backward', 'motion  unit       min       max'
-              '    mean u, k = 1']  # fmt: skip
+    stays = 'stay on the side of their last travel' if reversal.held else 'lie between both sides'
+    lines += [
+        f'axes that stand {stays}',
+        'reversal value, forward less backward',
+        'motion  unit       min       max    mean u, k = 1',
+    ]
     for name, table in reversal.motions.items():
         row = f'{name:<8}{"um" if unit_of(name) == "m" else "urad":<6}'
         if table.identifiable:

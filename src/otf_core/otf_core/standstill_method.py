@@ -21,7 +21,7 @@ from otf_core.errors import InputError
 from otf_core.frames import RigidTransform, rigid_fit
 from otf_core.matching import OFF_PATH, find_match
 from otf_core.observation import Samples
-from otf_core.path import MIN_LEG, NominalPath
+from otf_core.path import MIN_LEG, NominalPath, sides_of_travel
 from otf_core.pieces import Pieces
 from otf_core.runs import Recording, Run, blamed, check_same_machine, covered_range
 from otf_core.standstill import find_standstills, noise_model
@@ -195,6 +195,7 @@ def stop_pieces(samples: Samples, alignment: Alignment, stops: Stops, point: Ind
         leg=np.arange(len(use)),
         origin=alignment.corners[point[use]],
         direction=approach[point[use]],
+        side=sides_of_travel(approach)[point[use]],
         count=count,
         time=0.5 * (time[span[:, 0]] + time[span[:, 1] - 1]),
         duration=time[span[:, 1] - 1] - time[span[:, 0]],

@@ -100,7 +100,7 @@ def _design(
     q: Array,
     points: Array,
     axes: Array,
-    direction: Array,
+    pieces: Pieces,
     nodal_lever: bool,
 ) -> sparse.csr_array:
     count, components, pose = len(q), len(axes), unknowns.blocks[pose_block(run)].start
@@ -128,7 +128,7 @@ def _design(
             if nodal_lever:
                 lever_q[:, axis] = nodes[index + step]
             add(motion_influence(machine, name, lever_q), start + index + step, factor)
-    for name, influence in reversal_columns(machine, q, direction, unknowns.reversal):
+    for name, influence in reversal_columns(machine, q, pieces.direction, pieces.side, unknowns):
         add(influence, np.full(count, unknowns.blocks[name].start), 1.0)
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return sparse.csr_array(sparse.coo_array(entries, shape=(components * count, unknowns.full)))
@@ -176,7 +176,7 @@ def build_system(
         q=q,
         axes=axes,
         deviation=np.einsum('kij,ij->ki', axes, points - q),
-        design=_design(machine, unknowns, run, q, points, axes, pieces.direction, nodal_lever),
+        design=_design(machine, unknowns, run, q, points, axes, pieces, nodal_lever),
         along=along,
         across=across,
     )

@@ -43,6 +43,8 @@ class Unknowns:
         The same blocks in the free vector.
     reversal : int
         Reversal polynomials per motion.
+    held : bool
+        Axes that stand stay on the side of their last travel, see ``effects.backlash``.
     """
 
     nodes: dict[str, Array]
@@ -50,6 +52,7 @@ class Unknowns:
     gauge: sparse.csr_array
     free_blocks: dict[str, slice]
     reversal: int = 0
+    held: bool = False
 
     @property
     def full(self) -> int:
@@ -170,7 +173,9 @@ def reversal_order(block: str) -> int:
     return int(block[4:]) if is_reversal(block) else -1
 
 
-def layout(nodes: dict[str, Array], runs: int = 1, reversal: int = 0) -> Unknowns:
+def layout(
+    nodes: dict[str, Array], runs: int = 1, reversal: int = 0, *, held: bool = False
+) -> Unknowns:
     """Lay out the unknowns.
 
     Parameters
@@ -180,6 +185,8 @@ def layout(nodes: dict[str, Array], runs: int = 1, reversal: int = 0) -> Unknown
         Each has its own pose.
     reversal : int
         Reversal polynomials per motion.
+    held : bool
+        See ``Unknowns``.
     """
     order = [m for m in MOTIONS if unit_of(m) == 'm'] + [m for m in MOTIONS if unit_of(m) == 'rad']
     parts: list[tuple[str, Array]] = [(pose_block(run), np.eye(POSE)) for run in range(runs)]
@@ -193,4 +200,4 @@ def layout(nodes: dict[str, Array], runs: int = 1, reversal: int = 0) -> Unknown
         free_blocks[name] = slice(free, free + basis.shape[1])
         full, free = full + basis.shape[0], free + basis.shape[1]
     gauge = sparse.block_diag([basis for _, basis in parts], format='csr')
-    return Unknowns(nodes, blocks, sparse.csr_array(gauge), free_blocks, reversal)
+    return Unknowns(nodes, blocks, sparse.csr_array(gauge), free_blocks, reversal, held)

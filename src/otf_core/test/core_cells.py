@@ -15,7 +15,7 @@ from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
 from otf_core.noise import NoiseModel
 from otf_core.normal import Whitener, normal_equations
 from otf_core.observation import Samples
-from otf_core.path import NominalPath
+from otf_core.path import NominalPath, sides_of_travel
 from otf_core.pieces import Pieces
 from otf_core.planning import plan_path
 from otf_core.sim.drive import Drive
@@ -170,6 +170,7 @@ def pieces_of(machine, path, tables, pose, size=0.01, count=10):
         leg=leg,
         origin=corners[leg],
         direction=unit[leg],
+        side=sides_of_travel(unit)[leg],
         count=np.full(n, count),
         time=np.arange(n) * 0.01,
         duration=0.01 * ones,

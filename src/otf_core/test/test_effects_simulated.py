@@ -202,7 +202,7 @@ WRONG = {
     '[{effect: wobble, parameters: {}}]': "entry 1: effect: 'wobble' is unknown; possible: backl",
     '[{effect: backlash}]': 'parameters: missing',
     '[{effect: backlash, parameters: 3}]': 'backlash: parameters: expected names and values',
-    '[{effect: backlash, parameters: {B_Q: 1e-6}}]': 'backlash: B_Q: unknown; possible: B_X',
+    '[{effect: backlash, parameters: {B_Q: 1e-6}}]': 'backlash: B_Q: unknown; possible: held, B_X',
     '[{effect: backlash, parameters: {B_X: 5 um}}]': "backlash: B_X: expected a plain.*'5 um'",
     '[{effect: backlash, parameters: {B_X: .nan}}]': 'backlash: B_X: expected a plain number',
     '[{effect: backlash, parameters: {B_X: true}}]': 'backlash: B_X: expected a plain number',

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from otf_core.errors import InputError, ShapeError
-from otf_core.path import NominalPath
+from otf_core.path import NominalPath, sides_of_travel
 
 # along X, a dwell, on along X, a repeated end, then up Y
 L_SHAPE = [[0, 0, 0], [0.1, 0, 0], [0.1, 0, 0], [0.3, 0, 0], [0.3, 0.4, 0], [0.3, 0.4, 0]]
@@ -59,3 +59,9 @@ def test_points_without_motion_are_no_path(points, reason):
 def test_points_of_wrong_shape_are_no_path(shape):
     with pytest.raises(ShapeError, match=r'shape \(n, 3\)'):
         NominalPath(np.zeros(shape))
+
+
+def test_axis_that_stands_stays_on_the_side_of_its_last_travel():
+    unit = np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, 0, 1e-9], [0, 0, -1.0]])
+    wanted = [[0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, -1, -1]]
+    assert np.array_equal(sides_of_travel(unit), wanted)

@@ -93,6 +93,19 @@ def test_backlash_is_found_as_constants_within_their_uncertainty(chosen):
             assert np.all(np.abs(table.value - true) < 4 * table.u), name
 
 
+def test_axes_held_on_the_side_of_their_last_travel_are_recognised(chosen):
+    assert not chosen.reversal.held
+    held = cell(backlash=BACKLASH | {'held': 1.0})
+    result = solved(held)
+    assert (result.reversal.model, result.reversal.held) == ('constant', True)
+    for name, true in (('EXX', 5e-6), ('EYY', -3e-6), ('EZZ', 2e-6)):
+        table = result.reversal.motions[name]
+        assert np.abs(table.value - true).max() < 4 * table.u.max()
+    assert grid_error(result.tables, held[2].truth)[1] < (
+        0.5 * grid_error(solved(held, 'none').tables, held[2].truth)[1]
+    )
+
+
 def test_reversal_that_changes_along_the_axis_is_found_within_its_uncertainty(along_the_axis):
     assert along_the_axis.reversal.model == 'tables'
     effect = REGISTRY['direction_dependent_tables']

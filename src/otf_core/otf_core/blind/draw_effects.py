@@ -36,9 +36,13 @@ def _drift(rng: Rng, duration: float) -> Parameters:
     return {'tau': float(duration * np.exp(rng.uniform(np.log(0.15), np.log(4.0)))), 'order': 1.0}
 
 
+def _held(rng: Rng) -> Parameters:
+    return {'held': 1.0} if rng.random() < 0.5 else {}
+
+
 def _directional(rng: Rng) -> Parameters:
     axis = AXES[rng.integers(3)]
-    found: Parameters = {}
+    found = _held(rng)
     for motion in rng.choice([f'E{d}{axis}' for d in 'XYZABC'], int(rng.integers(1, 3)), False):
         own = motion[1] == motion[2]
         unit = 1e-6 if motion[1] in 'XYZ' else 4e-6
@@ -120,7 +124,7 @@ def _cyclic(rng: Rng) -> Parameters:
 
 
 _KNOWN: dict[str, Callable[[Rng, Machine, float], Parameters]] = {
-    'backlash': lambda g, m, t: _vector(g, 'B'),
+    'backlash': lambda g, m, t: _vector(g, 'B') | _held(g),
     'direction_dependent_tables': lambda g, m, t: _directional(g),
     'thermal_axis_expansion': lambda g, m, t: _drift(g, t) | _vector(g, 'S', 4e-6),
     'thermal_structure_drift': lambda g, m, t: _drift(g, t) | _vector(g, 'D'),

@@ -1,24 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """Backlash: half the reversal value of an axis, with the sign of its travel.
 
-delta = 1/2 B_a sign(d_a) e_a, added over the axes a; d is the travel direction.
+delta = 1/2 B_a sign(d_a) e_a, added over the axes a; d is the travel direction. An axis that
+stands stays on the side of its last travel if it is held there by friction (shape ``held`` 1), or
+lies in the middle of its play (0).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Array, Effect, Shape, State, Terms
 from otf_core.machine import AXES
+from otf_core.path import MOVING
 
-MOVING = 1e-6
-"""Direction component below which an axis stands."""
+HELD = 'held'
+"""Shape parameter: 1 if an axis that stands stays on the side of its last travel, else 0."""
 
 
-def travel_sign(state: State) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Sign of travel of each axis, shape (n, 3); 0 where the axis stands."""
+def travel_sign(state: State, shape: Shape) -> Array:
+    """Sign of travel of each axis, shape (n, 3); where it stands that of its last, or 0."""
+    if shape[HELD] > 0.5:
+        return state.side
     return np.where(np.abs(state.direction) > MOVING, np.sign(state.direction), 0.0)
 
 
@@ -28,7 +35,10 @@ class Backlash(Effect):
     name: ClassVar[str] = 'backlash'
     cause: ClassVar[str] = 'play and wind-up between drive and slide; the encoder does not see it'
     equation: ClassVar[str] = '1/2 B_a sign(d_a) e_a'
-    coefficients: ClassVar[str] = 'B_a: reversal value of axis a'
+    coefficients: ClassVar[str] = (
+        'B_a: reversal value of axis a; shape: held 1 if an axis that stands stays on the side of '
+        'its last travel, 0 if it does not'
+    )
     typical: ClassVar[str] = '1 um to 10 um on production machines'
     source: ClassVar[str] = 'ISO 230-2:2014, 2.16 (reversal value)'
     signature: ClassVar[str] = (
@@ -39,7 +49,15 @@ class Backlash(Effect):
         'every line driven forward and reverse, and lines that are no box diagonals'
     )
 
+    shape_names: ClassVar[tuple[str, ...]] = (HELD,)
+    shape_units: ClassVar[tuple[str, ...]] = ('',)
+    shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType({HELD: 0.0})
+
+    def shapes(self, state: State) -> Sequence[Shape]:
+        """Return to the middle at standstill, and held."""
+        return ({HELD: 0.0}, {HELD: 1.0})
+
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return B_X, B_Y, B_Z."""
-        columns = 0.5 * travel_sign(state)[:, :, None] * np.eye(3)
+        columns = 0.5 * travel_sign(state, shape)[:, :, None] * np.eye(3)
         return Terms(tuple(f'B_{a}' for a in AXES), ('m',) * 3, AXES, columns)

@@ -48,6 +48,8 @@ class State:
         Since the start of the recording.
     from_corner, to_corner : ndarray, shape (n,), m
         Path length since the last corner and to the next one.
+    side : ndarray, shape (n, 3)
+        Sign of the travel of each axis, of its last travel where it stands; 0 before its first.
     before, after : ndarray, shape (n, 3)
         Unit directions of the legs before and after; the own direction at the ends of the path.
     beam : ndarray, shape (n, 3), m
@@ -70,6 +72,7 @@ class State:
     time: Array
     from_corner: Array
     to_corner: Array
+    side: Array
     before: Array
     after: Array
     beam: Array
@@ -89,7 +92,7 @@ class State:
 
     def part(self, rows: slice) -> State:
         """Return some of the points of the same recording."""
-        per_point = ('q', 'direction', 'speed', 'time', 'from_corner', 'to_corner')
+        per_point = ('q', 'direction', 'speed', 'time', 'from_corner', 'to_corner', 'side')
         chosen = {n: getattr(self, n)[rows] for n in (*per_point, 'before', 'after', 'beam')}
         return replace(self, duration=self.end, **chosen)
 

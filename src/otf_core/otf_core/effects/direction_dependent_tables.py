@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.polynomial import legendre
 
-from otf_core.effects.backlash import travel_sign
+from otf_core.effects.backlash import HELD, travel_sign
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
 from otf_core.effects.position import scaled_position
 from otf_core.kinematics import motion_influence
@@ -39,7 +39,8 @@ class DirectionDependentTables(Effect):
     )
     equation: ClassVar[str] = '1/2 sign(d_a) c_k P_k(u_a) J_m(q), motion m of axis a'
     coefficients: ClassVar[str] = (
-        'c_k of motion m as m_k, EXX_1 to ECZ_3; shape: highest order of the polynomials'
+        'c_k of motion m as m_k, EXX_1 to ECZ_3; shape: highest order of the polynomials, held as '
+        'for backlash'
     )
     typical: ClassVar[str] = '1 um to 5 um, 1 urad to 10 urad between forward and reverse'
     source: ClassVar[str] = (
@@ -50,17 +51,20 @@ class DirectionDependentTables(Effect):
         'forward and reverse passes of one line differ by a smooth function of position'
     )
     needs: ClassVar[str] = 'every line driven forward and reverse'
-    shape_names: ClassVar[tuple[str, ...]] = ('order',)
-    shape_units: ClassVar[tuple[str, ...]] = ('',)
-    shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType({'order': float(ORDER)})
+    shape_names: ClassVar[tuple[str, ...]] = ('order', HELD)
+    shape_units: ClassVar[tuple[str, ...]] = ('', '')
+    shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {'order': float(ORDER), HELD: 0.0}
+    )
 
     def shapes(self, state: State) -> Sequence[Shape]:
-        """Linear along the axis, and the full order."""
-        return ({'order': 1.0}, {'order': float(ORDER)})
+        """Linear along the axis and the full order, each as for backlash."""
+        orders = (1.0, float(ORDER))
+        return tuple({'order': k, HELD: held} for k in orders for held in (0.0, 1.0))
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return EXX_1 ... ECZ_3: motion and order of its polynomial."""
-        sign, place = travel_sign(state), scaled_position(state)
+        sign, place = travel_sign(state, shape), scaled_position(state)
         names, columns = [], []
         for motion in MOTIONS:
             axis = AXES.index(motion[2])

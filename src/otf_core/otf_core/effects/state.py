@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from otf_core.effects.base import State
 from otf_core.frames import RigidTransform
 from otf_core.machine import AXES, Machine
+from otf_core.path import sides_of_travel
 from otf_core.tables import ErrorTables
 from otf_core.unknowns import axis_nodes
 
@@ -59,6 +60,7 @@ def state_on_path(
         time=time,
         from_corner=along,
         to_corner=length[leg] - along,
+        side=sides_of_travel(unit)[leg],
         before=unit[np.maximum(leg - 1, 0)],
         after=unit[np.minimum(leg + 1, len(unit) - 1)],
         beam=q - T_machine_tracker.translation,
@@ -88,6 +90,7 @@ def state_of_travel(machine: Machine, q: Array, direction: Array) -> State:
         time=zero,
         from_corner=zero,
         to_corner=zero,
+        side=direction,
         before=direction,
         after=direction,
         beam=vector,
