@@ -58,8 +58,12 @@ def _comparable(effect: str, true: Mapping[str, float], fitted: Mapping[str, flo
     names = [n for n in REGISTRY[effect].shape_names if n not in LOOSE_SHAPE]
     if TIME_CONSTANT in names:
         return False
+    try:
+        shape = REGISTRY[effect].complete_shape(true)
+    except ConfigError:
+        return False
     return all(
-        n in true and n in fitted and abs(fitted[n] / true[n] - 1.0) < SAME_SHAPE for n in names
+        n in fitted and abs(fitted[n] - shape[n]) <= SAME_SHAPE * abs(shape[n]) for n in names
     )
 
 
