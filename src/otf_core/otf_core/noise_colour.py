@@ -76,15 +76,20 @@ def variogram(windows: Sequence[Array]) -> Variogram:
 
 
 def _parts(value: Array, shape: Array, freedom: Array) -> tuple[float, Array]:
-    """Misfit and parts (white, slow) of one quantity for one correlation time."""
+    """Misfit and parts (white, slow) of one quantity for one correlation time.
+
+    Mean squares follow chi-square distributions: the misfit is their deviance. Weighted squares
+    instead would take a model that is too large for a good one.
+    """
     design = np.stack([np.ones_like(shape), shape], axis=1)
-    model = np.maximum(value, 1e-3 * value.max() + 1e-300)
-    for _ in range(3):  # the precision is that of the model, not of the value it has to fit
+    least = 1e-3 * value.max() + 1e-300
+    model = np.maximum(value, least)
+    for _ in range(5):  # the precision is that of the model, not of the value it has to fit
         weight = np.sqrt(freedom) / model
-        part, misfit = nnls(design * model.max() * weight[:, None], value * weight)
-        part = part * model.max()
-        model = np.maximum(design @ part, 1e-3 * value.max() + 1e-300)
-    return float(misfit) ** 2, np.asarray(part)
+        part = nnls(design * model.max() * weight[:, None], value * weight)[0] * model.max()
+        model = np.maximum(design @ part, least)
+    ratio = np.maximum(value, least) / model
+    return float(np.sum(freedom * (ratio - 1.0 - np.log(ratio)))), np.asarray(part)
 
 
 def fit_colour(windows: Sequence[Array], step: float) -> Colour:

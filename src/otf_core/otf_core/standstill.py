@@ -12,6 +12,7 @@ from otf_core.machine import TrackerSpec
 from otf_core.noise import TYPICAL_CORRELATION_TIME, NoiseModel
 from otf_core.noise_colour import fit_colour
 from otf_core.observation import Samples
+from otf_core.rest import RESOLUTION, at_rest, spherical_deviations
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -26,16 +27,18 @@ MIN_TOTAL = 5.0
 """s; less standstill in all says too little about the noise."""
 WINDOW = 4.0
 """s; longer standstills are cut, so that slow drift does not count as noise."""
+SHORTEST = 0.2
+"""s; parts of a standstill that are shorter are not used."""
 LONG = 1.0
-"""s; windows of this length are preferred to shorter ones."""
+"""s; the level of shorter windows scatters much."""
+QUIET = 10.0
+"""Percentile of the windows that counts as quiet."""
 LOUD = 4.0
-"""Ratio of long windows to the quietest beyond which the target itself must have moved."""
+"""Ratio of a long window to quiet ones beyond which the target itself must have moved."""
 HELD = 1e-11
 """m and rad; points that differ by less are one point repeated."""
 NO_COLOUR = 0.02
 """Share of the variance below which a slow part is not told from none."""
-RESOLUTION = 0.2e-6
-"""m and rad; levels below are not told apart: recordings are often rounded to 1 um and 1 urad."""
 
 
 def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_DURATION) -> Index:
@@ -69,33 +72,6 @@ def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_D
     runs += np.array([guard, -guard])
     long = runs[:, 1] - runs[:, 0] >= min_duration / step
     return np.asarray(runs[long], dtype=np.int64)
-
-
-def spherical_deviations(xyz: Array) -> Array:
-    """Range, and the two angles across the beam, relative to the mean of the points.
-
-    Parameters
-    ----------
-    xyz : ndarray, shape (n, 3), m
-        Points of one standstill in the tracker frame.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        m, rad, rad; the angles about horizontal and vertical of the mean beam, both counted as
-        angles of the beam itself.
-    """
-    mean = xyz.mean(axis=0)
-    distance = float(np.linalg.norm(mean))
-    beam = mean / distance
-    horizontal = np.array([-beam[1], beam[0], 0.0])
-    size = float(np.linalg.norm(horizontal))
-    horizontal = horizontal / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])
-    vertical = np.cross(beam, horizontal)
-    offset = xyz - mean
-    return np.stack(
-        [offset @ beam, offset @ horizontal / distance, offset @ vertical / distance], axis=1
-    )
 
 
 @dataclass(frozen=True)
@@ -136,19 +112,17 @@ def _windows(runs: Index, step: float) -> list[Index]:
 
 def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
     """Leave out windows that are too short or in which the target itself seems to have moved."""
+    windows = [w for w in windows if len(w) * step >= SHORTEST]
     # else the last point is held, not measured
     windows = [w for w in windows if np.ptp(w, axis=0).max() > HELD]
-    long = [w for w in windows if len(w) * step >= LONG]
-    enough = sum(len(w) for w in long) * step >= MIN_TOTAL
-    chosen = long if enough else windows
-    if not chosen:
+    if not windows:
         return [], 0
-    level = np.array([w.std(axis=0) for w in chosen])
+    level = np.array([w.std(axis=0) for w in windows])
     # the shorter a window, the more its level scatters
-    quiet = np.sort(level, axis=0)[0 if enough else len(chosen) // 10]
-    limit = LOUD * (1.0 + LONG / (step * np.array([len(w) for w in chosen])))
+    quiet = np.percentile(level, QUIET, axis=0)
+    limit = LOUD * (1.0 + LONG / (step * np.array([len(w) for w in windows])))
     still = np.all(level <= limit[:, None] * np.maximum(quiet, RESOLUTION), axis=1)
-    return [w for w, s in zip(chosen, still, strict=True) if s], int(np.sum(~still))
+    return [w for w, s in zip(windows, still, strict=True) if s], int(np.sum(~still))
 
 
 def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
@@ -171,7 +145,8 @@ def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
         Number of louder windows.
     """
     step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    parts = [spherical_deviations(samples.xyz[a:b]) for a, b in _windows(runs, step)]
+    quiet = _windows(at_rest(samples, runs), step)
+    parts = [spherical_deviations(samples.xyz[a:b]) for a, b in quiet]
     return _usable(parts, step)
 
 
