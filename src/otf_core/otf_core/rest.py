@@ -35,7 +35,9 @@ NORMAL = 0.3186
 SHORT, LONG = 3, 8
 """Blocks; shorter standstills are not judged, or not by the deviation from their median."""
 RESOLUTION = 0.2e-6
-"""m and rad; levels below are not told apart: recordings are often rounded to 1 um and 1 urad."""
+"""m and rad; levels below are not told apart."""
+ROUNDING = 0.3
+"""Standard deviation of rounding over its step."""
 
 
 def spherical_deviations(xyz: Array) -> Array:
@@ -58,15 +60,38 @@ def spherical_deviations(xyz: Array) -> Array:
     horizontal = np.array([-beam[1], beam[0], 0.0])
     size = float(np.linalg.norm(horizontal))
     horizontal = horizontal / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])
-    vertical = np.cross(beam, horizontal)
+    (bx, by, bz), (hx, hy, _) = beam, horizontal
+    vertical = np.array([-bz * hy, bz * hx, bx * hy - by * hx])
     offset = xyz - mean
     return np.stack(
         [offset @ beam, offset @ horizontal / distance, offset @ vertical / distance], axis=1
     )
 
 
-def _blocks(deviations: Array, size: int) -> tuple[Array, Array]:
-    """Means and standard deviations of whole blocks, each of shape (b, 3)."""
+def resolution(deviations: list[Array]) -> Array:
+    """Levels that recordings do not tell apart: they are often rounded to 1 um and 1 urad.
+
+    Parameters
+    ----------
+    deviations : list of ndarray, each of shape (n, 3), m, rad, rad
+
+    Returns
+    -------
+    ndarray, shape (3,)
+    """
+    steps = np.abs(np.concatenate([np.zeros((0, 3)), *(np.diff(d, axis=0) for d in deviations)]))
+    small = [np.percentile(s[s > 0], QUIET) if (s > 0).any() else 0.0 for s in steps.T]
+    return np.maximum(RESOLUTION, ROUNDING * np.array(small))
+
+
+def block_size(samples: Samples) -> int:
+    """Samples in a block."""
+    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    return max(MIN_SAMPLES, round(BLOCK / step))
+
+
+def blocks_of(deviations: Array, size: int) -> tuple[Array, Array]:
+    """Means and standard deviations of the whole blocks of a standstill, each of shape (b, 3)."""
     count = len(deviations) // size
     parts = deviations[: count * size].reshape(count, size, 3)
     return parts.mean(axis=1), parts.std(axis=1)
@@ -83,11 +108,17 @@ def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class _Quiet:
-    """What blocks of a target at rest show, each of shape (3,).
+class Quiet:
+    """What blocks of a target at rest show.
 
-    ``deviation`` within a block, ``change`` of the mean from one to the next, and how far means
-    lie ``away`` from the median of a standstill.
+    Attributes
+    ----------
+    deviation : ndarray, shape (3,), m, rad, rad
+        Standard deviation within a block.
+    change : ndarray, shape (3,)
+        Standard deviation of the change of the mean from one block to the next.
+    away : ndarray, shape (3,)
+        Standard deviation of means about the median of their standstill.
     """
 
     deviation: Array
@@ -95,17 +126,17 @@ class _Quiet:
     away: Array
 
 
-def _quiet_blocks(blocks: list[tuple[Array, Array]]) -> _Quiet:
+def quiet_blocks(blocks: list[tuple[Array, Array]], least: Array) -> Quiet:
     """Judge quiet blocks; standstills too short for it do not count."""
 
     def lowest(values: list[Array]) -> Array:
         rows = np.concatenate([np.zeros((0, 3)), *values])
         low = np.percentile(rows, QUIET, axis=0) if len(rows) else np.full(3, np.inf)
-        return np.asarray(np.maximum(low, RESOLUTION))
+        return np.asarray(np.maximum(low, least))
 
     judged = [b for b in blocks if len(b[0]) >= SHORT]
     long = [mean for mean, _ in judged if len(mean) >= LONG]
-    return _Quiet(
+    return Quiet(
         lowest([deviation for _, deviation in judged]),
         lowest([np.abs(np.diff(mean, axis=0)) / NORMAL for mean, _ in judged]),
         lowest([np.abs(mean - np.median(mean, axis=0)) / NORMAL for mean in long]),
@@ -141,10 +172,10 @@ def at_rest(samples: Samples, runs: Index) -> Index:
     """
     if not len(runs):
         return runs
-    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    size = max(MIN_SAMPLES, round(BLOCK / step))
-    blocks = [_blocks(spherical_deviations(samples.xyz[a:b]), size) for a, b in runs]
-    quiet = _quiet_blocks(blocks)
+    size = block_size(samples)
+    deviations = [spherical_deviations(samples.xyz[a:b]) for a, b in runs]
+    blocks = [blocks_of(d, size) for d in deviations]
+    quiet = quiet_blocks(blocks, resolution(deviations))
     found = []
     for (first, last), (mean, deviation) in zip(runs, blocks, strict=True):
         if len(mean) < SHORT:

@@ -12,7 +12,7 @@ from otf_core.machine import TrackerSpec
 from otf_core.noise import TYPICAL_CORRELATION_TIME, NoiseModel
 from otf_core.noise_colour import fit_colour
 from otf_core.observation import Samples
-from otf_core.rest import RESOLUTION, at_rest, spherical_deviations
+from otf_core.rest import at_rest, resolution, spherical_deviations
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -27,6 +27,8 @@ MIN_TOTAL = 5.0
 """s; less standstill in all says too little about the noise."""
 WINDOW = 4.0
 """s; longer standstills are cut, so that slow drift does not count as noise."""
+DRIFTING = 8.0
+"""s; of standstills as long as this a straight line is drift, and taken off."""
 SHORTEST = 0.2
 """s; parts of a standstill that are shorter are not used."""
 LONG = 1.0
@@ -100,13 +102,17 @@ class StandstillNoise:
     left_out: int = 0
 
 
-def _windows(runs: Index, step: float) -> list[Index]:
-    """Equal parts of each standstill, no longer than ``WINDOW``: first sample, one past last."""
+def _windows(samples: Samples, rest: Index, step: float) -> list[Array]:
+    """Deviations in equal parts of each standstill, no longer than ``WINDOW``."""
     found = []
-    for first, last in runs:
-        parts = int(np.ceil((last - first) * step / WINDOW - 1e-9))
-        edges = np.linspace(first, last, parts + 1).astype(np.int64)
-        found += list(np.stack([edges[:-1], edges[1:]], axis=1))
+    for first, last in rest:
+        length = (last - first) * step
+        parts = int(np.ceil(length / WINDOW - 1e-9))
+        deviations = spherical_deviations(samples.xyz[first:last])
+        if length >= DRIFTING:
+            line = np.linspace(-1.0, 1.0, last - first)
+            deviations -= np.outer(line, line @ deviations / (line @ line))
+        found += np.array_split(deviations, parts)
     return found
 
 
@@ -121,15 +127,15 @@ def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
     # the shorter a window, the more its level scatters
     quiet = np.percentile(level, QUIET, axis=0)
     limit = LOUD * (1.0 + LONG / (step * np.array([len(w) for w in windows])))
-    still = np.all(level <= limit[:, None] * np.maximum(quiet, RESOLUTION), axis=1)
+    still = np.all(level <= limit[:, None] * np.maximum(quiet, resolution(windows)), axis=1)
     return [w for w, s in zip(windows, still, strict=True) if s], int(np.sum(~still))
 
 
 def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
     """Deviations of range and angles in windows of standstill.
 
-    Windows of ``LONG`` or more are taken if there is enough of them. Those much louder than the
-    quietest are left out: there the target moves (a machine that settles or is shaken).
+    Only the part at rest is taken (``rest.at_rest``), and windows much louder than the quiet
+    ones are left out: there the target moves (a machine that settles or is shaken).
 
     Parameters
     ----------
@@ -142,12 +148,12 @@ def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
     windows : list of ndarray, each of shape (n, 3), m, rad, rad
         See ``spherical_deviations``.
     left_out : int
-        Number of louder windows.
+        Number of louder windows, and of standstills without any rest.
     """
     step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    quiet = _windows(at_rest(samples, runs), step)
-    parts = [spherical_deviations(samples.xyz[a:b]) for a, b in quiet]
-    return _usable(parts, step)
+    rest = at_rest(samples, runs)
+    windows, louder = _usable(_windows(samples, rest, step), step)
+    return windows, louder + len(runs) - len(rest)
 
 
 def standstill_noise(
