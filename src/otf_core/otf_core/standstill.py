@@ -23,6 +23,8 @@ GUARD = 0.05
 """s; left out at both ends of a standstill: settling."""
 NEAR = (0.7, 1.6)
 """Measured over specified level that stops of a second cannot tell from 1."""
+SLOWEST = 1.0
+"""s; correlation time of slow but usual noise, of which little standstill shows little."""
 MIN_TOTAL = 5.0
 """s; less standstill in all says too little about the noise."""
 WINDOW = 4.0
@@ -199,6 +201,17 @@ def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> St
     )
 
 
+def _near(samples: Samples, seen: StandstillNoise) -> tuple[float, float]:
+    """Measured over specified levels that do not contradict.
+
+    T seconds hold T / (2 tau) independent values of noise correlated over tau, so the logarithm
+    of its level over two angles has the standard deviation sqrt(tau / (2 T)); twice that counts.
+    """
+    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    scatter = 2.0 * np.sqrt(0.5 * SLOWEST / (seen.samples * step))
+    return min(NEAR[0], float(np.exp(-scatter))), max(NEAR[1], float(np.exp(scatter)))
+
+
 def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel:
     """Noise of a run: as its own standstills show it, else as specified.
 
@@ -224,7 +237,8 @@ def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel
     slow = np.maximum(total**2 - white**2, 0.0)
     # short stops fix the fast part, and of the slow part only variance over time constant: a
     # level near the specified one is taken as specified, and the time constant goes with it
-    near = (total > NEAR[0] * specified) & (total < NEAR[1] * specified) & (white < specified)
+    low, high = _near(samples, seen)
+    near = (total > low * specified) & (total < high * specified) & (white < specified)
     level = np.where(near, specified, np.maximum(total, specified / 3))
     ratio = np.where(near, (level**2 - white**2) / np.maximum(slow, 1e-300), 1.0)
     stretch = float(np.clip(ratio[1], 0.2, 5.0)) if slow[1] > 0 else 1.0
