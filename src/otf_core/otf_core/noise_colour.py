@@ -21,6 +21,9 @@ Index = NDArray[np.int64]
 LAGS_PER_OCTAVE = 4
 MAX_LAG = 0.75
 """Share of the longest window."""
+TYPICAL_TIME, SPREAD = 0.3, 10.0
+"""s and factor; what is known of correlation times before: recorded ones lie within
+(docs/noise.md). Decides only where the recording does not."""
 PASSES = 5
 """Of the fit; each weighs with the model of the one before."""
 SHORTEST_TIME, LONGEST_TIME = 0.01, 2.0
@@ -91,7 +94,7 @@ def _weighted(value: Array, shape: Array, weight: Array) -> tuple[Array, Array]:
 def _fits(seen: Variogram, step: float, times: Array) -> tuple[Array, Array, Array]:
     """Misfit of each correlation time, shape (t,), and the parts, each (t, c).
 
-    Mean squares follow chi-square distributions: the misfit is their deviance. Weighted squares
+    The misfit is minus twice the logarithm of the posterior, less a constant. Mean squares follow chi-square distributions: the misfit is their deviance. Weighted squares
     instead would take a model that is too large for a good one.
     """
     shape = 1.0 - np.exp(-seen.lag * step / times[:, None, None])
@@ -104,7 +107,8 @@ def _fits(seen: Variogram, step: float, times: Array) -> tuple[Array, Array, Arr
         model = np.maximum(white[..., None] + slow[..., None] * shape, least)
     ratio = value / model
     misfit = np.sum(seen.freedom * (ratio - 1.0 - np.log(ratio)), axis=(1, 2))
-    return misfit, white, slow
+    known = (np.log(times / TYPICAL_TIME) / np.log(SPREAD)) ** 2
+    return misfit + known, white, slow
 
 
 def fit_colour(windows: Sequence[Array], step: float) -> Colour:

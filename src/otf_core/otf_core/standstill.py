@@ -206,10 +206,12 @@ def _near(samples: Samples, seen: StandstillNoise) -> tuple[float, float]:
 
     T seconds hold T / (2 tau) independent values of noise correlated over tau, so the logarithm
     of its level over two angles has the standard deviation sqrt(tau / (2 T)); twice that counts.
+    A stop of length w may show as little of its variance as 1 - exp(-w / tau).
     """
-    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    scatter = 2.0 * np.sqrt(0.5 * SLOWEST / (seen.samples * step))
-    return min(NEAR[0], float(np.exp(-scatter))), max(NEAR[1], float(np.exp(scatter)))
+    duration = seen.samples * float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    scatter = np.exp(2.0 * np.sqrt(0.5 * SLOWEST / duration))
+    shown = np.sqrt(-np.expm1(-duration / seen.standstills / SLOWEST))
+    return min(NEAR[0], 1.0 / scatter, shown), max(NEAR[1], scatter)
 
 
 def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel:
