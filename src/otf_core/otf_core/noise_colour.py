@@ -94,8 +94,9 @@ def _weighted(value: Array, shape: Array, weight: Array) -> tuple[Array, Array]:
 def _fits(seen: Variogram, step: float, times: Array) -> tuple[Array, Array, Array]:
     """Misfit of each correlation time, shape (t,), and the parts, each (t, c).
 
-    The misfit is minus twice the logarithm of the posterior, less a constant. Mean squares follow chi-square distributions: the misfit is their deviance. Weighted squares
-    instead would take a model that is too large for a good one.
+    The misfit is minus twice the logarithm of the posterior, less a constant. Mean squares follow
+    chi-square distributions, so what the data add is their deviance. Weighted squares instead
+    would take a model that is too large for a good one.
     """
     shape = 1.0 - np.exp(-seen.lag * step / times[:, None, None])
     least = 1e-3 * seen.value.max(axis=1, keepdims=True) + 1e-300
