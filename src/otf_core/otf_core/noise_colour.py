@@ -112,6 +112,12 @@ def _fits(seen: Variogram, step: float, times: Array) -> tuple[Array, Array, Arr
     return misfit + known, white, slow
 
 
+def longest_time(windows: Sequence[Array], step: float) -> float:
+    """Longest correlation time that windows of values ``step`` seconds apart can tell, s."""
+    longest = min(LONGEST_TIME, max(len(w) for w in windows) * step)
+    return max(longest, 2 * step)
+
+
 def fit_colour(windows: Sequence[Array], step: float) -> Colour:
     """Fit white and slow noise.
 
@@ -128,8 +134,7 @@ def fit_colour(windows: Sequence[Array], step: float) -> Colour:
     """
     seen = variogram(windows)
 
-    longest = min(LONGEST_TIME, max(len(w) for w in windows) * step)
-    times = np.geomspace(max(SHORTEST_TIME, step), max(longest, 2 * step), 25)
+    times = np.geomspace(max(SHORTEST_TIME, step), longest_time(windows, step), 25)
     for _ in range(2):  # the second grid is finer, about the best time of the first
         best = int(np.argmin(_fits(seen, step, times)[0]))
         centre = times[best]

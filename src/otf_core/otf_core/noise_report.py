@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import InputError
-from otf_core.noise_colour import Variogram, variogram
+from otf_core.noise_colour import Variogram, longest_time, variogram
 from otf_core.noise_events import Drift, Lost, Step, find_drift, find_steps, lost_samples
 from otf_core.noise_spectrum import Peak, Spectrum, expected_density, find_peaks, spectrum
 from otf_core.noise_tails import Tails, tails
@@ -39,6 +39,8 @@ LOST = 0.01
 """Share of lost samples that is warned of."""
 LOUDEST = 20e-6
 """m and rad; no laser tracker at work is louder, so the target itself moves."""
+SLOW = 0.95
+"""Share of the longest correlation time looked for, from which on it may be longer."""
 FASTEST = 1e-4
 """s; no laser tracker measures at shorter intervals, so the stamps are of something else."""
 QUANTITIES = ('range', 'horizontal angle', 'vertical angle')
@@ -153,6 +155,11 @@ def _warnings(
         found.append(
             f'in {noise.left_out} of {noise.left_out + noise.standstills} windows the target '
             f'itself seems to have moved; left out'
+        )
+    if noise.correlation_time > SLOW * longest_time(windows, duration / noise.samples):
+        found.append(
+            f'the slow part is slower than the standstills tell: its correlation time is '
+            f'{noise.correlation_time:.1f} s or more, and its level a lower bound'
         )
     if noise.total.max() > LOUDEST:
         found.append(
