@@ -19,7 +19,7 @@ from otf_core.standstill import find_standstills, standstill_noise
 LEVEL = 1.6
 """Measured over specified standard deviation that still passes as specified."""
 SLOW = 1.0
-"""s; correlation times of trackers are shorter (docs/uncertainty.md)."""
+"""s; correlation times of recorded trackers reach it in the calmest air (docs/noise.md)."""
 HEAVY = 5.0
 """Degrees of freedom of Student's t below which tails count as heavy."""
 ENOUGH = 30
