@@ -153,8 +153,7 @@ def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
         Number of louder windows, and of standstills without any rest.
     """
     step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    rest = at_rest(samples, runs)
-    windows, louder = _usable(_windows(samples, rest, step), step)
+    windows, louder = _usable(_windows(samples, rest := at_rest(samples, runs), step), step)
     return windows, louder + len(runs) - len(rest)
 
 
