@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -22,6 +21,11 @@ Index = NDArray[np.int64]
 LAGS_PER_OCTAVE = 4
 MAX_LAG = 0.75
 """Share of the longest window."""
+TYPICAL_TIME, SPREAD = 0.3, 10.0
+"""s and factor; what is known of correlation times before: recorded ones lie within
+(docs/noise.md). Decides only where the recording does not."""
+PASSES = 5
+"""Of the fit; each weighs with the model of the one before."""
 SHORTEST_TIME, LONGEST_TIME = 0.01, 2.0
 """s; correlation times looked for, further limited by the interval and length of the windows."""
 
@@ -75,16 +79,43 @@ def variogram(windows: Sequence[Array]) -> Variogram:
     return Variogram(lags, np.array(values).T, np.array(counts))
 
 
-def _parts(value: Array, shape: Array, freedom: Array) -> tuple[float, Array]:
-    """Misfit and parts (white, slow) of one quantity for one correlation time."""
-    design = np.stack([np.ones_like(shape), shape], axis=1)
-    model = np.maximum(value, 1e-3 * value.max() + 1e-300)
-    for _ in range(3):  # the precision is that of the model, not of the value it has to fit
-        weight = np.sqrt(freedom) / model
-        part, misfit = nnls(design * model.max() * weight[:, None], value * weight)
-        part = part * model.max()
-        model = np.maximum(design @ part, 1e-3 * value.max() + 1e-300)
-    return float(misfit) ** 2, np.asarray(part)
+def _weighted(value: Array, shape: Array, weight: Array) -> tuple[Array, Array]:
+    """Non-negative white and slow parts by weighted least squares, for all times at once."""
+    w, ws = weight.sum(axis=-1), (weight * shape).sum(axis=-1)
+    wss, wv = (weight * shape**2).sum(axis=-1), (weight * value).sum(axis=-1)
+    wsv = (weight * shape * value).sum(axis=-1)
+    determinant = np.maximum(w * wss - ws**2, 1e-300)
+    white, slow = (wss * wv - ws * wsv) / determinant, (w * wsv - ws * wv) / determinant
+    # at the edge of what is allowed the other part is alone
+    white, slow = np.where(slow < 0, wv / w, white), np.where(white < 0, wsv / wss, slow)
+    return np.maximum(white, 0.0), np.maximum(slow, 0.0)
+
+
+def _fits(seen: Variogram, step: float, times: Array) -> tuple[Array, Array, Array]:
+    """Misfit of each correlation time, shape (t,), and the parts, each (t, c).
+
+    The misfit is minus twice the logarithm of the posterior, less a constant. Mean squares follow
+    chi-square distributions, so what the data add is their deviance. Weighted squares instead
+    would take a model that is too large for a good one.
+    """
+    shape = 1.0 - np.exp(-seen.lag * step / times[:, None, None])
+    least = 1e-3 * seen.value.max(axis=1, keepdims=True) + 1e-300
+    value = np.maximum(seen.value, least)
+    model = np.broadcast_to(value, (len(times), *value.shape))
+    for _ in range(PASSES):  # the precision is that of the model, not of the value it has to fit
+        scale = value.max(axis=1, keepdims=True)
+        white, slow = _weighted(seen.value, shape, seen.freedom * (scale / model) ** 2)
+        model = np.maximum(white[..., None] + slow[..., None] * shape, least)
+    ratio = value / model
+    misfit = np.sum(seen.freedom * (ratio - 1.0 - np.log(ratio)), axis=(1, 2))
+    known = (np.log(times / TYPICAL_TIME) / np.log(SPREAD)) ** 2
+    return misfit + known, white, slow
+
+
+def longest_time(windows: Sequence[Array], step: float) -> float:
+    """Longest correlation time that windows of values ``step`` seconds apart can tell, s."""
+    longest = min(LONGEST_TIME, max(len(w) for w in windows) * step)
+    return max(longest, 2 * step)
 
 
 def fit_colour(windows: Sequence[Array], step: float) -> Colour:
@@ -103,16 +134,10 @@ def fit_colour(windows: Sequence[Array], step: float) -> Colour:
     """
     seen = variogram(windows)
 
-    def fitted(time: float) -> tuple[float, Array]:
-        shape = 1.0 - np.exp(-seen.lag * step / time)
-        fits = [_parts(value, shape, seen.freedom) for value in seen.value]
-        return sum(f[0] for f in fits), np.array([f[1] for f in fits])
-
-    longest = min(LONGEST_TIME, max(len(w) for w in windows) * step)
-    times = np.geomspace(max(SHORTEST_TIME, step), max(longest, 2 * step), 25)
+    times = np.geomspace(max(SHORTEST_TIME, step), longest_time(windows, step), 25)
     for _ in range(2):  # the second grid is finer, about the best time of the first
-        best = int(np.argmin([fitted(t)[0] for t in times]))
-        centre = float(times[best])
+        best = int(np.argmin(_fits(seen, step, times)[0]))
+        centre = times[best]
         times = np.geomspace(times[max(best - 1, 0)], times[min(best + 1, len(times) - 1)], 13)
-    parts = fitted(centre)[1]
-    return Colour(parts[:, 0], parts[:, 1], centre)
+    _, white, slow = _fits(seen, step, np.array([centre]))
+    return Colour(white[0], slow[0], float(centre))

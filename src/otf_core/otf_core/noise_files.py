@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.noise_report import QUANTITIES, NoiseReport
 from otf_core.plots.noise import draw_noise
+
+Array = NDArray[np.float64]
 
 SCHEMA = 'otf-noise/1'
 
@@ -56,6 +59,15 @@ def noise_to_dict(report: NoiseReport) -> dict[str, Any]:
             {'of': QUANTITIES[p.quantity], 'frequency': p.frequency, 'rms': p.rms}
             for p in report.peaks
         ],
+        'lost': {
+            'samples': report.lost.samples,
+            'gaps': report.lost.gaps,
+            'longest': report.lost.longest,
+        },
+        'steps': [{'time': s.time, 'size': s.size.tolist()} for s in report.steps],
+        'drift': None
+        if report.drift is None
+        else {'duration': report.drift.duration, 'change': report.drift.change.tolist()},
         'warnings': list(report.warnings),
     }
 
@@ -70,6 +82,25 @@ def _level_rows(report: NoiseReport) -> list[str]:
             f'{1e6 * report.u_total[k]:>8.3f}{1e6 * report.noise.white[k]:>9.3f}'
             f'{1e6 * report.u_white[k]:>8.3f}{tail.excess_kurtosis:>11.2f}  {freedom}'
         )
+    return rows
+
+
+def _event_rows(report: NoiseReport) -> list[str]:
+    def sized(values: Array) -> str:
+        return f'{values[0]:+.2f} um, {values[1]:+.2f} urad, {values[2]:+.2f} urad'
+
+    lost = report.lost
+    rows = ['no samples lost']
+    if lost.samples:
+        rows = [f'{lost.samples} samples lost in {lost.gaps} gaps, longest {lost.longest:.2f} s']
+    if report.steps:
+        largest = max(report.steps, key=lambda s: float(np.max(np.abs(s.size))))
+        rows.append(
+            f'{len(report.steps)} steps within standstills, the largest at {largest.time:.1f} s: '
+            f'{sized(1e6 * largest.size)}'
+        )
+    if report.drift is not None:
+        rows.append(f'drift in {report.drift.duration:.1f} s: {sized(1e6 * report.drift.change)}')
     return rows
 
 
@@ -93,6 +124,7 @@ def format_noise(report: NoiseReport) -> str:
         '',
         colour,
     ]
+    lines += _event_rows(report)
     lines += [
         f'peak of the {QUANTITIES[p.quantity]} at {p.frequency:.1f} Hz: {1e6 * p.rms:.3f} '
         f'{"um" if p.quantity == 0 else "urad"} rms'

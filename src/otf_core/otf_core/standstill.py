@@ -12,6 +12,7 @@ from otf_core.machine import TrackerSpec
 from otf_core.noise import TYPICAL_CORRELATION_TIME, NoiseModel
 from otf_core.noise_colour import fit_colour
 from otf_core.observation import Samples
+from otf_core.rest import at_rest, resolution, spherical_deviations
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -22,20 +23,26 @@ GUARD = 0.05
 """s; left out at both ends of a standstill: settling."""
 NEAR = (0.7, 1.6)
 """Measured over specified level that stops of a second cannot tell from 1."""
+SLOWEST = 1.0
+"""s; correlation time of slow but usual noise, of which little standstill shows little."""
 MIN_TOTAL = 5.0
 """s; less standstill in all says too little about the noise."""
 WINDOW = 4.0
 """s; longer standstills are cut, so that slow drift does not count as noise."""
+DRIFTING = 8.0
+"""s; of standstills as long as this a straight line is drift, and taken off."""
+SHORTEST = 0.2
+"""s; parts of a standstill that are shorter are not used."""
 LONG = 1.0
-"""s; windows of this length are preferred to shorter ones."""
+"""s; the level of shorter windows scatters much."""
+QUIET = 10.0
+"""Percentile of the windows that counts as quiet."""
 LOUD = 4.0
-"""Ratio of long windows to the quietest beyond which the target itself must have moved."""
+"""Ratio of a long window to quiet ones beyond which the target itself must have moved."""
 HELD = 1e-11
 """m and rad; points that differ by less are one point repeated."""
 NO_COLOUR = 0.02
 """Share of the variance below which a slow part is not told from none."""
-RESOLUTION = 0.2e-6
-"""m and rad; levels below are not told apart: recordings are often rounded to 1 um and 1 urad."""
 
 
 def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_DURATION) -> Index:
@@ -71,33 +78,6 @@ def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_D
     return np.asarray(runs[long], dtype=np.int64)
 
 
-def spherical_deviations(xyz: Array) -> Array:
-    """Range, and the two angles across the beam, relative to the mean of the points.
-
-    Parameters
-    ----------
-    xyz : ndarray, shape (n, 3), m
-        Points of one standstill in the tracker frame.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        m, rad, rad; the angles about horizontal and vertical of the mean beam, both counted as
-        angles of the beam itself.
-    """
-    mean = xyz.mean(axis=0)
-    distance = float(np.linalg.norm(mean))
-    beam = mean / distance
-    horizontal = np.array([-beam[1], beam[0], 0.0])
-    size = float(np.linalg.norm(horizontal))
-    horizontal = horizontal / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])
-    vertical = np.cross(beam, horizontal)
-    offset = xyz - mean
-    return np.stack(
-        [offset @ beam, offset @ horizontal / distance, offset @ vertical / distance], axis=1
-    )
-
-
 @dataclass(frozen=True)
 class StandstillNoise:
     """Noise of range and two angles over standstills.
@@ -124,38 +104,40 @@ class StandstillNoise:
     left_out: int = 0
 
 
-def _windows(runs: Index, step: float) -> list[Index]:
-    """Equal parts of each standstill, no longer than ``WINDOW``: first sample, one past last."""
+def _windows(samples: Samples, rest: Index, step: float) -> list[Array]:
+    """Deviations in equal parts of each standstill, no longer than ``WINDOW``."""
     found = []
-    for first, last in runs:
-        parts = int(np.ceil((last - first) * step / WINDOW - 1e-9))
-        edges = np.linspace(first, last, parts + 1).astype(np.int64)
-        found += list(np.stack([edges[:-1], edges[1:]], axis=1))
+    for first, last in rest:
+        length = (last - first) * step
+        parts = int(np.ceil(length / WINDOW - 1e-9))
+        deviations = spherical_deviations(samples.xyz[first:last])
+        if length >= DRIFTING:
+            line = np.linspace(-1.0, 1.0, last - first)
+            deviations -= np.outer(line, line @ deviations / (line @ line))
+        found += np.array_split(deviations, parts)
     return found
 
 
 def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
     """Leave out windows that are too short or in which the target itself seems to have moved."""
+    windows = [w for w in windows if len(w) * step >= SHORTEST]
     # else the last point is held, not measured
     windows = [w for w in windows if np.ptp(w, axis=0).max() > HELD]
-    long = [w for w in windows if len(w) * step >= LONG]
-    enough = sum(len(w) for w in long) * step >= MIN_TOTAL
-    chosen = long if enough else windows
-    if not chosen:
+    if not windows:
         return [], 0
-    level = np.array([w.std(axis=0) for w in chosen])
+    level = np.array([w.std(axis=0) for w in windows])
     # the shorter a window, the more its level scatters
-    quiet = np.sort(level, axis=0)[0 if enough else len(chosen) // 10]
-    limit = LOUD * (1.0 + LONG / (step * np.array([len(w) for w in chosen])))
-    still = np.all(level <= limit[:, None] * np.maximum(quiet, RESOLUTION), axis=1)
-    return [w for w, s in zip(chosen, still, strict=True) if s], int(np.sum(~still))
+    quiet = np.percentile(level, QUIET, axis=0)
+    limit = LOUD * (1.0 + LONG / (step * np.array([len(w) for w in windows])))
+    still = np.all(level <= limit[:, None] * np.maximum(quiet, resolution(windows)), axis=1)
+    return [w for w, s in zip(windows, still, strict=True) if s], int(np.sum(~still))
 
 
 def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
     """Deviations of range and angles in windows of standstill.
 
-    Windows of ``LONG`` or more are taken if there is enough of them. Those much louder than the
-    quietest are left out: there the target moves (a machine that settles or is shaken).
+    Only the part at rest is taken (``rest.at_rest``), and windows much louder than the quiet
+    ones are left out: there the target moves (a machine that settles or is shaken).
 
     Parameters
     ----------
@@ -168,11 +150,11 @@ def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
     windows : list of ndarray, each of shape (n, 3), m, rad, rad
         See ``spherical_deviations``.
     left_out : int
-        Number of louder windows.
+        Number of louder windows, and of standstills without any rest.
     """
     step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    parts = [spherical_deviations(samples.xyz[a:b]) for a, b in _windows(runs, step)]
-    return _usable(parts, step)
+    windows, louder = _usable(_windows(samples, rest := at_rest(samples, runs), step), step)
+    return windows, louder + len(runs) - len(rest)
 
 
 def standstill_noise(
@@ -218,6 +200,19 @@ def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> St
     )
 
 
+def _near(samples: Samples, seen: StandstillNoise) -> tuple[float, float]:
+    """Measured over specified levels that do not contradict.
+
+    T seconds hold T / (2 tau) independent values of noise correlated over tau, so the logarithm
+    of its level over two angles has the standard deviation sqrt(tau / (2 T)); twice that counts.
+    A stop of length w may show as little of its variance as 1 - exp(-w / tau).
+    """
+    duration = seen.samples * float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    scatter = np.exp(2.0 * np.sqrt(0.5 * SLOWEST / duration))
+    shown = np.sqrt(-np.expm1(-duration / seen.standstills / SLOWEST))
+    return min(NEAR[0], 1.0 / scatter, shown), max(NEAR[1], scatter)
+
+
 def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel:
     """Noise of a run: as its own standstills show it, else as specified.
 
@@ -243,7 +238,8 @@ def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel
     slow = np.maximum(total**2 - white**2, 0.0)
     # short stops fix the fast part, and of the slow part only variance over time constant: a
     # level near the specified one is taken as specified, and the time constant goes with it
-    near = (total > NEAR[0] * specified) & (total < NEAR[1] * specified) & (white < specified)
+    low, high = _near(samples, seen)
+    near = (total > low * specified) & (total < high * specified) & (white < specified)
     level = np.where(near, specified, np.maximum(total, specified / 3))
     ratio = np.where(near, (level**2 - white**2) / np.maximum(slow, 1e-300), 1.0)
     stretch = float(np.clip(ratio[1], 0.2, 5.0)) if slow[1] > 0 else 1.0

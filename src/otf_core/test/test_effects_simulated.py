@@ -310,3 +310,18 @@ def test_effect_is_found_again_in_a_noisy_run(name, machine, plan):
     estimate = basis[:, seen].T @ (right * size) / strength[seen]
     deviation = (estimate - basis[:, seen].T @ (true / size)) * np.sqrt(strength[seen])
     assert np.sqrt(np.mean(deviation**2)) < 1.0 + 3.0 / np.sqrt(2.0 * seen.sum())
+
+
+def test_recorded_coordinates_may_be_rounded(machine, plan, plain):
+    rounded = simulate(machine, plan, dataclasses.replace(CONFIG, resolution=1e-6)).samples
+    assert np.abs(rounded.xyz - plain.samples.xyz).max() <= 0.5e-6 * (1 + 1e-6)
+    np.testing.assert_allclose(rounded.xyz, np.rint(rounded.xyz * 1e6) * 1e-6, atol=1e-15)
+
+
+def test_packets_are_lost_whole_and_the_rest_is_untouched(machine, plan, plain):
+    lossy = simulate(machine, plan, dataclasses.replace(CONFIG, packet_loss=0.2)).samples
+    kept = np.isin(plain.samples.stamp_ns, lossy.stamp_ns)
+    np.testing.assert_array_equal(lossy.xyz, plain.samples.xyz[kept])
+    assert 0.05 < 1 - kept.mean() < 0.4
+    gaps = np.diff(lossy.stamp_ns) * 1e-9
+    assert gaps[gaps > 0.1].min() == pytest.approx(1 / 3, abs=0.02)

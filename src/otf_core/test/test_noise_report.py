@@ -16,7 +16,7 @@ from otf_core.noise_report import noise_report
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
 from otf_core.sim.tracker import measure
-from otf_core.standstill import find_standstills, standstill_noise
+from otf_core.standstill import find_standstills, noise_model, standstill_noise
 
 SPEED = 0.002
 RATE = 500.0
@@ -85,6 +85,99 @@ def test_standstills_in_which_the_target_creeps_are_left_out():
     report = noise_report(samples, SPEED)
     assert report.noise.left_out >= 8
     np.testing.assert_allclose(relative(report.noise)[0], 1.0, atol=0.3)
+
+
+def test_settling_and_the_next_start_are_no_noise():
+    def settling(k, time):
+        ringing = np.exp(-time / 0.2) * np.cos(2 * np.pi * 12 * time)
+        move = 40e-6 * np.exp(-time / 0.15) + 20e-6 * ringing + 80e-6 * (time > 2.9)
+        return move[:, None] * [1.0, -0.5, 0.3]
+
+    quiet, settled = (noise_report(stops(12, 3.0, add=a), SPEED) for a in (None, settling))
+    np.testing.assert_allclose(relative(settled.noise)[0], relative(quiet.noise)[0], rtol=0.15)
+    np.testing.assert_allclose(relative(settled.noise)[1], relative(quiet.noise)[1], rtol=0.05)
+    assert settled.duration > 0.6 * quiet.duration
+
+
+def test_a_step_is_told_and_is_no_noise():
+    def step(k, time):
+        return 15e-6 * (time > 1.5)[:, None] * np.array([1.0, 0.8, 0.2]) / 1.3 * (k == 2)
+
+    report = noise_report(stops(6, 4.0, add=step), SPEED)
+    assert len(report.steps) == 1
+    assert report.steps[0].size[0] == pytest.approx(15e-6, rel=0.1)
+    assert report.steps[0].time == pytest.approx(2 * 4.3 + 1.5, abs=0.2)
+    np.testing.assert_allclose(relative(report.noise)[0], 1.0, atol=0.3)
+    assert '1 steps within standstills, the largest at 10.' in format_noise(report)
+    assert not noise_report(stops(6, 4.0), SPEED).steps
+
+
+def test_slow_drift_is_told_and_is_no_noise():
+    def drift(k, time):
+        return 2e-6 * time[:, None] * np.array([1.0, 0.8, 0.2]) / 1.3
+
+    steady, drifting = (noise_report(stops(1, 20.0, add=a), SPEED) for a in (None, drift))
+    rates = [r.drift.change[0] / r.drift.duration for r in (steady, drifting)]
+    assert rates[1] - rates[0] == pytest.approx(2e-6, rel=0.05)
+    np.testing.assert_allclose(drifting.noise.total, steady.noise.total, rtol=0.05)
+
+
+def test_lost_samples_leave_level_and_colour():
+    samples = stops(10, 4.0)
+    rng = np.random.default_rng(3)
+    kept = rng.random(len(samples)) > 0.1
+    report = noise_report(Samples(samples.stamp_ns[kept], samples.xyz[kept]), SPEED)
+    assert report.lost.samples == pytest.approx(np.sum(~kept), abs=3)
+    np.testing.assert_allclose(relative(report.noise)[0], 1.0, atol=0.2)
+    assert 0.5 < report.noise.correlation_time / 0.3 < 2.0
+    assert '(10 %)' in format_noise(report)
+
+
+def test_rounding_to_a_micrometre_changes_levels_by_its_own_noise():
+    samples = stops(10, 4.0, rate=100.0)
+    exact = noise_report(samples, SPEED).noise
+    rounded = noise_report(Samples(samples.stamp_ns, samples.xyz.round(6)), SPEED).noise
+    own = 1e-6 / np.sqrt(12) / np.array([1.0, 1.3, 1.3])
+    np.testing.assert_allclose(rounded.white**2, exact.white**2 + own**2, rtol=0.1)
+    np.testing.assert_allclose(rounded.total**2, exact.total**2 + own**2, rtol=0.1)
+
+
+def test_held_points_are_told_from_rounded_ones():
+    samples = stops(4, 5.0)
+    held = samples.xyz[np.arange(len(samples)) // 4 * 4]
+    text = format_noise(noise_report(Samples(samples.stamp_ns, held), SPEED))
+    assert 'measures 4.0 times slower than the stamps say' in text
+    assert 'rounded' not in text
+
+
+def test_stamps_of_arrival_in_bursts_are_refused():
+    samples = stops(1, 5.0)
+    packet = np.arange(len(samples)) // 167
+    late = START_NS + packet * 334_000_000 + (np.arange(len(samples)) % 167) * 40_000
+    with pytest.raises(InputError, match='times of arrival in bursts'):
+        noise_report(Samples(late, samples.xyz), SPEED)
+
+
+def test_short_stops_give_a_noise_model_without_bias():
+    ratio = []
+    spec = some_machine().tracker
+    for seed in range(12):
+        samples = stops(100, 0.4, seed=seed, rate=100.0)
+        noise = noise_model(samples, spec, SPEED)
+        slow = noise.u_angle**2 * (1 - noise.white_angle) * noise.correlation_time
+        ratio.append(slow / (spec.u_angle**2 * 0.5 * 0.3))
+    # what a mean over a long leg keeps of the noise: variance of the slow part times its time
+    assert abs(np.median(ratio) - 1.0) < 0.1
+    assert min(ratio) > 0.7 and max(ratio) < 1.4
+
+
+def test_little_standstill_does_not_contradict_the_specified_level():
+    spec = some_machine().tracker
+    models = [
+        noise_model(stops(2, 3.0, seed=s, share=0.93, correlation_time=1.0), spec, SPEED)
+        for s in range(10)
+    ]
+    assert sum(m.u_angle == spec.u_angle for m in models) >= 9
 
 
 def test_a_held_point_is_no_quiet_standstill():

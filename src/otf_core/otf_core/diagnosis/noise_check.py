@@ -12,13 +12,14 @@ from otf_core.diagnosis.rows import Rows
 from otf_core.effects import REGISTRY
 from otf_core.noise import NoiseModel, sample_variance
 from otf_core.noise_tails import student_freedom
+from otf_core.rest import spherical_deviations
 from otf_core.runs import Run
-from otf_core.standstill import find_standstills, spherical_deviations, standstill_noise
+from otf_core.standstill import find_standstills, standstill_noise
 
 LEVEL = 1.6
 """Measured over specified standard deviation that still passes as specified."""
 SLOW = 1.0
-"""s; correlation times of trackers are shorter (docs/uncertainty.md)."""
+"""s; correlation times of recorded trackers reach it in the calmest air (docs/noise.md)."""
 HEAVY = 5.0
 """Degrees of freedom of Student's t below which tails count as heavy."""
 ENOUGH = 30

@@ -19,7 +19,7 @@ from otf_core.observation import Samples
 from otf_core.planning import Plan
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, displaced, run_state
-from otf_core.sim.tracker import measure, place_tracker
+from otf_core.sim.tracker import measure, place_tracker, received
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness, unit_of
 from otf_core.unknowns import axis_nodes
 
@@ -131,5 +131,10 @@ def simulate(
         position = position + displaced(state, effects)
     colour, level = changed_noise(config, effects)
     xyz = measure((position - place) @ rotation.T, machine, colour, rngs[2], level)
+    if config.resolution:
+        xyz = np.rint(xyz / config.resolution) * config.resolution
     stamp_ns = EPOCH_NS + np.rint(clock * 1e9).astype(np.int64)
+    if config.packet_loss:
+        arrived = received(time, config.packet_loss, rngs[3])
+        stamp_ns, xyz = stamp_ns[arrived], xyz[arrived]
     return SimulatedRun(Samples(stamp_ns, xyz), truth, rotation, place)

@@ -16,6 +16,9 @@ from otf_core.machine import Machine
 
 Array = NDArray[np.float64]
 
+PACKETS = 3.0
+"""Packets per second: recorded trackers send a third of a second at once, whatever the rate."""
+
 
 @dataclass(frozen=True)
 class NoiseLevel:
@@ -107,6 +110,25 @@ def measure(
         + along_azimuth * across[0][:, None]
         + along_elevation * across[1][:, None]
     )
+
+
+def received(time: Array, loss: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Draw which samples arrive: those of whole packets are lost together.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,), s
+        Since the start.
+    loss : float
+        Share of packets that is lost.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    packet = (time * PACKETS).astype(np.int64)
+    return np.asarray(rng.random(int(packet[-1]) + 1) >= loss)[packet]
 
 
 def place_tracker(machine: Machine, rng: np.random.Generator) -> tuple[Array, Array]:
