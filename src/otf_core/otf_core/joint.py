@@ -102,9 +102,10 @@ def _systems(
     ]
 
 
-def _summed(
+def summed(
     systems: Sequence[System], unknowns: Unknowns, whiteners: Sequence[Whitener]
 ) -> NormalEquations:
+    """Sum up the normal equations of all runs."""
     pairs = zip(systems, whiteners, strict=True)
     return reduce(add, (normal_equations(s, unknowns, w) for s, w in pairs))
 
@@ -149,14 +150,8 @@ def solve_jointly(
     unknowns: Unknowns,
     config: CalibrationConfig,
     progress: Progress,
-    *,
-    nodal_lever: bool = True,
 ) -> JointSolution:
     """Solve, move the poses, re-derive the positions on the paths; until nothing changes.
-
-    With ``nodal_lever`` false, rotations that only the bend of the tables between nodes tells
-    from translations are solved for as well: of no use as tables, but their trace is not taken
-    for something else.
 
     Raises
     ------
@@ -166,18 +161,18 @@ def solve_jointly(
     machine, limit = runs[0].machine, config.unidentifiable_above
     poses = [run.pose for run in runs]
     first = [
-        build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=nodal_lever)
+        build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
         for k, run in enumerate(runs)
     ]
     whiteners = []
     for system, run in zip(first, runs, strict=True):
         with blamed(run.recording):
             whiteners.append(Whitener(system, run.pieces, run.noise, run.floor))
-    accepted = identifiable_blocks(_summed(first, unknowns, whiteners), unknowns, limit)
+    accepted = identifiable_blocks(summed(first, unknowns, whiteners), unknowns, limit)
     tables, rest, change = None, [np.inf] * len(runs), np.inf
     for iteration in range(1, config.max_iterations + 1):
         systems = _systems(runs, poses, unknowns, tables)
-        solution = solve(_summed(systems, unknowns, whiteners), unknowns, limit, accepted)
+        solution = solve(summed(systems, unknowns, whiteners), unknowns, limit, accepted)
         tables = tables_of(machine, unknowns, solution)
         motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
         left = [

@@ -12,7 +12,7 @@ from scipy.linalg import cho_solve
 
 from otf_core.blind.draw import Trial
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.rows import Rows, build_rows, used_columns
+from otf_core.diagnosis.rows import Rows, build_rows
 from otf_core.effects import AppliedEffect, State
 from otf_core.frames import RigidTransform
 from otf_core.joint import solve_jointly
@@ -57,7 +57,7 @@ class Ruler:
         plain = np.concatenate([self._on_pieces(k, m).reshape(-1) for k, m in enumerate(moved)])
         white = self._white(plain)
         inner = cho_solve((self.rows.factor, True), self.rows.base.T @ white)
-        use = used_columns(self.rows.done)
+        use = self.rows.use
         unknowns, limit = self.rows.done.unknowns, self.rows.limit
         design = [
             (s.system.design @ unknowns.gauge)[:, use] @ inner * limit for s in self.rows.done.runs

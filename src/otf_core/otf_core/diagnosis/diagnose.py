@@ -94,7 +94,7 @@ def _solved(
 ) -> tuple[list[Run], JointSolution]:
     runs, nodes = prepare_runs(recordings, config)
     unknowns = layout(nodes, len(runs))
-    return runs, solve_jointly(runs, unknowns, config, progress, nodal_lever=False)
+    return runs, solve_jointly(runs, unknowns, config, progress)
 
 
 def simulated_residual_um(
@@ -105,9 +105,8 @@ def simulated_residual_um(
         twin(run, solved.pose, rows.tables, seed + k)
         for k, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True))
     ]
-    _, done = _solved(recordings, config, lambda stage, fraction: None)
-    square = np.concatenate([np.sum(s.residual**2, axis=0) for s in done.runs])
-    return float(1e6 * np.sqrt(square.mean()))
+    runs, done = _solved(recordings, config, lambda stage, fraction: None)
+    return plain_residuals(build_rows(runs, done, config.unidentifiable_above)).rms_um
 
 
 def _material(name: str, before: Residuals, after: Residuals, whole_um: float) -> bool:

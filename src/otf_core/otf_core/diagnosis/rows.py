@@ -10,7 +10,7 @@ remains of E once A is projected out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,15 +20,18 @@ from scipy import linalg
 from otf_core.diagnosis.samples import sample_state
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.state import state_on_path
-from otf_core.joint import JointSolution, SolvedRun, tables_of
+from otf_core.joint import JointSolution, SolvedRun, summed, tables_of
 from otf_core.runs import Run
-from otf_core.solution import TIE_BREAK, smoothness
-from otf_core.tables import ErrorTables
+from otf_core.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
+from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.uncertainty import check_residuals
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FOLDS = 8
+PLAUSIBLE = 1e-4
+"""m and rad; size of the errors of a machine tool."""
 
 
 def piece_state(
@@ -58,7 +61,7 @@ class Rows:
     runs : tuple of Run
     done : JointSolution
     tables : ErrorTables
-        As solved.
+        As solved, see ``plausible_tables``.
     states : tuple of State
         One per run, one entry per piece.
     plain_base, plain_deviation : ndarray, shape (r, b) and (r,), m
@@ -72,6 +75,10 @@ class Rows:
         Group of legs each row belongs to, for judging on rows that were not fitted.
     limit : float
         m or rad per unit of ``base``.
+    use : ndarray of int, shape (b,)
+        Free unknowns in ``base``: those that are solved for, and rotations that only the bend of
+        the tables between nodes tells from translations. They are of no use as tables, but their
+        trace must not be taken for something else.
     """
 
     runs: tuple[Run, ...]
@@ -84,6 +91,7 @@ class Rows:
     deviation: Array
     fold: Index
     limit: float
+    use: Index
 
     @cached_property
     def sample_states(self) -> tuple[State, ...]:
@@ -134,8 +142,8 @@ class Rows:
     @cached_property
     def ridge(self) -> Array:
         """Tie-breaker for what the data do not determine, shape (b, b)."""
-        use = used_columns(self.done)
-        return np.asarray(TIE_BREAK * smoothness(self.done.unknowns)[np.ix_(use, use)])
+        smooth = smoothness(self.done.unknowns)
+        return np.asarray(TIE_BREAK * smooth[np.ix_(self.use, self.use)])
 
     def project(self, columns: Array) -> Array:
         """Columns (r, k) less what tables and poses can follow of them."""
@@ -153,14 +161,6 @@ def name_in_run(name: str, run: int) -> str:
     return f'{name} (run {run + 1})' if run else name
 
 
-def used_columns(done: JointSolution) -> Index:
-    """Free unknowns that are solved for."""
-    blocks = done.unknowns.free_blocks
-    return np.concatenate(
-        [np.arange(blocks[n].start, blocks[n].stop) for n in done.solution.accepted]
-    )
-
-
 def _whitened(solved: SolvedRun, dense: Array) -> Array:
     white = np.empty_like(dense)
     count = solved.system.deviation.shape[1]
@@ -169,6 +169,27 @@ def _whitened(solved: SolvedRun, dense: Array) -> Array:
             part = slice(component * count + low, component * count + high)
             white[part] = solved.whitener.leg_rows(leg, component, dense[part])
     return white
+
+
+def plausible_tables(runs: Sequence[Run], done: JointSolution) -> ErrorTables:
+    """Tables as solved, with what the data hardly determine held near zero.
+
+    A strong effect that the model lacks drives weak combinations of errors to millimetres. With
+    the covariance C of the estimates x as the residuals call for, and P that of errors of the
+    size ``PLAUSIBLE``, this is P (C + P)^-1 x.
+    """
+    solution, blocks = done.solution, done.unknowns.blocks
+    checks = [
+        check_residuals(s.whitener.vector(s.residual), r.pieces.leg, 0).inflation
+        for r, s in zip(runs, done.runs, strict=True)
+    ]
+    spans = [blocks[name] for name in (*SQUARENESS, *MOTIONS)]
+    index = np.concatenate([np.arange(b.start, b.stop) for b in spans])
+    covariance = solution.covariance[np.ix_(index, index)] * float(np.mean(checks))
+    prior = PLAUSIBLE**2 * np.eye(len(index))
+    value = solution.value.copy()
+    value[index] = PLAUSIBLE**2 * np.linalg.solve(covariance + prior, value[index])
+    return tables_of(runs[0].machine, done.unknowns, replace(solution, value=value))
 
 
 def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
@@ -182,7 +203,7 @@ def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
     limit : float
         ``CalibrationConfig.unidentifiable_above``.
     """
-    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    tables = plausible_tables(runs, done)
     states = tuple(
         piece_state(r, s, done.unknowns.nodes, tables)
         for r, s in zip(runs, done.runs, strict=True)
@@ -198,7 +219,9 @@ def rows_of(
     limit: float,
 ) -> Rows:
     """Set up rows for given states; see ``Rows``."""
-    use = used_columns(done)
+    systems, whiteners = [s.system for s in done.runs], [s.whitener for s in done.runs]
+    seen = identifiable_blocks(summed(systems, done.unknowns, whiteners), done.unknowns, limit)
+    use = free_columns(done.unknowns, seen)
     plain, deviation, fold, offset = [], [], [], 0
     for run, solved in zip(runs, done.runs, strict=True):
         design = solved.system.design @ done.unknowns.gauge
@@ -221,6 +244,7 @@ def rows_of(
         deviation=np.concatenate(bare),
         fold=np.concatenate(fold),
         limit=limit,
+        use=use,
     )
 
 

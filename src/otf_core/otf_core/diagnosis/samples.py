@@ -52,6 +52,12 @@ def detrend_legs(values: Array, leg: Index, order: int = DETREND_ORDER) -> Array
     return result
 
 
+def _nominal(points: Array, corners: Array, leg: Index) -> Array:
+    """Nearest points on the legs, shape (n, 3), m."""
+    place = along_legs(points, corners, leg)
+    return np.asarray(corners[leg] + place.along[:, None] * place.unit)
+
+
 def sample_state(
     run: Run, pose: RigidTransform, tables: ErrorTables | None, nodes: dict[str, Array]
 ) -> State:
@@ -59,12 +65,14 @@ def sample_state(
     samples, corners, index = run.recording.samples, run.alignment.corners, run.pieces.samples
     leg = run.alignment.leg[index]
     points = pose.apply(samples.xyz[index])
-    place = along_legs(points, corners, leg)
+    q = _nominal(points, corners, leg)
+    if tables is not None:  # errors along the path would shift the phase of periodic effects
+        q = _nominal(points - displacement(tables, q), corners, leg)
     return state_on_path(
         run.machine,
         corners,
         leg,
-        corners[leg] + place.along[:, None] * place.unit,
+        q,
         run.pieces.speed[run.pieces.piece],
         samples.time[index],
         pose,
