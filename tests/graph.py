@@ -160,9 +160,9 @@ def offline(bag, machine_file, folder, *options):
     return Path(folder, 'error_tables.json').read_bytes()
 
 
-def offline_diagnosis(bag, machine_file, folder):
+def offline_diagnosis(bag, machine_file, folder, *options):
     """Run ``./otf diagnose`` in a process of its own; returns the text of its gap.json."""
-    _run_verb('diagnose', bag, machine_file, folder)
+    _run_verb('diagnose', bag, machine_file, folder, *options)
     return Path(folder, 'gap.json').read_text()
 
 

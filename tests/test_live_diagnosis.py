@@ -26,6 +26,8 @@ BACKLASH = 8e-6
 """m, of X"""
 TO_AND_FRO = {'passes': 2, 'levels': 2, 'feed': 0.5, 'corner_dwell': 0.1}
 """Parameters of the planner for a short path that shows backlash."""
+PIECE_LENGTH = 0.02
+"""m; longer than by default: fewer rows"""
 
 
 def start_all(graph, machine_file):
@@ -35,8 +37,8 @@ def start_all(graph, machine_file):
     )
     machine = {'machine_file': machine_file}
     graph.start('path_planner', **machine, **TO_AND_FRO)
-    out = graph.folder / 'out'
-    calibrator = graph.start('calibrator', **machine, output_directory=out, diagnose=True)
+    given = {'output_directory': graph.folder / 'out', 'piece_length': PIECE_LENGTH}
+    calibrator = graph.start('calibrator', **machine, **given, diagnose=True)
     wrong = {'truth_tables': write_truth(graph.folder, machine_file)}
     wrong['effects'] = graph.folder / 'effects.yaml'
     graph.start('tracker_driver', **machine, **wrong, **FAST)
@@ -103,7 +105,8 @@ def test_live_diagnosis_follows_the_tables_and_is_that_of_the_bag(graph, machine
     live = (folder / 'gap.json').read_text()
     assert_same_content(report, json.loads(live))
     bag = folder / 'samples'
-    again = offline_diagnosis(bag, machine_file, tmp_path / 'offline')
+    option = f'--piece-length={PIECE_LENGTH}'
+    again = offline_diagnosis(bag, machine_file, tmp_path / 'offline', option)
     assert live.replace(folder.name, str(bag)) == again
 
     # reset, the next calibration and the end of the node each end a diagnosis at once
