@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cells import FAST, MACHINE, write_truth
+from cells import MACHINE, write_truth
 from graph import PATIENCE, offline_diagnosis
 
 from otf_calibrator.diagnosis_job import DiagnosisJob
@@ -26,6 +26,8 @@ BACKLASH = 8e-6
 """m, of X"""
 TO_AND_FRO = {'passes': 2, 'levels': 2, 'feed': 0.5, 'corner_dwell': 0.1}
 """Parameters of the planner for a short path that shows backlash."""
+FASTEST = {'rate': 100.0, 'time_scale': 40.0}
+"""Parameters of the driver for a few samples in a short time."""
 PIECE_LENGTH = 0.02
 """m; longer than by default: fewer rows"""
 
@@ -41,7 +43,7 @@ def start_all(graph, machine_file):
     calibrator = graph.start('calibrator', **machine, **given, diagnose=True)
     wrong = {'truth_tables': write_truth(graph.folder, machine_file)}
     wrong['effects'] = graph.folder / 'effects.yaml'
-    graph.start('tracker_driver', **machine, **wrong, **FAST)
+    graph.start('tracker_driver', **machine, **wrong, **FASTEST)
     return calibrator
 
 
