@@ -25,7 +25,7 @@ from otf_core.runs import Recording, prepare_runs
 from otf_core.standstill_method import prepare_stops
 
 BAG = 'samples'
-"""Name of the bag beside the results."""
+"""Name of the bag beside the results, and so of the run in them."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Worker:
         machine = load_machine(request.files.machine_file)
         # in the order in which the offline command takes them from a bag
         samples = in_time_order('tracker/point', request.samples.stamp_ns, request.samples.xyz)
-        recording = Recording(samples, request.path, machine)
+        recording = Recording(samples, request.path, machine, BAG)
         prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[request.files.method]
         result = calibrate_runs([recording], request.config, self._progress, prepare)
         base = Path(request.files.output_directory).expanduser().absolute()
