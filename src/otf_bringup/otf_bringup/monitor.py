@@ -17,6 +17,8 @@ from otf_ros.app import EndRequest, running_ros
 
 PATIENCE = 60.0
 """s; without any progress for so long, something is wrong."""
+DIAGNOSIS_PATIENCE = 300.0
+"""s; the same during a diagnosis, which tells its progress in few and large steps."""
 LINE_PERIOD = 5.0
 """s between progress lines where they cannot be overwritten."""
 
@@ -48,6 +50,11 @@ class Monitor(Node):
         if self._diagnose and self.result.run_id and self.gap is None:
             return False
         return self.state.state in (CalibratorState.DONE, CalibratorState.FAILED)
+
+    @property
+    def patience(self) -> float:
+        """How long nothing may move, s."""
+        return DIAGNOSIS_PATIENCE if self.state and self.state.diagnosing else PATIENCE
 
     def _on_state(self, message: CalibratorState) -> None:
         self.state = message
@@ -91,9 +98,9 @@ def follow(
                     raise GraphError(_obituary(node))
             if shown.show(monitor.state):
                 moved = time.monotonic()
-            elif time.monotonic() - moved > PATIENCE:
+            elif time.monotonic() - moved > monitor.patience:
                 logs = '\n'.join(f'{n.name}: {n.last_lines(2)}' for n in nodes)
-                raise GraphError(f'no progress for {PATIENCE:.0f} s\n{logs}')
+                raise GraphError(f'no progress for {monitor.patience:.0f} s\n{logs}')
         shown.end()
         return monitor.result, monitor.gap
 
