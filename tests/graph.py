@@ -156,8 +156,18 @@ class Graph:
 
 def offline(bag, machine_file, folder, *options):
     """Run ``./otf calibrate`` in a process of its own; returns the bytes of its tables."""
-    command = [sys.executable, '-m', 'otf_core.cli', 'calibrate', str(bag)]
+    _run_verb('calibrate', bag, machine_file, folder, *options)
+    return Path(folder, 'error_tables.json').read_bytes()
+
+
+def offline_diagnosis(bag, machine_file, folder, *options):
+    """Run ``./otf diagnose`` in a process of its own; returns the text of its gap.json."""
+    _run_verb('diagnose', bag, machine_file, folder, *options)
+    return Path(folder, 'gap.json').read_text()
+
+
+def _run_verb(verb, bag, machine_file, folder, *options):
+    command = [sys.executable, '-m', 'otf_core.cli', verb, str(bag)]
     command += ['--machine', str(machine_file), '--out', str(folder), *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return Path(folder, 'error_tables.json').read_bytes()

@@ -93,15 +93,16 @@ def test_demo_tells_which_node_failed(tmp_path):
     assert gone(children)
 
 
-def test_demo_on_a_small_machine_ends_with_tables_and_grid_errors(tmp_path):
+def test_demo_on_a_small_machine_ends_with_tables_grid_errors_and_diagnosis(tmp_path):
     ranges = {'X': (0.0, 0.15), 'Y': (0.0, 0.12), 'Z': (-0.1, 0.0)}
     axes = {k: {'min': a, 'max': b, 'table_pitch': 0.05} for k, (a, b) in ranges.items()}
     machine_file = write_machine(tmp_path, axes=axes)
-    arguments = ['--machine', str(machine_file), '--seed', '2']
+    arguments = ['--machine', str(machine_file), '--seed', '2', '--diagnose']
     with start_demo(tmp_path / 'demo', *arguments) as demo:
         said = demo.stdout.read()
         assert demo.wait(PATIENCE) == 0, said
-    assert 'ECZ' in said and 'after compensation' in said and 'Files: ' in said
+    parts = ['ECZ', 'after compensation', 'Files: ', 'Diagnosis: none. No gap', 'Took']
+    assert sorted(parts, key=said.find) == parts and parts[0] in said, said
     assert (tmp_path / 'demo/calibrations/latest/error_tables.json').exists()
 
 

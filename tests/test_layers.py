@@ -8,11 +8,17 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / 'src'
 ROS = {'rclpy', 'otf_msgs', 'otf_ros', 'geometry_msgs', 'nav_msgs', 'std_msgs', 'std_srvs'}
+SIMULATING = {
+    'backends/simulated.py',  # the simulated cell
+    'otf_calibrator/diagnosis_process.py',  # hands the twin to the diagnosis
+    'otf_bringup/demo.py',  # draws the true errors of the simulated cell
+}
 NODES = sorted(SOURCE.glob('*/*/node.py'))
 ROS_FREE = [
     *SOURCE.glob('otf_tracker_driver/otf_tracker_driver/backends/*.py'),
     *SOURCE.glob('*/*/params.py'),
     SOURCE / 'otf_calibrator/otf_calibrator/collector.py',
+    *SOURCE.glob('otf_calibrator/otf_calibrator/diagnosis_*.py'),
     SOURCE / 'otf_calibrator/otf_calibrator/job.py',
     SOURCE / 'otf_calibrator/otf_calibrator/session.py',
     SOURCE / 'otf_path_planner/otf_path_planner/planning.py',
@@ -40,6 +46,13 @@ def test_node_is_thin(file):
 @pytest.mark.parametrize('file', ROS_FREE, ids=lambda file: '/'.join(file.parts[-2:]))
 def test_module_knows_no_ros(file):
     assert not imported(file) & ROS
+
+
+def test_simulations_are_known_in_three_places_only():
+    packages = [p for p in SOURCE.iterdir() if p.name != 'otf_core']
+    files = [file for package in packages for file in package.rglob('*.py')]
+    simulating = {'/'.join(f.parts[-2:]) for f in files if 'otf_core.sim' in f.read_text()}
+    assert simulating == SIMULATING
 
 
 def test_packages_depend_downwards_only():

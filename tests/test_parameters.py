@@ -21,6 +21,7 @@ WRONG = [
     ('tracker_driver', {'backend': 'replay'}, 'parameter bag: missing'),
     ('tracker_driver', {'backend': 'replay', 'bag': '/no/such/bag'}, '/no/such/bag'),
     ('tracker_driver', {'truth_tables': '/no/such/tables.json'}, '/no/such/tables.json'),
+    ('tracker_driver', {'effects': '/no/such/effects.yaml'}, '/no/such/effects.yaml'),
     ('calibrator', {'piece_length': 5.0}, 'piece_length: 5 is out of range'),
     ('calibrator', {'machine_file': ''}, 'machine_file: missing'),
 ]

@@ -3,6 +3,7 @@
 
 ros2 launch otf_bringup cell.launch.py                    simulated cell, real time
 ros2 launch otf_bringup cell.launch.py time_scale:=10.0   the same, ten times as fast
+ros2 launch otf_bringup cell.launch.py diagnose:=true effects:=BACKLASH.yaml
 ros2 launch otf_bringup cell.launch.py backend:=replay bag:=BAG machine_file:=MACHINE.yaml
 """
 
@@ -30,12 +31,16 @@ def generate_launch_description():
         ('bag', '', 'bag to replay; its path is used, the planner does not run'),
         ('time_scale', '1.0', 'how many times as fast as real time to simulate or replay'),
         ('truth_tables', '', 'error_tables.json of the simulated machine; empty: drawn'),
+        ('effects', '', 'effects.yaml: what else is wrong in the simulated cell'),
+        ('diagnose', 'false', 'diagnose every run after its calibration'),
     ]
 
-    def node(name, texts, numbers=(), **options):
-        given = {key: ParameterValue(LaunchConfiguration(key), value_type=str) for key in texts}
-        given |= {
-            key: ParameterValue(LaunchConfiguration(key), value_type=float) for key in numbers
+    kinds = {'time_scale': float, 'diagnose': bool}
+
+    def node(name, taken, **options):
+        given = {
+            key: ParameterValue(LaunchConfiguration(key), value_type=kinds.get(key, str))
+            for key in taken
         }
         return Node(
             package=f'otf_{name}',
@@ -48,7 +53,7 @@ def generate_launch_description():
             **options,
         )
 
-    driver_texts = ['machine_file', 'backend', 'bag', 'truth_tables']
+    driven = ['machine_file', 'backend', 'bag', 'truth_tables', 'effects', 'time_scale']
     simulated = IfCondition(EqualsSubstitution(LaunchConfiguration('backend'), 'simulated'))
     return LaunchDescription(
         [
@@ -57,7 +62,7 @@ def generate_launch_description():
                 for name, value, text in arguments
             ),
             node('path_planner', ['machine_file', 'path_file'], condition=simulated),
-            node('calibrator', ['machine_file', 'output_directory']),
-            node('tracker_driver', driver_texts, ['time_scale']),
+            node('calibrator', ['machine_file', 'output_directory', 'diagnose']),
+            node('tracker_driver', driven),
         ]
     )

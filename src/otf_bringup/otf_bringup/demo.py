@@ -3,6 +3,7 @@
 
 Planner, tracker driver and calibrator run as processes of their own, as with the launch files. The
 errors of the machine are drawn here and given to the driver only; the calibrator never sees them.
+With ``--diagnose`` the run is diagnosed as well, with ``--effects`` there is something to find.
 """
 
 from __future__ import annotations
@@ -24,11 +25,13 @@ from otf_bringup.domain import free_domain
 from otf_bringup.processes import NodeProcess, ended_together
 from otf_core.errors import ConfigError, OtfError
 from otf_core.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.io.effects_yaml import read_effects
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.kinematics import displacement, exact_position
 from otf_core.machine import load_machine
 from otf_core.sim.cell import random_tables
 from otf_core.tables import ErrorTables, load_tables, tables_to_dict
+from otf_msgs.msg import GapReport
 
 ERROR_SIZE = 1e-4
 """m; mean volumetric error of the simulated machine."""
@@ -66,6 +69,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         '--machine', type=Path, default=share / 'config' / 'machine.yaml', help='machine.yaml'
     )
+    parser.add_argument(
+        '--effects', type=Path, help='effects.yaml: what else is wrong in the simulated cell'
+    )
+    parser.add_argument(
+        '--diagnose', action='store_true', help='also diagnose the run; takes 20 s more'
+    )
     return parser.parse_args(arguments)
 
 
@@ -73,7 +82,7 @@ def _run(options: argparse.Namespace) -> int:
     started = time.monotonic()
     out = ensure_folder(options.out).absolute()
     ensure_folder(out / 'log')
-    truth = _prepare(out, options.machine, options.seed)
+    truth = _prepare(out, options)
     with free_domain() as domain:
         environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
         print(
@@ -81,22 +90,28 @@ def _run(options: argparse.Namespace) -> int:
             f'calibrator on ROS_DOMAIN_ID={domain}\n',
             flush=True,
         )
-        nodes = _start(out, options.seed, environment)
+        nodes = _start(out, options, environment)
         with ended_together(nodes):
             from otf_bringup.monitor import follow
 
-            result = follow(domain, nodes)
+            result, gap = follow(domain, nodes, options.diagnose)
     if not result.run_id:
         raise DemoError(f'calibration failed: {result.message}\nlogs: {out / "log"}')
-    _report(truth, Path(result.output_directory), time.monotonic() - started)
-    return int(result.status)
+    _report(truth, Path(result.output_directory))
+    if gap:
+        _report_gap(gap)
+    print(f'Took {time.monotonic() - started:.0f} s.')
+    return int(result.status or (gap.status if gap else 0))
 
 
-def _prepare(out: Path, machine_file: Path, seed: int) -> ErrorTables:
+def _prepare(out: Path, options: argparse.Namespace) -> ErrorTables:
     """Write the machine description and the true errors; return the latter."""
+    machine_file, seed = options.machine, options.seed
     machine = load_machine(machine_file)
     if seed < 0:
         raise ConfigError(f'--seed: {seed} is negative')
+    if options.effects:
+        read_effects(options.effects, machine)
     truth = random_tables(machine, ERROR_SIZE, np.random.default_rng(seed))
     if machine_file.resolve() != (out / 'machine.yaml').resolve():
         shutil.copyfile(machine_file, out / 'machine.yaml')
@@ -104,14 +119,19 @@ def _prepare(out: Path, machine_file: Path, seed: int) -> ErrorTables:
     return truth
 
 
-def _start(out: Path, seed: int, environment: dict[str, str]) -> list[NodeProcess]:
+def _start(
+    out: Path, options: argparse.Namespace, environment: dict[str, str]
+) -> list[NodeProcess]:
     """Start the three nodes."""
     machine = {'machine_file': out / 'machine.yaml'}
-    simulation = {'rate': RATE, 'seed': seed, 'truth_tables': out / 'truth.json'}
+    simulation = {'rate': RATE, 'seed': options.seed, 'truth_tables': out / 'truth.json'}
+    if options.effects:
+        simulation['effects'] = options.effects.absolute()
+    results = {'output_directory': out / 'calibrations', 'diagnose': options.diagnose}
     speed = {'time_scale': 10.0, 'max_rate': 6000.0}
     given: dict[str, dict[str, Any]] = {
         'path_planner': machine,
-        'calibrator': {**machine, 'output_directory': out / 'calibrations'},
+        'calibrator': {**machine, **results},
         'tracker_driver': {**machine, **simulation, **speed},
     }
     nodes: list[NodeProcess] = []
@@ -125,7 +145,7 @@ def _start(out: Path, seed: int, environment: dict[str, str]) -> list[NodeProces
     return nodes
 
 
-def _report(truth: ErrorTables, folder: Path, seconds: float) -> None:
+def _report(truth: ErrorTables, folder: Path) -> None:
     """Print the tables and what is left of the errors on a grid."""
     found = load_tables(folder / 'error_tables.json')
     q = lattice(truth.machine)
@@ -140,7 +160,18 @@ def _report(truth: ErrorTables, folder: Path, seconds: float) -> None:
         f'  before {mean[0]:.2f} um, after compensation {mean[1]:.2f} um '
         f'({100 * (1 - mean[1] / mean[0]):.1f} % less)'
     )
-    print(f'Files: {folder}\nTook {seconds:.0f} s.')
+    print(f'Files: {folder}')
+
+
+def _report_gap(gap: GapReport) -> None:
+    """Print what the diagnosis says."""
+    if gap.status != GapReport.OK:
+        print(f'Diagnosis failed: {gap.message}')
+        return
+    print(
+        f'Diagnosis: {gap.verdict}. {gap.message}\n{gap.where}\n'
+        f'Report: {Path(gap.output_directory) / "report.html"}'
+    )
 
 
 if __name__ == '__main__':

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Follows a calibration from outside: shows its progress, ends with its result."""
+"""Follows a run from outside: shows its progress, ends with result and, if wanted, diagnosis."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from rclpy.node import Node
 
 from otf_bringup.processes import NodeProcess
 from otf_core.errors import OtfError
-from otf_msgs.msg import CalibrationResult, CalibratorState
+from otf_msgs.msg import CalibrationResult, CalibratorState, GapReport
 from otf_ros import qos
 from otf_ros.app import EndRequest, running_ros
 
 PATIENCE = 60.0
 """s; without any progress for so long, something is wrong."""
+DIAGNOSIS_PATIENCE = 300.0
+"""s; the same during a diagnosis, which tells its progress in few and large steps."""
 LINE_PERIOD = 5.0
 """s between progress lines where they cannot be overwritten."""
 
@@ -26,22 +28,33 @@ class GraphError(OtfError):
 
 
 class Monitor(Node):
-    """Listens to state and result of the calibrator."""
+    """Listens to state, result and, if wanted, diagnosis of the calibrator."""
 
-    def __init__(self) -> None:
+    def __init__(self, diagnose: bool) -> None:
         super().__init__('demo_monitor')
+        self._diagnose = diagnose
         self.state: CalibratorState | None = None
         self.result: CalibrationResult | None = None
+        self.gap: GapReport | None = None
         self.create_subscription(CalibratorState, 'calibrator/state', self._on_state, qos.STATUS)
         self.create_subscription(
             CalibrationResult, 'calibrator/result', self._on_result, qos.RESULT
         )
+        self.create_subscription(GapReport, 'calibrator/gap_report', self._on_gap, qos.RESULT)
 
     @property
     def ended(self) -> bool:
-        """True once state and result both say how it ended."""
-        over = (CalibratorState.DONE, CalibratorState.FAILED)
-        return self.result is not None and self.state is not None and self.state.state in over
+        """True once state and result both say how it ended, and the diagnosis if it is wanted."""
+        if self.state is None or self.result is None:
+            return False
+        if self._diagnose and self.result.run_id and self.gap is None:
+            return False
+        return self.state.state in (CalibratorState.DONE, CalibratorState.FAILED)
+
+    @property
+    def patience(self) -> float:
+        """How long nothing may move, s."""
+        return DIAGNOSIS_PATIENCE if self.state and self.state.diagnosing else PATIENCE
 
     def _on_state(self, message: CalibratorState) -> None:
         self.state = message
@@ -49,8 +62,13 @@ class Monitor(Node):
     def _on_result(self, message: CalibrationResult) -> None:
         self.result = message
 
+    def _on_gap(self, message: GapReport) -> None:
+        self.gap = message
 
-def follow(domain: int, nodes: list[NodeProcess]) -> CalibrationResult:
+
+def follow(
+    domain: int, nodes: list[NodeProcess], diagnose: bool
+) -> tuple[CalibrationResult, GapReport | None]:
     """Show progress until there is a result, and return it.
 
     Parameters
@@ -59,6 +77,8 @@ def follow(domain: int, nodes: list[NodeProcess]) -> CalibrationResult:
         ROS domain of the nodes.
     nodes : list of NodeProcess
         Watched: the end of one of them ends this.
+    diagnose : bool
+        Wait for the diagnosis of the run, and return it too.
 
     Raises
     ------
@@ -66,7 +86,7 @@ def follow(domain: int, nodes: list[NodeProcess]) -> CalibrationResult:
         If a node ends early or nothing moves any more.
     """
     with EndRequest() as end, running_ros([], domain):
-        monitor, executor = Monitor(), SingleThreadedExecutor()
+        monitor, executor = Monitor(diagnose), SingleThreadedExecutor()
         executor.add_node(monitor)
         shown, moved = _Progress(), time.monotonic()
         while not monitor.ended:
@@ -78,11 +98,11 @@ def follow(domain: int, nodes: list[NodeProcess]) -> CalibrationResult:
                     raise GraphError(_obituary(node))
             if shown.show(monitor.state):
                 moved = time.monotonic()
-            elif time.monotonic() - moved > PATIENCE:
+            elif time.monotonic() - moved > monitor.patience:
                 logs = '\n'.join(f'{n.name}: {n.last_lines(2)}' for n in nodes)
-                raise GraphError(f'no progress for {PATIENCE:.0f} s\n{logs}')
+                raise GraphError(f'no progress for {monitor.patience:.0f} s\n{logs}')
         shown.end()
-        return monitor.result
+        return monitor.result, monitor.gap
 
 
 def _obituary(node: NodeProcess) -> str:
@@ -93,21 +113,26 @@ class _Progress:
     """A line per state: overwritten on a terminal, repeated now and then elsewhere."""
 
     def __init__(self) -> None:
-        self._seen = (-1, -1, -1.0)
+        self._seen: tuple[object, ...] = ()
         self._at = 0.0
         self._live = sys.stdout.isatty()
 
     def show(self, state: CalibratorState | None) -> bool:
         """Show a state; True if it differs from the one before."""
-        if state is None or self._seen == (state.state, state.samples, state.progress):
+        if state is None:
             return False
-        changed = state.state != self._seen[0]
-        self._seen = (state.state, state.samples, state.progress)
+        name, progress = state.name, state.progress
+        if state.diagnosing:
+            name, progress = 'DIAGNOSING', state.diagnosis_progress
+        seen = (name, state.samples, progress)
+        if seen == self._seen:
+            return False
+        changed, self._seen = seen[:1] != self._seen[:1], seen
         now = time.monotonic()
         if self._live or changed or now - self._at > LINE_PERIOD:
             self._at = now
-            bar = '#' * round(20 * state.progress)
-            text = f'{state.name:<16} [{bar:<20}] {state.samples:>7} samples, '
+            bar = '#' * round(20 * progress)
+            text = f'{name:<16} [{bar:<20}] {state.samples:>7} samples, '
             text += f'{state.travelled:6.1f} of {state.path_length:.1f} m driven'
             sys.stdout.write(f'\r{text}\033[K' if self._live else f'{text}\n')
             sys.stdout.flush()

@@ -25,7 +25,7 @@ from otf_core.runs import Recording, prepare_runs
 from otf_core.standstill_method import prepare_stops
 
 BAG = 'samples'
-"""Name of the bag beside the results."""
+"""Name of the bag beside the results, and so of the run in them."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ class Outcome:
     """A calibration that succeeded; ``folder`` is None if its files could not be written."""
 
     request: Request
+    recording: Recording
     result: CalibrationResult
     folder: Path | None
     problem: str = ''
@@ -76,9 +77,9 @@ class Worker:
 
     def save(self, outcome: Outcome) -> None:
         """Keep path and samples as a bag beside the results, if that is wanted."""
-        request, folder = outcome.request, outcome.folder
-        if folder and request.files.save_bag:
-            content = BagContent(_ordered(request), request.path)
+        recording, folder = outcome.recording, outcome.folder
+        if folder and outcome.request.files.save_bag:
+            content = BagContent(recording.samples, recording.path)
             self._pool.submit(write_bag, folder / BAG, content).add_done_callback(self._check)
 
     def _check(self, writing: Future[None]) -> None:
@@ -101,7 +102,9 @@ class Worker:
 
     def _calibrate(self, request: Request) -> Outcome:
         machine = load_machine(request.files.machine_file)
-        recording = Recording(_ordered(request), request.path, machine)
+        # in the order in which the offline command takes them from a bag
+        samples = in_time_order('tracker/point', request.samples.stamp_ns, request.samples.xyz)
+        recording = Recording(samples, request.path, machine, BAG)
         prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[request.files.method]
         result = calibrate_runs([recording], request.config, self._progress, prepare)
         base = Path(request.files.output_directory).expanduser().absolute()
@@ -110,13 +113,8 @@ class Worker:
             write_calibration(result, folder)
             point_latest(base / 'latest', folder.name)
         except OtfError as error:
-            return Outcome(request, result, None, f'files not written: {error}')
-        return Outcome(request, result, folder)
-
-
-def _ordered(request: Request) -> Samples:
-    """Samples as the offline command takes them from a bag."""
-    return in_time_order('tracker/point', request.samples.stamp_ns, request.samples.xyz)
+            return Outcome(request, recording, result, None, f'files not written: {error}')
+        return Outcome(request, recording, result, folder)
 
 
 def point_latest(link: Path, target: str) -> None:

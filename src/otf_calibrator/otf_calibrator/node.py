@@ -10,8 +10,9 @@ from concurrent.futures import Future
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from rclpy.node import Node
-from std_srvs.srv import Trigger
 
+from otf_calibrator.diagnosis_job import Answer
+from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Outcome
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.results import ResultPublishers
@@ -21,7 +22,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
 from otf_core.machine import load_machine
 from otf_msgs.msg import TrackerStatus
-from otf_ros import app, convert, qos
+from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
 
@@ -51,15 +52,16 @@ class Calibrator(Node):
         self._results = ResultPublishers(self)
         self.create_subscription(Path, 'planner/path', self._on_path, qos.PATH)
         self.create_subscription(TrackerStatus, 'tracker/status', self._on_status, qos.STATUS)
-        self.create_service(Trigger, 'calibrator/calibrate', self._on_calibrate)
-        self.create_service(Trigger, 'calibrator/reset', self._on_reset)
+        services.offer(self, 'calibrator/calibrate', self._session.calibrate)
+        services.offer(self, 'calibrator/reset', self._on_reset)
+        services.offer(self, 'calibrator/diagnose', self._session.diagnose)
         self.create_timer(PERIOD, self._tick)
         # last: samples may come at once
         Drain(self, PointStamped, 'tracker/point', self._on_points, qos.MEASUREMENT)
 
     def close(self) -> None:
-        """End a calibration under way; files are whole or not there."""
-        self._session.worker.close()
+        """End a calibration or a diagnosis under way; files are whole or not there."""
+        self._session.close()
 
     def _read_settings(self) -> tuple[CalibratorConfig, CalibrationConfig]:
         return self._settings.read(CalibratorConfig), self._settings.read(CalibrationConfig)
@@ -89,25 +91,11 @@ class Calibrator(Node):
         for stamp_ns, x, y, z in convert.points_from_messages(messages):
             add(stamp_ns, x, y, z, now)
 
-    def _on_calibrate(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        response.message = self._session.obstacle()
-        if not response.message:
-            response.success = True
-            response.message = self._start('requested') + '; follow calibrator/state'
-        return response
-
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_reset(self) -> tuple[bool, str]:
         count = len(self._session.collector.buffer)
         self._session.collector.reset()
-        response.success, response.message = True, f'{count} samples forgotten; ready for a run'
-        return response
-
-    def _start(self, reason: str) -> str:
-        text = self._session.start(reason)
-        self.get_logger().info(text)
-        return text
+        self._session.abandon()
+        return True, f'{count} samples forgotten; ready for a run'
 
     def _tick(self) -> None:
         job = self._session.finished()
@@ -115,7 +103,10 @@ class Calibrator(Node):
             self._finish(job)
         reason = self._session.complete()
         if reason:
-            self._start(reason)
+            self.get_logger().info(self._session.start(reason))
+        diagnosed = self._session.diagnosed()
+        if diagnosed:
+            self._tell(*diagnosed)
         self._state.publish(self._session)
 
     def _finish(self, job: Future[Outcome]) -> None:
@@ -127,6 +118,10 @@ class Calibrator(Node):
                 self.get_logger().warning(text)
             self._state.done(outcome)
             self._session.worker.save(outcome)
+            if outcome.request.files.diagnose:
+                started, text = self._session.diagnose()
+                if not started:
+                    self._tell(outcome, Failure(2, text))
             return
         if isinstance(error, OtfError):
             text, code = str(error), error.exit_code
@@ -135,6 +130,11 @@ class Calibrator(Node):
             self.get_logger().error(''.join(traceback.format_exception(error)))
         self._results.publish_failure(code, text)
         self._state.failed(text)
+
+    def _tell(self, outcome: Outcome, answer: Answer) -> None:
+        """Publish what a diagnosis gave."""
+        self._results.publish_gap(outcome, answer)
+        self._state.diagnosed(outcome, answer)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -33,3 +33,7 @@ class CalibratorConfig(Parameters):
     save_bag: bool = parameter(
         True, 'keep the samples of every calibration as a bag beside its results'
     )
+    diagnose: bool = parameter(
+        False, 'diagnose every run once its tables are published; calibrator/diagnose does it for '
+        'the last run at any time',
+    )  # fmt: skip

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Latched publishers for what a calibration gives: 18 tables, result, alignment, tf if there."""
+"""Latched publishers: 18 tables, result, alignment, tf if there; the report of a diagnosis."""
 
 from __future__ import annotations
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 
+from otf_calibrator.diagnosis_job import Answer
+from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Outcome
 from otf_core.tables import MOTIONS
 from otf_msgs.msg import CalibrationResult as ResultMessage
-from otf_msgs.msg import ErrorTable
-from otf_ros import convert_result, qos
+from otf_msgs.msg import ErrorTable, GapReport
+from otf_ros import convert_gap, convert_result, qos
 
 try:
     from tf2_ros import StaticTransformBroadcaster
@@ -31,6 +33,7 @@ class ResultPublishers:
         self._alignment = node.create_publisher(
             TransformStamped, 'calibrator/alignment', qos.RESULT
         )
+        self._gap = node.create_publisher(GapReport, 'calibrator/gap_report', qos.RESULT)
         self._broadcaster = (
             StaticTransformBroadcaster(node) if StaticTransformBroadcaster else None
         )
@@ -57,3 +60,14 @@ class ResultPublishers:
         """Publish that there is no result, and why; the tables published before stay."""
         now = self._clock.now().to_msg()
         self._result.publish(convert_result.failure_to_message(exit_code, text, now))
+
+    def publish_gap(self, outcome: Outcome, answer: Answer) -> None:
+        """Publish what a diagnosis of a calibrated run gave, or why it gave nothing."""
+        now = self._clock.now().to_msg()
+        if isinstance(answer, Failure):
+            message = convert_gap.gap_failure_to_message(answer.exit_code, answer.text, now)
+        else:
+            message = convert_gap.gap_to_message(answer, now)
+            message.output_directory = str(outcome.folder)
+        message.run_id, message.machine = outcome.result.run_id, outcome.recording.machine.name
+        self._gap.publish(message)

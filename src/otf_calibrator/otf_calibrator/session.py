@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When to calibrate: watches a run until it is complete, calibrates it, waits for the next one."""
+"""When to calibrate: watches a run until it is complete, calibrates it, waits for the next one.
+
+The last calibrated run can be diagnosed meanwhile; the next calibration ends that.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 
 from otf_calibrator.collector import Collector
+from otf_calibrator.diagnosis_job import Answer, DiagnosisJob
 from otf_calibrator.job import Outcome, Request, Worker
 from otf_calibrator.params import CalibratorConfig
 from otf_core.config import CalibrationConfig
@@ -29,6 +33,8 @@ class Session:
     ----------
     collector : Collector
     worker : Worker
+    diagnosis : DiagnosisJob or None
+        The diagnosis under way.
     """
 
     def __init__(self, settings: Settings, warn: Callable[[str], None]) -> None:
@@ -38,27 +44,30 @@ class Session:
         self._job: Future[Outcome] | None = None
         self._verdict: Future[bool] | None = None
         self._judged_run = 0
+        self.diagnosis: DiagnosisJob | None = None
+        self._last: Outcome | None = None
 
     @property
     def busy(self) -> bool:
         """True while a calibration is under way."""
         return self._job is not None
 
-    def obstacle(self) -> str:
-        """Say why a calibration cannot start now and what to do; empty if it can."""
+    def calibrate(self) -> tuple[bool, str]:
+        """Calibrate the samples so far; tell whether that has started, or what to do first."""
         if self.busy:
-            return 'a calibration is under way; wait for DONE or FAILED on calibrator/state'
+            return False, 'a calibration is under way; wait for DONE or FAILED on calibrator/state'
         if self.collector.path is None:
-            return 'no path yet: start the path planner or publish planner/path'
+            return False, 'no path yet: start the path planner or publish planner/path'
         if not len(self.collector.buffer):
-            return 'no samples yet: activate the tracker driver and drive the path'
-        return ''
+            return False, 'no samples yet: activate the tracker driver and drive the path'
+        return True, self.start('requested') + '; follow calibrator/state'
 
     def start(self, reason: str) -> str:
         """Calibrate the samples so far; return what was started."""
         collector = self.collector
         samples, path = collector.buffer.snapshot(), collector.path
-        assert path is not None, 'obstacle() comes first'
+        assert path is not None, 'asked before'
+        self.abandon()
         self._job = self.worker.start(Request(samples, path, *self._settings(), collector.lost))
         collector.taken = True
         return f'calibration of {len(samples)} samples started: {reason}'
@@ -68,7 +77,44 @@ class Session:
         if not self._job or not self._job.done():
             return None
         job, self._job = self._job, None
+        if job.exception() is None:
+            self._last = job.result()
         return job
+
+    def diagnose(self) -> tuple[bool, str]:
+        """Start to diagnose the last calibrated run; tell whether it has, or what to do first."""
+        if self.diagnosis:
+            return False, 'a diagnosis is under way; wait for calibrator/gap_report'
+        if self.busy:
+            return False, 'a calibration is under way; wait for DONE or FAILED on calibrator/state'
+        if self._last is None:
+            return False, 'no run is calibrated yet: drive the path, or call calibrator/calibrate'
+        if self._last.folder is None:
+            return False, f'{self._last.problem}; correct it and call calibrator/calibrate'
+        try:
+            self.diagnosis = DiagnosisJob(self._last)
+        except OSError as error:
+            return False, f'the diagnosis cannot be started: {error}'
+        return True, f'diagnosis of run {self._last.result.run_id} started'
+
+    def diagnosed(self) -> tuple[Outcome, Answer] | None:
+        """Return the run whose diagnosis has come to its end, and what it gave, once."""
+        answer = self.diagnosis.finished() if self.diagnosis else None
+        if answer is None or self.diagnosis is None:
+            return None
+        job, self.diagnosis = self.diagnosis, None
+        return job.outcome, answer
+
+    def abandon(self) -> None:
+        """End a diagnosis under way, if there is one."""
+        if self.diagnosis:
+            self.diagnosis.close()
+            self.diagnosis = None
+
+    def close(self) -> None:
+        """End what is under way; files are whole or not there."""
+        self.abandon()
+        self.worker.close()
 
     def complete(self) -> str:
         """Say why the run is complete and can be calibrated; empty if it is not."""

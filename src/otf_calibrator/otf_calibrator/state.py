@@ -7,6 +7,8 @@ import time
 
 from rclpy.node import Node
 
+from otf_calibrator.diagnosis_job import Answer
+from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Outcome
 from otf_calibrator.session import Session
 from otf_msgs.msg import CalibratorState
@@ -25,6 +27,8 @@ NAMES = {
 }
 STAGES = {'aligning': CalibratorState.ALIGNING, 'solving': CalibratorState.SOLVING}
 Described = tuple[int, float, str]
+NO_DIAGNOSIS = (False, 0.0, '')
+ABANDONED = (False, 0.0, 'abandoned; calibrator/diagnose starts it again')
 
 
 class StatePublisher:
@@ -34,7 +38,8 @@ class StatePublisher:
         self._node = node
         self._publisher = node.create_publisher(CalibratorState, 'calibrator/state', qos.STATUS)
         self._outcome: Described = (CalibratorState.FAILED, 0.0, '')
-        self._shown = -1
+        self._diagnosis = NO_DIAGNOSIS
+        self._shown = (-1, False)
         self._at = 0.0
 
     def done(self, outcome: Outcome) -> None:
@@ -42,25 +47,42 @@ class StatePublisher:
         place = f'files in {outcome.folder}' if outcome.folder else outcome.problem
         text = f'{summary(outcome.result)}; for another run just drive again; {place}'
         self._outcome = (CalibratorState.DONE, 1.0, text)
+        self._diagnosis = NO_DIAGNOSIS
 
     def failed(self, reason: str) -> None:
         """Remember why the run could not be calibrated."""
         text = f'{reason}; correct it and call calibrator/calibrate, or drive again'
         self._outcome = (CalibratorState.FAILED, 0.0, text)
 
+    def diagnosed(self, outcome: Outcome, answer: Answer) -> None:
+        """Remember what the diagnosis of the run gave."""
+        logger = self._node.get_logger()
+        if isinstance(answer, Failure):
+            text = f'no diagnosis: {answer.text}; correct it and call calibrator/diagnose'
+            self._diagnosis = (False, 0.0, text)
+            logger.error(text)
+            return
+        text = f'{answer["verdict"]}: {answer["sentence"]} Files in {outcome.folder}'
+        self._diagnosis = (False, 1.0, text)
+        logger.info(f'diagnosis: {text}')
+
     def publish(self, session: Session) -> None:
         """Publish the state if it has changed or was published a while ago."""
-        collector = session.collector
+        collector, job = session.collector, session.diagnosis
         state, progress, text = self._describe(session)
-        now = time.monotonic()
-        if state == self._shown and now - self._at < REPEAT:
+        diagnosis = self._diagnosis
+        if job:
+            diagnosis = (True, job.fraction, job.stage)
+            self._diagnosis = ABANDONED  # as long as it has not told what it gave
+        now, shown = time.monotonic(), (state, job is not None)
+        if shown == self._shown and now - self._at < REPEAT:
             return
-        if state != self._shown:
+        if state != self._shown[0]:
             if state == CalibratorState.FAILED:  # rclpy wants one severity per line of code
                 self._node.get_logger().error(f'{NAMES[state]}: {text}')
             else:
                 self._node.get_logger().info(f'{NAMES[state]}: {text}')
-        self._shown, self._at = state, now
+        self._shown, self._at = shown, now
         message = CalibratorState(
             state=state,
             name=NAMES[state],
@@ -69,6 +91,9 @@ class StatePublisher:
             path_length=collector.path.length if collector.path else 0.0,
             travelled=collector.travelled,
             message=text,
+            diagnosing=diagnosis[0],
+            diagnosis_progress=diagnosis[1],
+            diagnosis=diagnosis[2],
         )
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)

@@ -8,15 +8,31 @@ OPENBLAS_NUM_THREADS=1 in the environment does the same.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 try:
     from threadpoolctl import threadpool_limits
 except ImportError:
     threadpool_limits = None
 
+P = ParamSpec('P')
+R = TypeVar('R')
+
 
 def one_thread() -> AbstractContextManager[Any]:
     """Return a context in which linear algebra uses one thread."""
     return nullcontext() if threadpool_limits is None else threadpool_limits(1)
+
+
+def in_one_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """Make a function whose linear algebra uses one thread."""
+
+    @wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        with one_thread():
+            return function(*args, **kwargs)
+
+    return limited

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from nav_msgs.msg import Path
 from rclpy.node import Node
-from std_srvs.srv import Trigger
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import OtfError
 from otf_msgs.msg import Plan
 from otf_path_planner.params import PlannerFiles
 from otf_path_planner.planning import make_plan
-from otf_ros import app, convert, qos
+from otf_ros import app, convert, qos, services
 from otf_ros.params import NodeParameters
 
 
@@ -32,7 +31,7 @@ class PathPlanner(Node):
         self._path_publisher = self.create_publisher(Path, 'planner/path', qos.PATH)
         self._plan_publisher = self.create_publisher(Plan, 'planner/plan', qos.PATH)
         self.get_logger().info(self._plan())
-        self.create_service(Trigger, 'planner/replan', self._replan)
+        services.offer(self, 'planner/replan', self._replan)
 
     def _plan(self) -> str:
         """Plan with the present parameters, publish, and say what was planned."""
@@ -46,14 +45,11 @@ class PathPlanner(Node):
             f'{plan.path.length:.2f} m, {plan.duration:.0f} s without acceleration'
         )
 
-    def _replan(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _replan(self) -> tuple[bool, str]:
         try:
-            response.message, response.success = self._plan(), True
-            self.get_logger().info(response.message)
+            return True, self._plan()
         except OtfError as error:
-            response.message = f'{error}; the plan published before stays'
-            self.get_logger().error(response.message)
-        return response
+            return False, f'{error}; the plan published before stays'
 
 
 def main(args: list[str] | None = None) -> int:

@@ -30,4 +30,4 @@ STATUS = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """States: only the latest counts, and a late listener sees it at once."""
 
 RESULT = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
-"""Error tables, result, alignment: each calibration replaces the one before and stays readable."""
+"""Tables, result, alignment, gap report: each replaces the one before and stays readable."""

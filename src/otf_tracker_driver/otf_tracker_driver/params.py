@@ -23,6 +23,9 @@ class DriverConfig(Parameters):
     truth_tables: str = parameter(
         '', 'errors of the simulated machine (error_tables.json); empty: drawn from the seed'
     )
+    effects: str = parameter(
+        '', 'what else is wrong in the simulated cell (effects.yaml); empty: nothing'
+    )
     bag: str = parameter(
         '', 'rosbag2 folder or .mcap file with /tracker/point; required by the backend replay'
     )

@@ -29,6 +29,7 @@ from otf_core.joint import Progress
 from otf_core.kinematics import displacement
 from otf_core.results import write_calibration
 from otf_core.runs import Recording
+from otf_core.threads import in_one_thread
 
 Array = NDArray[np.float64]
 
@@ -79,6 +80,7 @@ def _conditions(findings: Findings) -> dict[str, str]:
     }
 
 
+@in_one_thread
 def diagnose(
     recordings: Sequence[Recording],
     names: Sequence[str],
@@ -136,6 +138,7 @@ def effects_file(run: int) -> str:
     return f'effects_run_{run + 1}.yaml' if run else 'effects.yaml'
 
 
+@in_one_thread
 def write_diagnosis(
     diagnosis: Diagnosis,
     data: DiagnosisData,

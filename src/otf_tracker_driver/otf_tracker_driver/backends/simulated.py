@@ -7,7 +7,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 from otf_core.config import SimulationConfig
+from otf_core.effects import AppliedEffect
 from otf_core.errors import ConfigError
+from otf_core.io.effects_yaml import read_effects
 from otf_core.machine import Machine, load_machine
 from otf_core.planning import Plan
 from otf_core.sim.cell import SimulatedRun, simulate
@@ -26,25 +28,29 @@ class SimulatedTracker(PacedBackend):
         self._config, self._simulation = config, simulation
         self._machine: Machine | None = None
         self._truth: ErrorTables | None = None
+        self._effects: tuple[AppliedEffect, ...] = ()
         self._worker = ThreadPoolExecutor(1, 'simulation')
         self._run: Future[SimulatedRun] | None = None
         self.rate = simulation.rate
 
     def connect(self) -> str:
-        """Read the machine description and the tables of its true errors."""
+        """Read the machine description, the tables of its true errors, and further effects."""
         if not self._config.machine_file:
             raise ConfigError('parameter machine_file: missing; the simulated cell needs it')
         self._machine = load_machine(self._config.machine_file)
         if self._config.truth_tables:
             tables = load_tables(self._config.truth_tables).tables
             self._truth = replace(tables, machine=self._machine)
+        if self._config.effects:
+            self._effects = read_effects(self._config.effects, self._machine)
         errors = self._config.truth_tables or f'seed {self._simulation.seed}'
+        errors += ''.join(f' and {one.effect.name}' for one in self._effects)
         return f'simulated cell {self._machine.name}, errors from {errors}, {self.rate:.0f} Hz'
 
     def prepare(self, plan: Plan | None) -> None:
         """Simulate the whole run in a thread; takes about a second per 100 000 samples."""
         assert self._machine is not None and plan is not None, 'connected, and given a plan'
-        arguments = self._machine, plan, self._simulation, self._truth
+        arguments = self._machine, plan, self._simulation, self._truth, self._effects
         self._run = self._worker.submit(simulate, *arguments)
 
     @property

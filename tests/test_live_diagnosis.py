@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A live run with backlash: tables first, then its diagnosis, the same as offline on its bag."""
+
+import json
+import math
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from cells import MACHINE, write_truth
+from graph import PATIENCE, offline_diagnosis
+
+from otf_calibrator.diagnosis_job import DiagnosisJob
+from otf_calibrator.diagnosis_task import Failure
+from otf_core.config import CalibrationConfig
+from otf_core.machine import load_machine
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.runs import Recording
+from otf_msgs.msg import GapReport
+from otf_ros import qos
+
+BACKLASH = 8e-6
+"""m, of X"""
+TO_AND_FRO = {'passes': 2, 'levels': 2, 'feed': 0.5, 'corner_dwell': 0.1}
+"""Parameters of the planner for a short path that shows backlash."""
+FASTEST = {'rate': 100.0, 'time_scale': 40.0}
+"""Parameters of the driver for a few samples in a short time."""
+PIECE_LENGTH = 0.02
+"""m; longer than by default: fewer rows"""
+
+
+def start_all(graph, machine_file):
+    """Start a cell with backlash; returns the calibrator."""
+    (graph.folder / 'effects.yaml').write_text(
+        f'- effect: backlash\n  parameters: {{B_X: {BACKLASH}}}\n'
+    )
+    machine = {'machine_file': machine_file}
+    graph.start('path_planner', **machine, **TO_AND_FRO)
+    given = {'output_directory': graph.folder / 'out', 'piece_length': PIECE_LENGTH}
+    calibrator = graph.start('calibrator', **machine, **given, diagnose=True)
+    wrong = {'truth_tables': write_truth(graph.folder, machine_file)}
+    wrong['effects'] = graph.folder / 'effects.yaml'
+    graph.start('tracker_driver', **machine, **wrong, **FASTEST)
+    return calibrator
+
+
+def children_of(node):
+    """Command lines of the processes that a node has started."""
+    pid = node.process.pid
+    listed = Path(f'/proc/{pid}/task/{pid}/children').read_text().split()
+    return [Path(f'/proc/{child}/cmdline').read_text() for child in listed]
+
+
+def assert_same_content(report, gap):
+    """The message says what gap.json says, in SI units."""
+    um = 1e-6
+    assert (report.message, report.verdict) == (gap['sentence'], gap['verdict'])
+    assert report.measured == pytest.approx(um * gap['gap']['measured_um'])
+    assert report.gap_after == pytest.approx(um * gap['gap']['after_um'])
+    interval = [100 * report.shrink_low, 100 * report.shrink_high]
+    assert interval == pytest.approx(gap['gap']['shrink_interval_percent'])
+    assert report.table_change == pytest.approx(um * gap['table_change_um'])
+    for told, cause in zip(report.causes, gap['causes'], strict=True):
+        assert (told.effect, list(told.axes)) == (cause['effect'], cause['axes'])
+        assert dict(zip(told.parameter, told.value, strict=True)) == cause['parameters']
+        assert dict(zip(told.parameter, told.unit, strict=True)) == cause['units']
+        u = {n: u for n, u in zip(told.parameter, told.u, strict=True) if not math.isnan(u)}
+        assert u == cause['u']
+        assert list(told.indistinguishable_from) == cause['indistinguishable_from']
+    hidden = zip(report.not_visible, report.not_visible_needs, strict=True)
+    assert dict(hidden) == {h['effect']: h['needs'] for h in gap['not_visible']}
+    places = {(p.grouping, p.kind, p.label): p for p in report.places}
+    rows = [(n[3:], r) for n, rows in gap['where'].items() if n != 'summary' for r in rows]
+    assert len(report.places) == len(rows) > 100
+    for grouping, row in rows:
+        place = places[grouping, row['kind'], row['label']]
+        assert place.measured == pytest.approx(um * row['rms_um'])
+        assert place.leg == row.get('leg', -1)
+        if place.leg >= 0:
+            assert [place.end.x, place.end.y, place.end.z] == row['to']
+
+
+def test_live_diagnosis_follows_the_tables_and_is_that_of_the_bag(graph, machine_file, tmp_path):
+    calibrator = start_all(graph, machine_file)
+    answer = graph.trigger('calibrator/diagnose')
+    assert not answer.success and 'no run is calibrated yet' in answer.message
+    reports = graph.listen(GapReport, 'calibrator/gap_report', qos.RESULT)
+    result, _ = graph.wait_for_result()
+    assert result.status == result.OK and not reports, 'tables come first'
+    graph.wait(lambda: graph.state().diagnosing, 'the start of the diagnosis')
+    answer = graph.trigger('calibrator/diagnose')
+    assert not answer.success and 'under way' in answer.message
+    graph.wait(lambda: reports, 'the report')
+    graph.wait(lambda: graph.state().diagnosis_progress == 1.0, 'its state')
+    assert not graph.state().diagnosing and 'explained' in graph.state().diagnosis
+
+    report, folder = reports[0], Path(result.output_directory)
+    assert (report.status, report.run_id) == (report.OK, result.run_id)
+    assert (report.verdict, report.causes[0].effect) == ('explained', 'backlash')
+    cause = report.causes[0]
+    index = list(cause.parameter).index('B_X')
+    assert abs(cause.value[index] - BACKLASH) < 3 * cause.u[index] < 3e-6
+    assert {p.name for p in folder.iterdir()} >= {'gap.json', 'report.html', 'effects.yaml'}
+    live = (folder / 'gap.json').read_text()
+    assert_same_content(report, json.loads(live))
+    bag = folder / 'samples'
+    option = f'--piece-length={PIECE_LENGTH}'
+    again = offline_diagnosis(bag, machine_file, tmp_path / 'offline', option)
+    assert live.replace(folder.name, str(bag)) == again
+
+    # reset, the next calibration and the end of the node each end a diagnosis at once
+    assert graph.trigger('calibrator/diagnose').success
+    graph.wait(lambda: graph.state().diagnosing, 'the start of a diagnosis')
+    assert graph.trigger('calibrator/calibrate').success
+    graph.wait(lambda: 'abandoned' in graph.state().diagnosis, 'its end')
+    assert not children_of(calibrator) and not list(folder.glob('.diagnosis*'))
+    graph.wait_for_result(2)
+    graph.wait(lambda: graph.state().diagnosing, 'the start of a diagnosis')
+    assert graph.trigger('calibrator/reset').success
+    graph.wait(lambda: 'abandoned' in graph.state().diagnosis, 'its end')
+    assert graph.trigger('calibrator/diagnose').success
+    graph.wait(lambda: graph.state().diagnosing, 'the start of a diagnosis')
+    graph.stop(calibrator)
+    assert len(reports) == 1
+    assert not list((tmp_path / 'out').rglob('.diagnosis*'))
+
+
+@pytest.fixture
+def job(machine_file, tmp_path):
+    """Diagnosis of samples that do not move."""
+    samples = Samples(np.arange(500) * 2_000_000, np.ones((500, 3)))
+    path = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0, 0.0]]))
+    recording = Recording(samples, path, load_machine(machine_file))
+    request = SimpleNamespace(config=CalibrationConfig())
+    folder = tmp_path / MACHINE['name']
+    folder.mkdir()
+    job = DiagnosisJob(SimpleNamespace(recording=recording, request=request, folder=folder))
+    yield job
+    job.close()
+    assert not list(folder.iterdir())
+
+
+def answer_of(job):
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        answer = job.finished()
+        if answer:
+            return answer
+        time.sleep(0.02)
+    raise AssertionError('no answer')
+
+
+def test_run_that_cannot_be_diagnosed_gives_the_message_and_code_of_the_command(job):
+    answer = answer_of(job)
+    assert isinstance(answer, Failure)
+    assert (answer.exit_code, 'hardly moved' in answer.text) == (3, True), answer.text
+
+
+def test_diagnosis_whose_process_dies_is_an_internal_error(job):
+    job._process.kill()
+    answer = answer_of(job)
+    assert (answer.exit_code, 'code -9' in answer.text) == (1, True)
