@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.budget.columns import piece_state
 from otf_core.diagnosis.samples import sample_state
 from otf_core.effects import Effect, Shape, State, Terms
-from otf_core.effects.state import state_on_path
 from otf_core.joint import JointSolution, SolvedRun, tables_of
 from otf_core.runs import Run
 from otf_core.solution import TIE_BREAK, smoothness
@@ -29,24 +29,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FOLDS = 8
-
-
-def piece_state(
-    run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
-) -> State:
-    """State of the pieces of one run."""
-    return state_on_path(
-        run.machine,
-        run.alignment.corners,
-        run.pieces.leg,
-        solved.system.q,
-        run.pieces.speed,
-        run.pieces.time,
-        solved.pose,
-        nodes,
-        tables,
-        float(run.recording.samples.time[-1]),
-    )
 
 
 @dataclass(frozen=True)
