@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.budget.budget import Budget, make_budget, whole_check
 from otf_core.config import CalibrationConfig
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
@@ -25,9 +26,8 @@ from otf_core.reversal_choice import Choice, ReversalSolution, solve_with_revers
 from otf_core.runs import Recording, Run, prepare_runs
 from otf_core.solution import Solution
 from otf_core.system import build_system
-from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, with_uncertainty
 from otf_core.threads import one_thread
-from otf_core.uncertainty import check_residuals
 from otf_core.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ class Fit:
     variance_ratio, correlation_factor : float
         See ``uncertainty.ResidualCheck``.
     inflation : float
-        Factor on the covariance that these two give.
+        Factor on the covariance: what these two give once the bend between nodes is taken off.
     iterations : int
     """
 
@@ -145,7 +145,8 @@ class CalibrationResult:
         Hash of samples, paths, machine and configuration.
     tables : ErrorTables
     covariance : ndarray, shape (m, m)
-        Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order, m and rad.
+        Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order, m and rad: all sources.
+    budget : Budget
     runs : tuple of RunResult
     fit : Fit
     reversal : Reversal
@@ -161,6 +162,7 @@ class CalibrationResult:
     run_id: str
     tables: ErrorTables
     covariance: Array
+    budget: Budget
     runs: tuple[RunResult, ...]
     fit: Fit
     reversal: Reversal
@@ -297,11 +299,10 @@ def _lengths(components: Array) -> Array:
     return np.asarray(np.linalg.norm(components, axis=0))
 
 
-def _fit(runs: Sequence[Run], results: Sequence[RunResult], done: JointSolution) -> Fit:
-    rows = np.concatenate([r.whitened for r in results], axis=1)
-    # legs of different runs are told apart
-    legs = np.concatenate([r.pieces.leg + 100_000 * k for k, r in enumerate(results)])
-    check = check_residuals(rows, legs, done.solution.rank)
+def _fit(
+    runs: Sequence[Run], results: Sequence[RunResult], done: JointSolution, inflation: float
+) -> Fit:
+    check = whole_check(runs, done, [s.residual for s in done.runs])
     before = np.concatenate([_lengths(r.aligned) for r in results])
     after = np.concatenate([_lengths(r.residual) for r in results])
     normalised = np.concatenate([r.normalised for r in results], axis=1)
@@ -309,7 +310,7 @@ def _fit(runs: Sequence[Run], results: Sequence[RunResult], done: JointSolution)
         samples=sum(len(r.recording.samples) for r in runs),
         used=sum(r.pieces.used for r in runs),
         outliers=sum(r.pieces.outliers for r in runs),
-        pieces=len(legs),
+        pieces=len(after),
         unknowns=done.solution.unknowns,
         rank=done.solution.rank,
         coverage=min(r.alignment.coverage for r in runs),
@@ -319,7 +320,7 @@ def _fit(runs: Sequence[Run], results: Sequence[RunResult], done: JointSolution)
         residual_ratio=float(np.sqrt(np.mean(normalised**2))),
         variance_ratio=check.variance_ratio,
         correlation_factor=check.correlation_factor,
-        inflation=check.inflation,
+        inflation=inflation,
         iterations=done.iterations,
     )
 
@@ -350,13 +351,15 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
     runs, done = solved.runs, solved.done
     solution, unknowns = done.solution, done.unknowns
     results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
-    fit = _fit(runs, results, done)
-    order = [unknowns.blocks[name] for name in (*SQUARENESS, *MOTIONS)]
-    index = np.concatenate([np.arange(b.start, b.stop) for b in order])
+    tables = tables_of(runs[0].machine, unknowns, solution)
+    budget = make_budget(runs, done, tables, config.standstill_speed)
+    fit = _fit(runs, results, done, budget.inflation)
+    covariance = budget.covariance
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
-        tables=tables_of(runs[0].machine, unknowns, solution, fit.inflation),
-        covariance=solution.covariance[np.ix_(index, index)] * fit.inflation,
+        tables=with_uncertainty(tables, covariance),
+        covariance=covariance,
+        budget=budget,
         runs=tuple(results),
         fit=fit,
         reversal=Reversal(
@@ -366,7 +369,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
                 runs[0].machine,
                 unknowns,
                 solution.value,
-                solution.covariance * fit.inflation,
+                budget.whole,
                 solution.accepted,
             ),
             solved.choice.held,

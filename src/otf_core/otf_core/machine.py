@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.budget.declared import DeclaredUncertainty, declared_from_fields
 from otf_core.errors import ConfigError
 from otf_core.io.strict_yaml import Fields, read_yaml
 
@@ -91,6 +92,8 @@ class Machine:
     target_offset : ndarray, shape (3,), m
         From the last target-side frame to the target, all frames coinciding at q = 0.
     tracker : TrackerSpec
+    uncertainty : DeclaredUncertainty, optional
+        Standard uncertainties that no run shows.
     """
 
     name: str
@@ -98,6 +101,7 @@ class Machine:
     axes: Mapping[str, Axis]
     target_offset: NDArray[np.float64]
     tracker: TrackerSpec
+    uncertainty: DeclaredUncertainty | None = None
 
     @property
     def lower(self) -> NDArray[np.float64]:
@@ -111,7 +115,7 @@ class Machine:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the description as plain data, in the layout of machine.yaml."""
-        return {
+        data: dict[str, Any] = {
             'name': self.name,
             'chain': str(self.chain),
             'axes': {
@@ -121,6 +125,9 @@ class Machine:
             'target_offset': [float(v) for v in self.target_offset],
             'tracker': {'u_range': self.tracker.u_range, 'u_angle': self.tracker.u_angle},
         }
+        if self.uncertainty is not None:
+            data['uncertainty'] = dict(self.uncertainty.values)
+        return data
 
 
 def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
@@ -160,8 +167,11 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         tracker.number('u_angle', low=0.0, high=1e-2, unit='rad'),
     )
     tracker.done()
+    declared = None
+    if top.has('uncertainty'):
+        declared = declared_from_fields(top.mapping('uncertainty'))
     top.done()
-    return Machine(name, chain, axes, offset, spec)
+    return Machine(name, chain, axes, offset, spec, declared)
 
 
 def _axis(fields: Fields) -> Axis:

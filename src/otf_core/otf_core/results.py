@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.budget.report import budget_lines, budget_to_dict, expanded, format_budget
 from otf_core.calibrate import GAUGE, CalibrationResult, RunResult
 from otf_core.io.csv_points import write_csv
 from otf_core.io.files import ensure_folder, write_text
@@ -30,7 +31,9 @@ TABLES_FILE = 'error_tables.json'
 def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
     """Return a calibration as plain data in the layout of error_tables.json."""
     data = tables_to_dict(result.tables)
-    pose = result.T_machine_tracker
+    pose, lines = result.T_machine_tracker, budget_lines(result.tables, result.budget)
+    for name, wide in expanded(result.tables, lines).items():
+        data['squareness' if name in SQUARENESS else 'motions'][name] |= wide
     data |= {
         'alignment': {
             'rotation': pose.rotation.tolist(),
@@ -42,6 +45,7 @@ def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
         'run_id': result.run_id,
         'gauge': GAUGE,
         'covariance': pack_covariance(result.covariance),
+        **budget_to_dict(result.tables, result.budget, lines),
         'not_identifiable': list(result.not_identifiable),
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
@@ -190,6 +194,8 @@ def format_result(result: CalibrationResult) -> str:
         format_tables(result),
         '',
         format_reversal(result.reversal),
+        '',
+        format_budget(result.tables, result.budget, budget_lines(result.tables, result.budget)),
     ]
     return '\n'.join(lines)
 

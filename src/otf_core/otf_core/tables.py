@@ -101,6 +101,28 @@ class ErrorTables:
         )
 
 
+def with_uncertainty(tables: ErrorTables, covariance: NDArray[np.float64]) -> ErrorTables:
+    """Return the tables with the standard uncertainties of a covariance.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+    covariance : ndarray, shape (m, m), m and rad
+        Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order.
+    """
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    squareness = {
+        name: replace(tables.squareness[name], u=float(u[k])) for k, name in enumerate(SQUARENESS)
+    }
+    motions, start = {}, len(SQUARENESS)
+    for name in MOTIONS:
+        table = tables.motions[name]
+        stop = start + len(table.position)
+        motions[name] = replace(table, u=u[start:stop] if table.identifiable else 0.0 * table.u)
+        start = stop
+    return replace(tables, motions=motions, squareness=squareness)
+
+
 @dataclass(frozen=True)
 class TablesFile:
     """Content of an error_table.json: the tables and all other top-level keys."""

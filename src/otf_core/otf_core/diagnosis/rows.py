@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.budget.columns import piece_state
 from otf_core.diagnosis.samples import sample_state
 from otf_core.effects import Effect, Shape, State, Terms
-from otf_core.effects.state import state_on_path
 from otf_core.joint import JointSolution, SolvedRun, summed, tables_of
 from otf_core.runs import Run
 from otf_core.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
@@ -32,24 +32,6 @@ Index = NDArray[np.int64]
 FOLDS = 8
 PLAUSIBLE = 1e-4
 """m and rad; size of the errors of a machine tool."""
-
-
-def piece_state(
-    run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
-) -> State:
-    """State of the pieces of one run."""
-    return state_on_path(
-        run.machine,
-        run.alignment.corners,
-        run.pieces.leg,
-        solved.system.q,
-        run.pieces.speed,
-        run.pieces.time,
-        solved.pose,
-        nodes,
-        tables,
-        float(run.recording.samples.time[-1]),
-    )
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -124,10 +124,10 @@ class Fields:
             self.fail(key, f'expected a list of {size} numbers, got {value!r}')
         return [self._finite(key, v) for v in value]
 
-    def done(self) -> None:
-        """Refuse keys that nobody asked for."""
+    def done(self, known: Iterable[str] = ()) -> None:
+        """Refuse keys that nobody asked for; ``known``: optional ones, for the message."""
         if self._data:
-            known = ', '.join(self._taken)
+            known = ', '.join(known or self._taken)
             self.fail(str(next(iter(self._data))), f'unknown key; known here: {known}')
 
     def _finite(self, key: str, value: Any) -> float:

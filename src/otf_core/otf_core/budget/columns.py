@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Columns of shared parameters over the pieces of all runs, and what they do to the estimates.
+
+A displacement theta c of the measured points, c known and theta not, moves the estimates of
+generalised least squares by theta S with
+
+    S = (A^T W A)^-1 A^T W c
+
+(GUM, JCGM 102 section 6: the sensitivity to an input that is not estimated; a "consider
+parameter"). The estimates stay as they are; their covariance gains u(theta)^2 S S^T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from otf_core.effects import State
+from otf_core.effects.state import state_on_path
+from otf_core.joint import JointSolution, SolvedRun
+from otf_core.runs import Run
+from otf_core.tables import ErrorTables
+
+Array = NDArray[np.float64]
+
+
+def piece_state(
+    run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
+) -> State:
+    """State of the pieces of one run; standstills count as points of the first leg."""
+    pieces = run.pieces
+    return state_on_path(
+        run.machine,
+        run.alignment.corners,
+        np.zeros_like(pieces.leg) if pieces.standstill else pieces.leg,
+        solved.system.q,
+        pieces.speed,
+        pieces.time,
+        solved.pose,
+        nodes,
+        tables,
+        float(run.recording.samples.time[-1]),
+    )
+
+
+def across(solved: SolvedRun, columns: Array) -> Array:
+    """Components (c, p, k) along the rows of displacements (p, 3, k)."""
+    return np.asarray(np.einsum('cij,ijk->cik', solved.system.axes, columns))
+
+
+def weighted(solved: SolvedRun, columns: Array) -> Array:
+    """Multiply columns (c, p, k) by the weight matrix W, the inverse noise covariance."""
+    result = np.empty_like(columns)
+    factors = solved.whitener.factors
+    for (low, high), leg in zip(solved.whitener.bounds, factors, strict=True):
+        for component, factor in enumerate(leg):
+            white = solve_triangular(factor, columns[component, low:high], lower=True)
+            result[component, low:high] = solve_triangular(factor, white, lower=True, trans=1)
+    return result
+
+
+def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
+    """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
+    parts = [
+        solved.system.design.T @ weighted(solved, part).reshape(-1, part.shape[2])
+        for solved, part in zip(done.runs, columns, strict=True)
+    ]
+    return np.asarray(sum(parts))
+
+
+def sensitivity(done: JointSolution, columns: Sequence[Array]) -> Array:
+    """Change of the estimates per unit of each column, shape (full, k).
+
+    Parameters
+    ----------
+    done : JointSolution
+    columns : sequence of ndarray, each of shape (c, p, k), m
+        One entry per run.
+    """
+    return np.asarray(done.solution.covariance @ projected(done, columns))

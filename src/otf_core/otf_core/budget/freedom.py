@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effective degrees of freedom (GUM annex G) and coverage factors.
+
+The level of the noise rests on the residuals and on the standstills. Residuals with covariance S
+have (tr S)^2 / tr S^2 degrees of freedom (Welch-Satterthwaite for their mean square), less one for
+every estimated quantity; correlation beyond the assumed one divides them. A standstill of length T
+with correlation time tau has T / tau.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from otf_core.joint import JointSolution
+from otf_core.runs import Run
+from otf_core.standstill import MIN_TOTAL, find_standstills
+
+Array = NDArray[np.float64]
+
+COVERAGE = 0.95
+"""Coverage probability of the expanded uncertainties."""
+
+
+def residual_freedom(done: JointSolution, correlation_factor: float) -> float:
+    """Degrees of freedom of the noise level as the residuals tell it; at least 1."""
+    trace = square = 0.0
+    for solved in done.runs:
+        for leg in solved.whitener.factors:
+            for factor in leg:
+                trace += float(np.sum(factor**2))
+                square += float(np.sum((factor @ factor.T) ** 2))
+    return max(1.0, (trace**2 / square - done.solution.rank) / correlation_factor)
+
+
+def standstill_freedom(runs: Sequence[Run], speed: float) -> float:
+    """Degrees of freedom of the noise level as the standstills tell it; zero if too short.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    speed : float
+        m/s; slower counts as standstill.
+    """
+    total = 0.0
+    for run in runs:
+        samples = run.recording.samples
+        if len(samples) < 2:
+            continue
+        found = find_standstills(samples, speed)
+        length = float(np.diff(found, axis=1).sum()) * float(np.median(np.diff(samples.time)))
+        total += length / run.noise.correlation_time if length >= MIN_TOTAL else 0.0
+    return total
+
+
+def welch_satterthwaite(variances: Array, freedoms: Array) -> Array:
+    """Effective degrees of freedom of sums of variances (GUM G.4.1).
+
+    Parameters
+    ----------
+    variances : ndarray, shape (sources, n)
+    freedoms : ndarray, shape (sources,)
+        Infinite for contributions taken from specifications.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Infinite where nothing is uncertain.
+    """
+    share = variances / np.maximum(variances.sum(axis=0), 1e-300)
+    slack = np.sum(share**2 / freedoms[:, None], axis=0)
+    return np.asarray(1.0 / np.maximum(slack, 1e-300))
+
+
+def coverage_factor(freedom: float) -> float:
+    """Coverage factor for 95 %: Student's t for whole degrees of freedom (GUM G.4.1)."""
+    return float(stats.t.ppf(0.5 + 0.5 * COVERAGE, max(1.0, np.floor(freedom))))
