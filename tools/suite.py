@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""./otf test: lint, types, the core suite without ROS, the workspace suite with it."""
+"""./otf test: lint, types, the core suites without ROS, the workspace suite with it.
+
+The core suite proper is quick; whole simulated cells through whole pipelines are a suite of their
+own.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,7 @@ import workspace
 
 ROOT = Path(layout.ROOT)
 CORE_SUITE = 'src/otf_core/test'
+WHOLE_CELLS = f'{CORE_SUITE}/whole'
 NO_TESTS = 5  # pytest's exit code when nothing was collected
 
 # Runs with the variables of the core suite: fails if any part of ROS can be imported there.
@@ -52,7 +57,12 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
         Check('ruff format --check', [python, '-m', 'ruff', 'format', '--check'], core),
         Check('mypy', [python, '-m', 'mypy'], core),
         Check('no ROS for the core suite', [python, '-c', PROOF], core),
-        Check(f'pytest {CORE_SUITE}', [python, '-m', 'pytest', '-n', '2', CORE_SUITE], core),
+        Check(
+            f'pytest {CORE_SUITE}',
+            [python, '-m', 'pytest', '-n', '2', f'--ignore={WHOLE_CELLS}', CORE_SUITE],
+            core,
+        ),
+        Check(f'pytest {WHOLE_CELLS}', [python, '-m', 'pytest', '-n', '2', WHOLE_CELLS], core),
         Check('pytest tests', [node_python, '-m', 'pytest', 'tests'], workspace_env),
     ]
 
@@ -60,17 +70,23 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
 def chosen_checks(workspace_env: dict[str, str], arguments: list[str]) -> list[Check]:
     """Pytest only; a test file or folder among the arguments chooses the suite it belongs to."""
     paths = [word for word in arguments if Path(word.partition('::')[0]).exists()]
-    of_core = [word for word in paths if (ROOT / 'src/otf_core') in Path(word).resolve().parents]
     other = [word for word in arguments if word not in paths]
     checks = []
-    for check in all_checks(workspace_env)[-2:]:
-        mine = (
-            of_core if check.title.endswith(CORE_SUITE) else [w for w in paths if w not in of_core]
-        )
+    for check in all_checks(workspace_env)[-3:]:
+        mine = [absolute(word) for word in paths if suite_of(word) == check.command[-1]]
         if mine or not paths:
-            targets = [absolute(word) for word in mine] or check.command[-1:]
+            targets = mine or check.command[-1:]
             checks.append(Check(check.title, [*check.command[:-1], *other, *targets], check.env))
     return checks
+
+
+def suite_of(word: str) -> str:
+    """Suite that a test file or folder belongs to; the whole of core is the core suite."""
+    place = Path(absolute(word).partition('::')[0])
+    for suite in (WHOLE_CELLS, 'src/otf_core'):
+        if ROOT / suite == place or ROOT / suite in place.parents:
+            return suite if suite == WHOLE_CELLS else CORE_SUITE
+    return 'tests'
 
 
 def absolute(word: str) -> str:
