@@ -21,6 +21,7 @@ from otf_core.diagnosis.noise_check import check_noise
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.diagnosis.rows import Rows
 from otf_core.diagnosis.where import describe_structure, where_and_shape
+from otf_core.diagnosis.where_words import EVERYWHERE, NO_STRUCTURE
 from otf_core.effects import AppliedEffect
 from otf_core.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.io.effects_yaml import write_effects
@@ -116,12 +117,15 @@ def diagnose(
         > NO_GAP_SHARE * findings.simulated_um
     ):
         noise = check_noise(findings.rows, config.standstill_speed, exclude)
+    project, left = findings.rows.project, NO_STRUCTURE
+    if findings.causes:
+        left = describe_structure(run_views(names, findings), 'residual_after', project)
+        findings = replace(findings, left_has_place=left not in (NO_STRUCTURE, EVERYWHERE))
     diagnosis, findings = answer(names, findings, noise)
     views = run_views(names, findings)
-    project = findings.rows.project
     where, shape = where_and_shape(views, project=project)
     if findings.causes:
-        shape = describe_structure(views, 'residual_after', project)
+        shape = left
     diagnosis = replace(diagnosis, where=where, unexplained_where=shape)
     named = [
         part

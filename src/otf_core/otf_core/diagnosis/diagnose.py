@@ -53,6 +53,9 @@ PLAIN_GAP_SHARE = 0.6
 """The same for a residual without structure: the level of noise is known to ten percent only."""
 EXPLAINED_SHARE, KNOWN_SHARE = 0.3, 0.55
 """Share of the gap left (as amplitude) up to which it counts as explained; as known at all."""
+PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE = 0.1, 0.25
+"""The same where what is left has a place or a shape: a cause leaves noise, a wrong one a part of
+the true one."""
 FREE_OF_STRUCTURE = 1.2
 """Correlation of neighbouring pieces below which residuals count as noise."""
 NOISE_RANGE = (0.7, 1.4)
@@ -77,6 +80,8 @@ class Findings:
     considered : tuple of (name, log odds)
     structured : bool
         True if neighbouring pieces share more of the residual than noise explains.
+    left_has_place : bool
+        True if what the causes leave stands out somewhere.
     """
 
     rows: Rows
@@ -87,6 +92,7 @@ class Findings:
     visible: dict[str, Visibility]
     considered: tuple[tuple[str, float], ...]
     structured: bool = True
+    left_has_place: bool = False
 
 
 def _solved(
@@ -223,6 +229,9 @@ def verdict_of(findings: Findings) -> str:
     if decoyed(findings):
         return 'unknown'
     left = after if after > NO_GAP_SHARE * simulated else 0.0
-    if left > KNOWN_SHARE * before:
+    explained, known = EXPLAINED_SHARE, KNOWN_SHARE
+    if findings.left_has_place:
+        explained, known = PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE
+    if left > known * before:
         return 'unknown'
-    return 'explained' if left <= EXPLAINED_SHARE * before else 'partly_explained'
+    return 'explained' if left <= explained * before else 'partly_explained'

@@ -24,6 +24,9 @@ HALF = 0.5
 """Share of the excess from which a band of frequency is named."""
 FEWEST_PIECES = 0.01
 """Share of all pieces below which a group is not named in words."""
+NO_STRUCTURE = 'no structure beyond noise'
+EVERYWHERE = 'spread evenly over time, path, volume and beam'
+"""Shapes of a gap that has no place."""
 
 
 def _gap(group: Group) -> float:
@@ -111,13 +114,13 @@ def structure_words(total: Group, groups: Sequence[Group], found: Sequence[Struc
     found : sequence of Structure
     """
     if not stands_out(total, groups):
-        return 'no structure beyond noise'
+        return NO_STRUCTURE
     parts = [f'{s.words} ({100 * s.share:.0f} % of the excess)' for s in found]
     if sum(s.share for s in found) < MOSTLY:
         kinds = _kinds(groups)
         parts += _band_words(total, kinds.pop('frequency', []))
         parts += [_contrast_words(*pair) for pair in _largest(kinds, total.pieces)]
-    return '; '.join(parts) or 'spread evenly over time, path, volume and beam'
+    return '; '.join(parts) or EVERYWHERE
 
 
 def summary_words(total: Group, groups: Sequence[Group], shape: str) -> str:
