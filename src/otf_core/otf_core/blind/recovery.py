@@ -36,6 +36,8 @@ class Recovery:
     interval_percent : tuple of two floats
     achieved_percent : float
         Share of what the effects leave that the fitted causes really take away.
+    left_snr : float
+        Standard deviations at which a perfect observer tells the fitted causes from the truth.
     """
 
     cell: str
@@ -45,6 +47,7 @@ class Recovery:
     shrink_percent: float
     interval_percent: tuple[float, float]
     achieved_percent: float
+    left_snr: float = 0.0
 
     @property
     def covered(self) -> bool:
@@ -118,4 +121,5 @@ def recover(entry: Mapping[str, Any], answer: Mapping[str, Any], ruler: Ruler) -
         shrink_percent=gap['shrink_percent'],
         interval_percent=tuple(gap['shrink_interval_percent']),
         achieved_percent=float(100.0 * max(0.0, 1.0 - ruler.size(left) / before)),
+        left_snr=ruler.snr(left),
     )

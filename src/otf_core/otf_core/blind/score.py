@@ -18,6 +18,8 @@ GAP_TOLERANCE = 0.2
 SMALL_GAP_UM = 0.3
 CLOSE = (2.0, 3.0)
 """Standard uncertainties."""
+TOLD_APART = 10.0
+"""Standard deviations; the fitted parameters alone make up some five."""
 CONFIDENCE = ((0.0, 0.9), (0.9, 0.99), (0.99, 1.01))
 """Classes of the confidence stated."""
 
@@ -199,24 +201,31 @@ def report(
     return '\n\n'.join(texts)
 
 
-def leave_one_out_report(
-    outcomes: Sequence[Outcome], answers: Mapping[str, Mapping[str, Any]]
-) -> str:
-    """The table of a trial in which every effect was taken out of the catalogue."""
-    lines = []
-    blamed = 0
+def leave_one_out_report(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]) -> str:
+    """The table of a trial in which every effect was taken out of the catalogue.
+
+    A cause that leaves the trace of the hidden effect to within ``TOLD_APART`` is truly
+    indistinguishable from it in these data.
+    """
+    lines, wrong, alike = [], 0, 0
     seen = [o for o in outcomes if all(o.visible)]
     for o in outcomes:
-        causes = [c for c in answers[o.cell].get('causes', ()) if c['effect'] in o.named]
-        words = ', '.join(f'{c["effect"]} ({c["confidence"]:.2f})' for c in causes) or '-'
+        pairs = list(zip(o.named, o.confidence, strict=True))
+        words = ', '.join(f'{n} ({c:.2f})' for n, c in pairs) or '-'
         mark = '' if all(o.visible) else ' (invisible)'
-        confident = any(c['confidence'] >= CONFIDENT for c in causes)
-        blamed += confident and all(o.visible)
+        if all(o.visible) and any(c >= CONFIDENT for _, c in pairs):
+            apart = recovered[o.cell].left_snr if o.cell in recovered else np.inf
+            words += f'; told apart by {apart:.0f} standard deviations at best'
+            wrong += apart > TOLD_APART
+            alike += apart <= TOLD_APART
         truth = f'{o.truth[0]} {o.size_um[0]:.2f} um{mark}'
         lines.append(f'{o.cell} {truth:52s} -> {o.verdict}: {words}')
-    head = f'blamed on another with confidence: {_share(blamed, len(seen))}'
-    unknown = f'called unknown: {_share(_count(seen, "unknown"), len(seen))}'
-    return '\n'.join([head, unknown, '', *lines])
+    head = [
+        _line('blamed on another with confidence', wrong, len(seen)),
+        _line('the same, indistinguishable', alike, len(seen)),
+        _counted('called unknown', seen, 'unknown'),
+    ]
+    return '\n'.join([*head, '', *lines])
 
 
 def score_to_dict(

@@ -120,13 +120,13 @@ def run_leave_one_out(
     ]
     answers = ask_all(questions, folder, jobs, progress)
     outcomes: list[Outcome] = []
+    recovered: dict[str, Recovery] = {}
     for entry, question in zip(entries, questions, strict=True):
-        outcomes.append(outcome(entry, answers[WITHOUT, entry['cell']], question.exclude))
-    text = leave_one_out_report(outcomes, answers_of(answers))
+        answer = answers[WITHOUT, entry['cell']]
+        outcomes.append(outcome(entry, answer, question.exclude))
+        if outcomes[-1].named:
+            found = _recover(entry, answer)
+            recovered |= {entry['cell']: found} if found else {}
+    text = leave_one_out_report(outcomes, recovered)
     write_text(folder / 'score.txt', text + '\n')
     return text
-
-
-def answers_of(answers: dict[tuple[str, str], Answer]) -> dict[str, Answer]:
-    """Answers by cell alone."""
-    return {cell: answer for (_, cell), answer in answers.items()}
