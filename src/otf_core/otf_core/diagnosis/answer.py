@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.assess import Residuals, gap_um, shrink_interval, shrink_percent
-from otf_core.diagnosis.decoys import DECOY_NAMES
 from otf_core.diagnosis.diagnose import Findings, verdict_of
 from otf_core.diagnosis.noise_check import NoiseFinding
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Where
@@ -98,8 +97,6 @@ def _named_causes(findings: Findings) -> list[NamedCause]:
     named: list[NamedCause] = []
     for k, part in enumerate(fitted_causes(findings)):
         option = part.cause.option
-        if option.effect.name in DECOY_NAMES:
-            continue
         units = dict(zip(option.terms.names, option.terms.units, strict=True))
         units |= dict(zip(option.effect.shape_names, option.effect.shape_units, strict=True))
         parameters = {**option.shape, **dict(zip(part.names, part.value.tolist(), strict=True))}

@@ -15,7 +15,6 @@ from otf_core.calibrate import CalibrationResult, calibrate_prepared
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.answer import DiagnosisData, answer, fitted_causes, run_views
 from otf_core.diagnosis.assess import gap_um
-from otf_core.diagnosis.decoys import DECOY_NAMES
 from otf_core.diagnosis.diagnose import NO_GAP_SHARE, Findings, Twin, find
 from otf_core.diagnosis.noise_check import check_noise
 from otf_core.diagnosis.result import Diagnosis
@@ -127,11 +126,7 @@ def diagnose(
     if findings.causes:
         shape = left
     diagnosis = replace(diagnosis, where=where, unexplained_where=shape)
-    named = [
-        part
-        for part in fitted_causes(findings)
-        if part.cause.option.effect.name not in DECOY_NAMES
-    ]
+    named = fitted_causes(findings)
     applied = tuple(tuple(p.applied(k) for p in named) for k in range(len(recordings)))
     data = DiagnosisData(findings, views, _conditions(findings), applied)
     return diagnosis, data

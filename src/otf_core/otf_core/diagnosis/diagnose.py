@@ -70,7 +70,7 @@ class Findings:
     ----------
     rows : Rows
     causes : tuple of Cause
-        Named ones, in the order found.
+        Effects of the catalogue, in the order found.
     simulated_um : float
     steps : tuple of Residuals
         Without causes, with the first, with the first two ... (held out).
@@ -82,6 +82,8 @@ class Findings:
         True if neighbouring pieces share more of the residual than noise explains.
     left_has_place : bool
         True if what the causes leave stands out somewhere.
+    decoyed : bool
+        True if shapes outside the catalogue explain more than the causes.
     """
 
     rows: Rows
@@ -93,6 +95,7 @@ class Findings:
     considered: tuple[tuple[str, float], ...]
     structured: bool = True
     left_has_place: bool = False
+    decoyed: bool = False
 
 
 def _solved(
@@ -157,6 +160,11 @@ def find(
         progress('diagnosing', 0.8)
         simulated *= _noise_level(rows, found)
         causes, steps = _named(rows, found, simulated)
+        decoyed = _decoyed(causes, steps)
+        kept = [c for c in causes if c.option.effect.name not in DECOY_NAMES]
+        if len(kept) < len(causes):  # what a decoy takes away is not explained
+            causes = kept
+            steps = [residuals_with(rows, kept[:k]) for k in range(len(kept) + 1)]
         fitted = residuals_with(rows, causes, held_out=False)
     sight = {n: v for n, v in visible.items() if n not in DECOY_NAMES}
     return Findings(
@@ -168,6 +176,7 @@ def find(
         sight,
         tuple(considered),
         _structure(rows, rows.residual) > FREE_OF_STRUCTURE,
+        decoyed=decoyed,
     )
 
 
@@ -207,12 +216,10 @@ def _structure(rows: Rows, residual: Array) -> float:
     return noise_variance(rows, residual) / max(float(np.mean(residual**2)), 1.0)
 
 
-def decoyed(findings: Findings) -> bool:
+def _decoyed(causes: Sequence[Cause], steps: Sequence[Residuals]) -> bool:
     """Tell whether shapes outside the catalogue explain more than the effects named."""
     power = {True: 0.0, False: 0.0}
-    for cause, before, after in zip(
-        findings.causes, findings.steps[:-1], findings.steps[1:], strict=True
-    ):
+    for cause, before, after in zip(causes, steps[:-1], steps[1:], strict=True):
         own = cause.option.effect.name in DECOY_NAMES
         power[own] += max(0.0, before.rms_um**2 - after.rms_um**2)
     return power[True] > power[False]
@@ -223,11 +230,11 @@ def verdict_of(findings: Findings) -> str:
     simulated = findings.simulated_um
     before = gap_um(findings.steps[0].rms_um, simulated)
     after = gap_um(findings.steps[-1].rms_um, simulated)
+    if findings.decoyed:
+        return 'unknown'
     if not findings.causes:
         least = NO_GAP_SHARE if findings.structured else PLAIN_GAP_SHARE
         return 'none' if before < least * simulated else 'unknown'
-    if decoyed(findings):
-        return 'unknown'
     left = after if after > NO_GAP_SHARE * simulated else 0.0
     explained, known = EXPLAINED_SHARE, KNOWN_SHARE
     if findings.left_has_place:
