@@ -187,8 +187,16 @@ def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
     return digest.hexdigest()[:12]
 
 
-def _warnings(fit: Fit, unknowns: Unknowns, solution: Solution) -> list[str]:
+def _warnings(
+    fit: Fit, unknowns: Unknowns, solution: Solution, tables: ErrorTables, limit: float
+) -> list[str]:
     found = []
+    unsure = [m for m in MOTIONS if tables.motions[m].u.max() > limit]
+    if unsure:
+        found.append(
+            f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, with the '
+            f'misfit of the model counted'
+        )
     for name in MOTIONS:
         loose = ~solution.determined[unknowns.blocks[name]]
         if name in solution.accepted and loose.any():
@@ -355,9 +363,10 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
     budget = make_budget(runs, done, tables, config.standstill_speed)
     fit = _fit(runs, results, done, budget.inflation)
     covariance = budget.covariance
+    tables = with_uncertainty(tables, covariance)
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
-        tables=with_uncertainty(tables, covariance),
+        tables=tables,
         covariance=covariance,
         budget=budget,
         runs=tuple(results),
@@ -375,7 +384,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
             solved.choice.held,
         ),
         not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
-        warnings=tuple(_warnings(fit, unknowns, solution)),
+        warnings=tuple(_warnings(fit, unknowns, solution, tables, config.unidentifiable_above)),
         failed_gates=_failed_gates(fit),
         config=config,
     )
