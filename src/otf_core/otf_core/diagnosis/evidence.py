@@ -85,18 +85,17 @@ class Estimate:
     gain: float
 
 
-def log_evidence(white: Array, size: Array, residual: Array, variance: float) -> float:
+def log_evidence(normal: Array, right: Array, size: Array, variance: float) -> float:
     """Average over ``SPREADS`` of the Bayes factor, as a logarithm.
 
     Parameters
     ----------
-    white : ndarray, shape (r, k)
+    normal, right : ndarray, shape (k, k) and (k,)
+        E'E and E'y.
     size : ndarray, shape (k,), m
-    residual : ndarray, shape (r,)
     variance : float
         Of the noise left in the residual; 1 if it is as assumed.
     """
-    normal, right = white.T @ white, white.T @ residual
     scores = []
     for spread in SPREADS:
         width = spread / np.maximum(size, 1e-300)

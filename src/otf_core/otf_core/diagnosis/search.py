@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,8 @@ SAME_TRACE = 0.03
 """An effect that can leave all but this share of the squared trace of another is not told
 from it."""
 MAX_CAUSES = 4
+NEXT_TO_NOTHING = 1e-9
+"""Share of the largest squared singular value."""
 DECOY_DOUBT = 10.0
 """Evidence by which a shape outside the catalogue must be better than any effect in it."""
 
@@ -72,18 +75,46 @@ def fit_out(option: Option, residual: Array) -> Array:
     return residual - option.white @ fit.value
 
 
+class _Candidate:
+    """An option beside the causes found so far, by its products alone.
+
+    With Q an orthonormal basis of the columns of the causes and a residual y free of them, the
+    columns E less what Q can follow have the products E'E - (Q'E)'(Q'E) and E'y; no columns are
+    written again.
+    """
+
+    def __init__(self, option: Option) -> None:
+        self.option = option
+        self.normal = option.own.T @ option.own
+
+    def take_out(self, basis: Array) -> None:
+        """Leave out what further orthonormal columns (r, k) can follow."""
+        shared = basis.T @ self.option.own
+        self.normal = self.normal - shared.T @ shared
+
+
+Candidates = Mapping[str, Sequence[_Candidate]]
+
+
+def _products(candidates: Candidates, residual: Array) -> dict[str, list[Array]]:
+    """Return E'y of every candidate, for a residual free of the causes found."""
+    return {n: [c.option.own.T @ residual for c in group] for n, group in candidates.items()}
+
+
 def _ranking(
-    options: Mapping[str, Sequence[Option]], residual: Array, variance: float
+    candidates: Candidates, products: Mapping[str, Sequence[Array]], variance: float
 ) -> list[tuple[float, Option]]:
     """Score and best option of every effect, best first."""
     ranking = []
-    for group in options.values():
+    for name, group in candidates.items():
         if not group:
             continue
-        scores = [log_evidence(o.white, o.size, residual, variance) for o in group]
-        best = group[int(np.argmax(scores))]
-        doubt = DECOY_DOUBT if best.effect.name in DECOY_NAMES else 0.0
-        ranking.append((average(scores) - doubt, best))
+        scores = [
+            log_evidence(c.normal, right, c.option.size, variance)
+            for c, right in zip(group, products[name], strict=True)
+        ]
+        doubt = DECOY_DOUBT if group[0].option.effect.name in DECOY_NAMES else 0.0
+        ranking.append((average(scores) - doubt, group[int(np.argmax(scores))].option))
     return sorted(ranking, key=lambda pair: -pair[0])
 
 
@@ -95,7 +126,7 @@ def _same_trace(best: Option, other: Option, residual: Array) -> bool:
     return float(rest @ rest) < max(SAME_TRACE * power, 4.0)
 
 
-def _refined(option: Option, found: Sequence[Cause], rows: Rows, residual: Array) -> Option:
+def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Option:
     """Improve the shape of an option: its spectral line or length is only known to a raster."""
     name = option.effect.refine
     if not name:
@@ -106,11 +137,8 @@ def _refined(option: Option, found: Sequence[Cause], rows: Rows, residual: Array
         shape = {**option.shape, name: place}
         plain = rows.plain_columns(option.effect, shape)[:, option.take]
         own = rows.project(rows.whiten(plain))
-        white = own
-        for cause in found:
-            white = _reduced(cause.option.white, white)
-        return replace(
-            option, shape=shape, plain=plain, own=own, white=white, size=column_size(plain)
+        return _free_of(
+            basis, replace(option, shape=shape, plain=plain, own=own, size=column_size(plain))
         )
 
     def loss(logarithm: float) -> float:
@@ -139,62 +167,66 @@ def search(
         The ranking of the last round.
     """
     residual = rows.residual
-    remaining = {name: list(group) for name, group in options.items()}
+    basis = np.zeros((len(residual), 0))
+    candidates = {name: [_Candidate(o) for o in group] for name, group in options.items()}
     causes: list[Cause] = []
     considered: list[tuple[str, float]] = []
     while len(causes) < MAX_CAUSES:
-        first = _ranking(remaining, residual, 1.0)
+        products = _products(candidates, residual)
+        first = _ranking(candidates, products, 1.0)
         if not first:
             break
         # noise is judged on what the best candidate leaves: its own trace must not count as noise
-        variance = noise_variance(rows, fit_out(first[0][1], residual))
-        ranking = _ranking(remaining, residual, variance)
+        left = fit_out(_free_of(basis, first[0][1]), residual)
+        ranking = _ranking(candidates, products, noise_variance(rows, left))
         considered = [(o.effect.name, s) for s, o in ranking]
-        score, option = ranking[0]
-        if score < NEEDED_EVIDENCE:
+        if ranking[0][0] < NEEDED_EVIDENCE:
             break
-        option = _refined(option, causes, rows, residual)
-        close = [
-            o.effect.name
-            for s, o in ranking[1:]
-            if o.effect.name not in DECOY_NAMES
-            and (
-                s > score - CLOSE_EVIDENCE
-                or (s > NEEDED_EVIDENCE and _same_trace(option, o, residual))
-            )
-        ]
-        odds = np.array([0.0] + [s for s, _ in ranking])
-        confidence = float(np.exp(score - np.logaddexp.reduce(odds)))
+        causes.append(_cause(ranking, basis, rows, residual))
+        option = causes[-1].option
         name = option.effect.name
-        causes.append(
-            Cause(
-                option,
-                score,
-                confidence,
-                tuple(close[:4]),
-            )
-        )
-        group = remaining.pop(name)
+        group = candidates.pop(name)
         if option.effect.sample_resolution:  # each axis has a period of its own
-            remaining[name] = [o for o in group if not set(o.axes) & set(option.axes) and o.axes]
-        residual = _take_out(option, residual, remaining)
+            others = [c for c in group if c.option.axes]
+            candidates[name] = [c for c in others if not set(c.option.axes) & set(option.axes)]
+        taken = _orthonormal(option.white)
+        basis = np.concatenate([basis, taken], axis=1)
+        residual = residual - taken @ (taken.T @ residual)
+        for candidate in chain.from_iterable(candidates.values()):
+            candidate.take_out(taken)
     return causes, considered
 
 
-def _reduced(taken: Array, columns: Array) -> Array:
-    """Columns less what the columns of a cause can follow."""
-    normal = taken.T @ taken
-    ridge = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
-    return np.asarray(columns - taken @ np.linalg.solve(normal + ridge, taken.T @ columns))
+def _cause(
+    ranking: Sequence[tuple[float, Option]], basis: Array, rows: Rows, residual: Array
+) -> Cause:
+    """The first of a ranking as a cause, with what is not told from it."""
+    score = ranking[0][0]
+    option = _refined(_free_of(basis, ranking[0][1]), basis, rows, residual)
+    close = [
+        o.effect.name
+        for s, o in ranking[1:]
+        if o.effect.name not in DECOY_NAMES
+        and (
+            s > score - CLOSE_EVIDENCE
+            or (s > NEEDED_EVIDENCE and _same_trace(option, _free_of(basis, o), residual))
+        )
+    ]
+    odds = np.array([0.0] + [s for s, _ in ranking])
+    confidence = float(np.exp(score - np.logaddexp.reduce(odds)))
+    return Cause(option, score, confidence, tuple(close[:4]))
 
 
-def _take_out(option: Option, residual: Array, remaining: dict[str, list[Option]]) -> Array:
-    """Project an effect out of the residual and of all other effects."""
-    for name, group in remaining.items():
-        remaining[name] = [
-            replace(other, white=_reduced(option.white, other.white)) for other in group
-        ]
-    return _reduced(option.white, residual)
+def _free_of(basis: Array, option: Option) -> Option:
+    """Leave out of an option what the causes found so far, spanned by ``basis``, can follow."""
+    return replace(option, white=option.own - basis @ (basis.T @ option.own))
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Orthonormal basis of columns (r, k), those that are next to nothing left out."""
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    kept = values > NEXT_TO_NOTHING * values[-1]
+    return np.asarray(columns @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 
 def fit_jointly(causes: Sequence[Cause], rows: Rows) -> Estimate:
