@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,9 +126,14 @@ class _Tried:
     whole: Array
     white: Array
 
+    @cached_property
+    def size(self) -> Array:
+        """Root mean square of the columns where they act, shape (k,), m."""
+        return column_size(self.plain)
+
     def options(self) -> list[Option]:
         """Options for all terms that act, and for those of each axis."""
-        size = column_size(self.plain)
+        size = self.size
         found = []
         for subset in axis_subsets(self.terms):
             take = subset[size[subset] > NO_TRACE]
@@ -143,7 +149,7 @@ class _Tried:
 
     def visibility(self) -> Visibility:
         """How well the data see this shape."""
-        size = column_size(self.plain)
+        size = self.size
         acts = size > NO_TRACE
         if not acts.any():
             return Visibility(0.0, np.inf)

@@ -232,5 +232,6 @@ def rows_of(
 
 def column_size(plain: Array) -> Array:
     """Root mean square of columns (r, k) over the rows where they act at all, shape (k,)."""
-    acts = np.abs(plain) > 0.02 * np.abs(plain).max(axis=0, initial=1e-300)
-    return np.asarray(np.sqrt((plain**2).sum(axis=0) / np.maximum(acts.sum(axis=0), 1)))
+    square = plain**2
+    acts = square > 0.02**2 * square.max(axis=0, initial=1e-300)
+    return np.asarray(np.sqrt(square.sum(axis=0) / np.maximum(acts.sum(axis=0), 1)))
