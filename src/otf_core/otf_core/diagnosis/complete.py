@@ -119,7 +119,11 @@ def diagnose(
     project, left = findings.rows.project, NO_STRUCTURE
     if findings.causes:
         left = describe_structure(run_views(names, findings), 'residual_after', project)
-        findings = replace(findings, left_has_place=left not in (NO_STRUCTURE, EVERYWHERE))
+        rest = left
+        if findings.known_rest is not findings.fitted:
+            known = run_views(names, replace(findings, fitted=findings.known_rest))
+            rest = describe_structure(known, 'residual_after', project)
+        findings = replace(findings, left_has_place=rest not in (NO_STRUCTURE, EVERYWHERE))
     diagnosis, findings = answer(names, findings, noise)
     views = run_views(names, findings)
     where, shape = where_and_shape(views, project=project)

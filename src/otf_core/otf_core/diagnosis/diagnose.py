@@ -80,8 +80,13 @@ class Findings:
     considered : tuple of (name, log odds)
     structured : bool
         True if neighbouring pieces share more of the residual than noise explains.
+    known_um : float
+        Residual with every effect of the catalogue that the data speak for, too small ones to be
+        named included (held out), um.
+    known_rest : Residuals
+        The same, fitted to all legs.
     left_has_place : bool
-        True if what the causes leave stands out somewhere.
+        True if that rest stands out somewhere.
     decoyed : bool
         True if shapes outside the catalogue explain more than the causes.
     """
@@ -93,6 +98,8 @@ class Findings:
     fitted: Residuals
     visible: dict[str, Visibility]
     considered: tuple[tuple[str, float], ...]
+    known_um: float
+    known_rest: Residuals
     structured: bool = True
     left_has_place: bool = False
     decoyed: bool = False
@@ -166,6 +173,11 @@ def find(
             causes = kept
             steps = [residuals_with(rows, kept[:k]) for k in range(len(kept) + 1)]
         fitted = residuals_with(rows, causes, held_out=False)
+        known = [c for c in found if c.option.effect.name not in DECOY_NAMES]
+        known_um, rest = steps[-1].rms_um, fitted
+        if len(known) > len(causes):
+            known_um = min(known_um, residuals_with(rows, known).rms_um)
+            rest = residuals_with(rows, known, held_out=False)
     sight = {n: v for n, v in visible.items() if n not in DECOY_NAMES}
     return Findings(
         rows,
@@ -175,6 +187,8 @@ def find(
         fitted,
         sight,
         tuple(considered),
+        known_um,
+        rest,
         _structure(rows, rows.residual) > FREE_OF_STRUCTURE,
         decoyed=decoyed,
     )
@@ -235,10 +249,11 @@ def verdict_of(findings: Findings) -> str:
     if not findings.causes:
         least = NO_GAP_SHARE if findings.structured else PLAIN_GAP_SHARE
         return 'none' if before < least * simulated else 'unknown'
-    left = after if after > NO_GAP_SHARE * simulated else 0.0
     explained, known = EXPLAINED_SHARE, KNOWN_SHARE
     if findings.left_has_place:
         explained, known = PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE
-    if left > known * before:
+    beyond = gap_um(findings.known_um, simulated)
+    if beyond > max(known * before, NO_GAP_SHARE * simulated):
         return 'unknown'
+    left = after if after > NO_GAP_SHARE * simulated else 0.0
     return 'explained' if left <= explained * before else 'partly_explained'
