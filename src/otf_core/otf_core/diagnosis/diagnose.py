@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,7 @@ class Findings:
     structured : bool
         True if neighbouring pieces share more of the residual than noise explains.
     known_um : float
-        Residual with every effect of the catalogue that the data speak for, too small ones to be
+        Residual with the effects of the catalogue that the data speak for, too small ones to be
         named included (held out), um.
     known_rest : Residuals
         The same, fitted to all legs.
@@ -168,12 +169,14 @@ def find(
         simulated *= _noise_level(rows, found)
         causes, steps = _named(rows, found, simulated)
         decoyed = _decoyed(causes, steps)
-        kept = [c for c in causes if c.option.effect.name not in DECOY_NAMES]
+        kept = [c for c in causes if _in_catalogue(c)]
         if len(kept) < len(causes):  # what a decoy takes away is not explained
             causes = kept
             steps = [residuals_with(rows, kept[:k]) for k in range(len(kept) + 1)]
         fitted = residuals_with(rows, causes, held_out=False)
-        known = [c for c in found if c.option.effect.name not in DECOY_NAMES]
+        # what is found after a decoy lives on what that left
+        first = takewhile(_in_catalogue, found)
+        known = [*causes, *(c for c in first if all(c is not named for named in causes))]
         known_um, rest = steps[-1].rms_um, fitted
         if len(known) > len(causes):
             known_um = min(known_um, residuals_with(rows, known).rms_um)
@@ -230,12 +233,15 @@ def _structure(rows: Rows, residual: Array) -> float:
     return noise_variance(rows, residual) / max(float(np.mean(residual**2)), 1.0)
 
 
+def _in_catalogue(cause: Cause) -> bool:
+    return cause.option.effect.name not in DECOY_NAMES
+
+
 def _decoyed(causes: Sequence[Cause], steps: Sequence[Residuals]) -> bool:
     """Tell whether shapes outside the catalogue explain more than the effects named."""
     power = {True: 0.0, False: 0.0}
     for cause, before, after in zip(causes, steps[:-1], steps[1:], strict=True):
-        own = cause.option.effect.name in DECOY_NAMES
-        power[own] += max(0.0, before.rms_um**2 - after.rms_um**2)
+        power[not _in_catalogue(cause)] += max(0.0, before.rms_um**2 - after.rms_um**2)
     return power[True] > power[False]
 
 
