@@ -139,6 +139,9 @@ def choose(runs: Sequence[Run], done: JointSolution, config: CalibrationConfig) 
             choice = _chosen(left, held)
         # of equals the first counts: nothing is held where there is no reversal
         found.setdefault(float(left[choice.model].sum()), choice)
+        gains = [float(choice.evidence.get(f'gain_{model}', 1.0)) for model in MODELS]
+        if choice.model == 'none' and max(gains[1:]) <= 0.0:
+            break  # no reversal at all, so none that is held
     return found[min(found)]
 
 
