@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.assess import Residuals, gap_um, shrink_interval, shrink_percent
+from otf_core.diagnosis.assess import gap_um, shrink_interval, shrink_percent
 from otf_core.diagnosis.diagnose import Findings, verdict_of
 from otf_core.diagnosis.noise_check import NoiseFinding
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Where
-from otf_core.diagnosis.rows import name_in_run
 from otf_core.diagnosis.search import Cause, fit_jointly
 from otf_core.diagnosis.views import RunView
 from otf_core.effects import REGISTRY, AppliedEffect
@@ -71,10 +70,13 @@ class _Fitted:
     def applied(self, run: int) -> AppliedEffect:
         """The effect with its fitted parameters in one run."""
         option = self.cause.option
-        values = dict(zip(self.names, self.value.tolist(), strict=True))
-        if option.effect.own_per_run:
-            own = [n for n in option.terms.names if n == name_in_run(n.split(' (')[0], run)]
-            values = {n.split(' (')[0]: values[n] for n in own if n in values}
+        of_first = option.terms.columns.shape[2]  # what other runs have of their own comes after
+        place = option.take - of_first * (run if option.effect.own_per_run else 0)
+        values = {
+            option.terms.names[i]: float(value)
+            for i, value in zip(place, self.value, strict=True)
+            if 0 <= i < of_first
+        }
         return AppliedEffect(option.effect, {**option.shape, **values})
 
 
@@ -259,12 +261,11 @@ def answer(
 
 def run_views(names: Sequence[str], findings: Findings) -> tuple[RunView, ...]:
     """Plain arrays of every run for figures and words."""
-    rows, views, start = findings.rows, [], 0
-    for name, run, solved, state in zip(
-        names, rows.runs, rows.done.runs, rows.states, strict=True
+    rows, views = findings.rows, []
+    before, after = rows.by_run(findings.steps[0].rows), rows.by_run(findings.fitted.rows)
+    for name, run, solved, state, first, last in zip(
+        names, rows.runs, rows.done.runs, rows.states, before, after, strict=True
     ):
-        shape = solved.system.deviation.shape
-        stop = start + shape[0] * shape[1]
         views.append(
             RunView(
                 name=name,
@@ -275,15 +276,10 @@ def run_views(names: Sequence[str], findings: Findings) -> tuple[RunView, ...]:
                 speed=state.speed,
                 beam=state.beam,
                 axes=solved.system.axes,
-                residual_before=_part(findings.steps[0], start, stop, shape),
-                residual_after=_part(findings.fitted, start, stop, shape),
+                residual_before=first,
+                residual_after=last,
                 expected=solved.whitener.expected,
                 factors=solved.whitener.factors,
             )
         )
-        start = stop
     return tuple(views)
-
-
-def _part(residuals: Residuals, start: int, stop: int, shape: tuple[int, ...]) -> Array:
-    return residuals.rows[start:stop].reshape(shape)

@@ -46,15 +46,12 @@ class Residuals:
 
 
 def _per_piece(rows: Rows, values: Array) -> Residuals:
-    square, legs, start, offset = [], [], 0, 0
-    for run, solved in zip(rows.runs, rows.done.runs, strict=True):
-        shape = solved.system.deviation.shape
-        part = values[start : start + shape[0] * shape[1]].reshape(shape)
+    square, legs, offset = [], [], 0
+    for run, part in zip(rows.runs, rows.by_run(values), strict=True):
         square.append(np.sum(part**2, axis=0))
         number = np.unique(run.pieces.leg, return_inverse=True)[1]
         legs.append(number + offset)
         offset += int(number.max()) + 1
-        start += shape[0] * shape[1]
     return Residuals(np.concatenate(square), np.concatenate(legs), values)
 
 

@@ -9,7 +9,7 @@ remains of E once A is projected out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.budget.columns import piece_state
+from otf_core.budget.columns import across, piece_state
 from otf_core.diagnosis.samples import sample_state
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.joint import JointSolution, SolvedRun, summed, tables_of
@@ -92,8 +92,7 @@ class Rows:
                 columns = run.pieces.mean_of(effect.terms(self.sample_states[k], shape).columns)
             else:
                 columns = effect.terms(self.states[k], shape).columns
-            across = np.einsum('cij,ijk->cik', solved.system.axes, columns)
-            parts.append(across.reshape(-1, across.shape[2]))
+            parts.append(across(solved, columns).reshape(-1, columns.shape[2]))
         return linalg.block_diag(*parts) if effect.own_per_run else np.concatenate(parts)
 
     def terms(self, effect: Effect, shape: Shape) -> Terms:
@@ -107,14 +106,20 @@ class Rows:
             first.columns,
         )
 
+    def by_run(self, values: Array) -> Iterator[Array]:
+        """Values (r, ...) of the rows of every run, each of shape (c, p, ...)."""
+        start = 0
+        for solved in self.done.runs:
+            shape = solved.system.deviation.shape
+            stop = start + shape[0] * shape[1]
+            yield values[start:stop].reshape(*shape, *values.shape[1:])
+            start = stop
+
     def whiten(self, columns: Array) -> Array:
         """Whiten columns (r, k) of all runs."""
-        white, start = np.empty_like(columns), 0
-        for solved in self.done.runs:
-            stop = start + solved.system.deviation.size
-            white[start:stop] = _whitened(solved, columns[start:stop])
-            start = stop
-        return white
+        width = columns.shape[1]
+        parts = zip(self.done.runs, self.by_run(columns), strict=True)
+        return np.concatenate([_whitened(s, part.reshape(-1, width)) for s, part in parts])
 
     @cached_property
     def factor(self) -> Array:

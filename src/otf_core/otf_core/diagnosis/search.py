@@ -59,14 +59,8 @@ class Cause:
 
 def noise_variance(rows: Rows, residual: Array) -> float:
     """Variance of the noise left in residuals, correlation between pieces included."""
-    start, total = 0, []
-    for run in rows.runs:
-        count = len(run.pieces)
-        components = 3 if run.pieces.standstill else 2
-        part = residual[start : start + components * count].reshape(components, count)
-        total.append(check_residuals(part, run.pieces.leg, 0).inflation)
-        start += components * count
-    return float(np.mean(total))
+    parts = zip(rows.runs, rows.by_run(residual), strict=True)
+    return float(np.mean([check_residuals(p, r.pieces.leg, 0).inflation for r, p in parts]))
 
 
 def fit_out(option: Option, residual: Array) -> Array:
