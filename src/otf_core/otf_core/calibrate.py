@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -17,16 +17,16 @@ from otf_core.config import CalibrationConfig
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.machine import Machine
-from otf_core.noise import NoiseModel, sample_variance
+from otf_core.noise import Misfit, NoiseModel, sample_variance
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
 from otf_core.pieces import Pieces
 from otf_core.reversal import Reversal, reversal_tables
 from otf_core.reversal_choice import Choice, ReversalSolution, solve_with_reversal
 from otf_core.runs import Recording, Run, prepare_runs
-from otf_core.solution import Solution
 from otf_core.system import build_system
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, with_uncertainty
+from otf_core.tabulate import TableCost, mean_grid_uncertainty, tabulate
 from otf_core.threads import one_thread
 from otf_core.unknowns import Unknowns
 
@@ -68,7 +68,7 @@ class Fit:
     variance_ratio, correlation_factor : float
         See ``uncertainty.ResidualCheck``.
     inflation : float
-        Factor on the covariance: what these two give once the bend between nodes is taken off.
+        Factor on the covariance that these two call for.
     iterations : int
     """
 
@@ -101,7 +101,9 @@ class RunResult:
     samples : int
     T_machine_tracker : RigidTransform
     noise : NoiseModel
-        Noise of single samples as assumed in the solution.
+        Noise of single samples as the residuals show it.
+    misfit : Misfit
+        What the model leaves besides.
     coverage : float
         Driven share of the path length.
     pieces : Pieces
@@ -124,6 +126,7 @@ class RunResult:
     samples: int
     T_machine_tracker: RigidTransform
     noise: NoiseModel
+    misfit: Misfit
     coverage: float
     pieces: Pieces
     q: Array
@@ -151,6 +154,10 @@ class CalibrationResult:
     fit : Fit
     reversal : Reversal
         How the motions differ between forward and backward travel; ``tables`` hold the mean.
+    fraction : int
+        Nodes of the tables stand ``table_pitch / fraction`` apart.
+    table_costs : mapping of fraction to TableCost
+        What straight lines between the nodes cost, for 1 and for the fraction taken.
     not_identifiable : tuple of str
         Motions and squareness errors the data cannot see.
     warnings : tuple of str
@@ -166,6 +173,8 @@ class CalibrationResult:
     runs: tuple[RunResult, ...]
     fit: Fit
     reversal: Reversal
+    fraction: int
+    table_costs: Mapping[int, TableCost]
     not_identifiable: tuple[str, ...]
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
@@ -187,9 +196,7 @@ def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
     return digest.hexdigest()[:12]
 
 
-def _warnings(
-    fit: Fit, unknowns: Unknowns, solution: Solution, tables: ErrorTables, limit: float
-) -> list[str]:
+def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
     found = []
     unsure = [m for m in MOTIONS if tables.motions[m].u.max() > limit]
     if unsure:
@@ -197,11 +204,6 @@ def _warnings(
             f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, with the '
             f'misfit of the model counted'
         )
-    for name in MOTIONS:
-        loose = ~solution.determined[unknowns.blocks[name]]
-        if name in solution.accepted and loose.any():
-            where = ', '.join(f'{v:g}' for v in unknowns.nodes[name[2]][loose])
-            found.append(f'{name}: not determined at {where} m; interpolated there')
     if fit.coverage < 0.98:
         found.append(f'only {100 * fit.coverage:.1f} % of the path was recorded')
     if fit.outliers > 0.01 * fit.samples:
@@ -290,7 +292,8 @@ def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
         target_offset=run.machine.target_offset,
         samples=len(run.recording.samples),
         T_machine_tracker=solved.pose,
-        noise=run.noise,
+        noise=run.noise_and_misfit[0],
+        misfit=run.noise_and_misfit[1],
         coverage=run.alignment.coverage,
         pieces=run.pieces,
         q=solved.system.q,
@@ -359,11 +362,14 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
     runs, done = solved.runs, solved.done
     solution, unknowns = done.solution, done.unknowns
     results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
-    tables = tables_of(runs[0].machine, unknowns, solution)
-    budget = make_budget(runs, done, tables, config.standstill_speed)
+    machine = runs[0].machine
+    fine = tables_of(machine, unknowns, solution)
+    budget = make_budget(runs, done, fine, config.standstill_speed)
     fit = _fit(runs, results, done, budget.inflation)
+    table = tabulate(machine, done, mean_grid_uncertainty(machine, unknowns, budget.whole))
+    whole, budget = budget.whole, replace(budget, rows=table.rows)
     covariance = budget.covariance
-    tables = with_uncertainty(tables, covariance)
+    tables = with_uncertainty(table.tables, covariance)
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,
@@ -375,16 +381,18 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
             solved.choice.model,
             solved.choice.evidence,
             reversal_tables(
-                runs[0].machine,
+                tables,
                 unknowns,
                 solution.value,
-                budget.whole,
+                whole,
                 solution.accepted,
             ),
             solved.choice.held,
         ),
+        fraction=table.fraction,
+        table_costs=table.costs,
         not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
-        warnings=tuple(_warnings(fit, unknowns, solution, tables, config.unidentifiable_above)),
+        warnings=tuple(_warnings(fit, tables, config.unidentifiable_above)),
         failed_gates=_failed_gates(fit),
         config=config,
     )

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.drive_time import DriveTimes, leg_time
-from otf_core.forecast import Setup, covered_grid, free_rows, lay_out, tracker_pose
+from otf_core.evaluation import covered_grid, free_rows
+from otf_core.forecast import Setup, lay_out, tracker_pose
 from otf_core.machine import Machine
 from otf_core.normal import NormalEquations, Whitener, leg_bounds, sum_groups
 from otf_core.solution import TIE_BREAK, identifiable_blocks, smoothness

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.machine import Machine
+from otf_core.machine import AXES, Machine
 
 Array = NDArray[np.float64]
 
@@ -16,6 +18,19 @@ def lattice(machine: Machine, count: int = 7) -> Array:
     ends = zip(machine.lower, machine.upper, strict=True)
     grids = np.meshgrid(*(np.linspace(a, b, count) for a, b in ends), indexing='ij')
     return np.stack([g.ravel() for g in grids], axis=1)
+
+
+def covered_grid(machine: Machine, points: Array, count: int) -> Array:
+    """Lattice over the part of the axis ranges that points (n, 3) cover, m.
+
+    Beyond it tables are held constant: no noise tells how wrong that is.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    axes = {
+        a: replace(machine.axes[a], min=float(low[k]), max=float(high[k]))
+        for k, a in enumerate(AXES)
+    }
+    return lattice(replace(machine, axes=axes), count)
 
 
 def rigid_columns(q: Array) -> Array:
@@ -50,3 +65,10 @@ def without_rigid_motion(field: Array, q: Array) -> Array:
 def mean_length(field: Array) -> float:
     """Mean length of the vectors of a field (n, 3): the mean absolute error (MAE), m."""
     return float(np.linalg.norm(field, axis=1).mean())
+
+
+def free_rows(rows: Array, grid: Array) -> Array:
+    """Take the best-fitting rigid motion of the grid out of the columns (3 n, k)."""
+    basis, size, _ = np.linalg.svd(rigid_columns(grid).reshape(-1, 6), full_matrices=False)
+    rigid = basis[:, size > 1e-9 * size[0]]
+    return np.asarray(rows - rigid @ (rigid.T @ rows))

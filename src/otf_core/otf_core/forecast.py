@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig, ForecastConfig
 from otf_core.drive_time import DriveTimes, drive_times
-from otf_core.evaluation import lattice, rigid_columns
+from otf_core.evaluation import covered_grid, free_rows
 from otf_core.frames import RigidTransform
 from otf_core.machine import AXES, Machine
 from otf_core.noise import NoiseModel
@@ -259,26 +259,6 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
         pieces=pieces,
         duration=drive_times(plan, setup.config.acceleration).duration,
     )
-
-
-def covered_grid(machine: Machine, points: Array, count: int) -> Array:
-    """Lattice over the part of the axis ranges that points (n, 3) cover, m.
-
-    Beyond it tables are held constant: no noise tells how wrong that is.
-    """
-    low, high = points.min(axis=0), points.max(axis=0)
-    axes = {
-        a: replace(machine.axes[a], min=float(low[k]), max=float(high[k]))
-        for k, a in enumerate(AXES)
-    }
-    return lattice(replace(machine, axes=axes), count)
-
-
-def free_rows(rows: Array, grid: Array) -> Array:
-    """Take the best-fitting rigid motion of the grid out of the columns (3 n, k)."""
-    basis, size, _ = np.linalg.svd(rigid_columns(grid).reshape(-1, 6), full_matrices=False)
-    rigid = basis[:, size > 1e-9 * size[0]]
-    return np.asarray(rows - rigid @ (rigid.T @ rows))
 
 
 def grid_uncertainty(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -15,19 +15,25 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
 from otf_core.machine import Machine
+from otf_core.noise_fit import fit_noise
 from otf_core.normal import NormalEquations, Whitener, normal_equations
 from otf_core.pieces import GROSS, RAYLEIGH_MEDIAN
+from otf_core.roughness import Roughness, Search
 from otf_core.runs import Run, blamed
 from otf_core.solution import Solution, identifiable_blocks, solve
 from otf_core.system import System, build_system
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
-from otf_core.unknowns import Unknowns, pose_block
+from otf_core.unknowns import Unknowns, free_values, pose_block
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 MAX_REPETITIONS = 4
 """Repeated solutions; bad pieces bend the tables at first and hide others."""
+NOISE_SETTLED = 0.1
+"""Change of the logarithms of noise and misfit below which they count as settled."""
+FINE = 8
+"""Parts of an interval between knots in tables for use inside."""
 
 
 @dataclass(frozen=True)
@@ -58,35 +64,36 @@ class JointSolution:
     ----------
     unknowns : Unknowns
     solution : Solution
+    roughness : Roughness
     runs : tuple of SolvedRun
     iterations : int
     """
 
     unknowns: Unknowns
     solution: Solution
+    roughness: Roughness
     runs: tuple[SolvedRun, ...]
     iterations: int
 
 
-def tables_of(
-    machine: Machine, unknowns: Unknowns, solution: Solution, inflation: float = 1.0
-) -> ErrorTables:
-    """Error tables of a solution; ``inflation`` multiplies its covariance."""
-    u = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0) * inflation)
-    motions, squareness = {}, {}
+def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> ErrorTables:
+    """Error tables of a solution, fine enough for linear interpolation to cost nothing.
+
+    For use inside; what is written has the nodes of ``tabulate``.
+    """
+    cover, motions, squareness = solution.covariance, {}, {}
     for name in MOTIONS:
-        block = unknowns.blocks[name]
-        seen = name in solution.accepted
+        block, basis = unknowns.blocks[name], unknowns.bases[name[2]]
+        position = basis.finer(1 if basis.degree == 1 else FINE)
+        rows, seen = basis.matrix(position), name in solution.accepted
+        u = np.sqrt(np.maximum(np.einsum('ij,jk,ik->i', rows, cover[block, block], rows), 0.0))
         motions[name] = MotionTable(
-            unknowns.nodes[name[2]],
-            solution.value[block] + 0.0,
-            u[block] if seen else np.zeros(block.stop - block.start),
-            seen,
-            solution.determined[block],
+            position, rows @ solution.value[block] + 0.0, u if seen else 0.0 * u, seen
         )
     for name in SQUARENESS:
         place = unknowns.blocks[name].start
-        squareness[name] = Squareness(float(solution.value[place]), float(u[place]))
+        u_angle = float(np.sqrt(max(cover[place, place], 0.0)))
+        squareness[name] = Squareness(float(solution.value[place]), u_angle)
     return ErrorTables(machine, motions, squareness)
 
 
@@ -111,9 +118,13 @@ def summed(
 
 
 def solve_robustly(
-    runs: Sequence[Run], unknowns: Unknowns, config: CalibrationConfig, progress: Progress
+    runs: Sequence[Run],
+    unknowns: Unknowns,
+    config: CalibrationConfig,
+    progress: Progress,
+    start: Mapping[str, Array] | None = None,
 ) -> tuple[list[Run], JointSolution]:
-    """Solve, leave out pieces far from the solution, judge the floor, solve again.
+    """Solve, leave out pieces far from the solution, fit the noise, solve again.
 
     Bursts of bad samples longer than the window of the outlier test, and corners rounded beyond
     ``corner_exclusion``, show as pieces many robust standard deviations off.
@@ -121,22 +132,37 @@ def solve_robustly(
     Returns
     -------
     runs : list of Run
-        With the pieces that were kept and the floor of their uncertainty.
+        With the pieces that were kept, and noise and misfit as the residuals say them.
     solution : JointSolution
     """
     runs = list(runs)
     for _ in range(MAX_REPETITIONS):
-        done = solve_jointly(runs, unknowns, config, progress)
+        done = solve_jointly(runs, unknowns, config, progress, start)
+        start = done.roughness.logs
         drop = [_far_pieces(s, config.outlier_limit) for s in done.runs]
-        floors = [s.whitener.floor_seen(s.residual) for s in done.runs]
-        settled = all(f < 1.5 * r.floor for f, r in zip(floors, runs, strict=True))
-        if settled and not any(d.any() for d in drop):
+        fitted = [fitted_noise(r, s, done) for r, s in zip(runs, done.runs, strict=True)]
+        if not any(d.any() for d in drop) and all(
+            r.fitted is not None and np.abs(f - r.fitted).max() < NOISE_SETTLED
+            for f, r in zip(fitted, runs, strict=True)
+        ):
             return runs, done
         runs = [
-            replace(r, pieces=r.pieces.without(d), floor=f)
-            for r, d, f in zip(runs, drop, floors, strict=True)
+            replace(r, pieces=r.pieces.without(d), fitted=f, pose=s.pose)
+            for r, d, f, s in zip(runs, drop, fitted, done.runs, strict=True)
         ]
-    return runs, solve_jointly(runs, unknowns, config, progress)
+    return runs, solve_jointly(runs, unknowns, config, progress, start)
+
+
+def fitted_noise(run: Run, solved: SolvedRun, done: JointSolution) -> Array:
+    """What the residuals of one run say of noise and misfit, see ``noise_fit.fit_noise``."""
+    return fit_noise(
+        solved.system,
+        run.pieces,
+        solved.residual,
+        run.noise,
+        done.solution.covariance,
+        run.fitted,
+    )
 
 
 def _far_pieces(run: SolvedRun, limit: float) -> NDArray[np.bool_]:
@@ -150,8 +176,18 @@ def solve_jointly(
     unknowns: Unknowns,
     config: CalibrationConfig,
     progress: Progress,
+    start: Mapping[str, Array] | None = None,
 ) -> JointSolution:
     """Solve, move the poses, re-derive the positions on the paths; until nothing changes.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    unknowns : Unknowns
+    config : CalibrationConfig
+    progress : callable(stage, fraction)
+    start : mapping of motion to ndarray, optional
+        Roughness to start from, see ``roughness.Search.run``.
 
     Raises
     ------
@@ -160,6 +196,38 @@ def solve_jointly(
     """
     machine, limit = runs[0].machine, config.unidentifiable_above
     poses = [run.pose for run in runs]
+    whiteners, accepted = _weights_and_blocks(runs, unknowns, limit)
+    systems = _systems(runs, poses, unknowns, None)
+    normal = summed(systems, unknowns, whiteners)
+    rough = Search(normal, unknowns, accepted, limit).run(start)
+    solution = solve(normal, unknowns, limit, accepted, rough.precision)
+    left = _left(systems, solution)
+    change = np.inf
+    for iteration in range(2, config.max_iterations + 1):
+        motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
+        poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
+        solution = _without_poses(solution, unknowns, len(runs))
+        systems = _systems(runs, poses, unknowns, tables_of(machine, unknowns, solution))
+        solution = _improved(solution, unknowns, rough, systems, whiteners)
+        before, left = left, _left(systems, solution)
+        change = max(float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True))
+        progress('solving', iteration / (iteration + 1))
+        if change < config.alignment_stop:
+            solved = zip(poses, systems, whiteners, left, strict=True)
+            return JointSolution(
+                unknowns, solution, rough, tuple(SolvedRun(*parts) for parts in solved), iteration
+            )
+    names = ', '.join(run.recording.name for run in runs if run.recording.name)
+    raise InputError(
+        f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
+        f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
+    )
+
+
+def _weights_and_blocks(
+    runs: Sequence[Run], unknowns: Unknowns, limit: float
+) -> tuple[list[Whitener], tuple[str, ...]]:
+    """Weights of the rows of every run, and the blocks that they determine."""
     first = [
         build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
         for k, run in enumerate(runs)
@@ -167,28 +235,41 @@ def solve_jointly(
     whiteners = []
     for system, run in zip(first, runs, strict=True):
         with blamed(run.recording):
-            whiteners.append(Whitener(system, run.pieces, run.noise, run.floor))
-    accepted = identifiable_blocks(summed(first, unknowns, whiteners), unknowns, limit)
-    tables, rest, change = None, [np.inf] * len(runs), np.inf
-    for iteration in range(1, config.max_iterations + 1):
-        systems = _systems(runs, poses, unknowns, tables)
-        solution = solve(summed(systems, unknowns, whiteners), unknowns, limit, accepted)
-        tables = tables_of(machine, unknowns, solution)
-        motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
-        left = [
-            s.deviation - (s.design @ solution.value).reshape(s.deviation.shape) for s in systems
-        ]
-        change = max(float(np.abs(a - b).max()) for a, b in zip(left, rest, strict=True))
-        rest = left
-        progress('solving', iteration / (iteration + 1))
-        if change < config.alignment_stop:
-            solved = zip(poses, systems, whiteners, left, strict=True)
-            return JointSolution(
-                unknowns, solution, tuple(SolvedRun(*parts) for parts in solved), iteration
-            )
-        poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
-    names = ', '.join(run.recording.name for run in runs if run.recording.name)
-    raise InputError(
-        f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
-        f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
-    )
+            whiteners.append(Whitener(system, run.pieces, *run.noise_and_misfit))
+    return whiteners, identifiable_blocks(summed(first, unknowns, whiteners), unknowns, limit)
+
+
+def _left(systems: Sequence[System], solution: Solution) -> list[Array]:
+    return [
+        s.deviation - (s.design @ solution.value).reshape(s.deviation.shape) for s in systems
+    ]
+
+
+def _without_poses(solution: Solution, unknowns: Unknowns, runs: int) -> Solution:
+    value = solution.value.copy()
+    for k in range(runs):
+        value[unknowns.blocks[pose_block(k)]] = 0.0
+    return replace(solution, value=value)
+
+
+def _improved(
+    solution: Solution,
+    unknowns: Unknowns,
+    rough: Roughness,
+    systems: Sequence[System],
+    whiteners: Sequence[Whitener],
+) -> Solution:
+    """One Newton step with the normal matrix of the first iteration, which hardly changes.
+
+    With C the covariance of the solution and K^-1 the precision of the prior, the estimates x
+    move by C (A^T W (y - A x) - K^-1 x).
+    """
+    pull = np.zeros(unknowns.full)
+    for system, whitener, rest in zip(
+        systems, whiteners, _left(systems, solution), strict=True
+    ):
+        pull += system.design.T @ whitener.weighted(rest).reshape(-1)
+    free = free_values(unknowns, solution.value)
+    step = unknowns.gauge.T @ pull - rough.precision @ free
+    lifted = free_values(unknowns, solution.covariance.T).T  # C as full by free
+    return replace(solution, value=solution.value + lifted @ step)

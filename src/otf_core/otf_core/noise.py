@@ -17,10 +17,18 @@ from numpy.typing import NDArray
 from otf_core.machine import TrackerSpec
 
 Array = NDArray[np.float64]
+Windows = tuple[Array, Array, NDArray[np.int64]]
+"""Mean time, duration (s) and number of samples of pieces."""
 
 TYPICAL_WHITE_SHARE = 0.5
 TYPICAL_CORRELATION_TIME = 0.3
 """Taken where a run has too little standstill to tell: real trackers show 0.1 s to 0.5 s."""
+
+
+MODEL_FLOOR = 5e-8
+"""m; independent uncertainty of every piece at least: tables are not better than that."""
+MISFIT_TIME = 3.0
+"""s; about a line of the path."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,45 @@ class NoiseModel:
     def from_spec(cls, spec: TrackerSpec) -> NoiseModel:
         """Levels as specified in machine.yaml, colour as typical."""
         return cls(spec.u_range, spec.u_angle)
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What the model leaves besides the noise of the tracker, alike in all directions.
+
+    Attributes
+    ----------
+    independent : float
+        m, of every piece on its own.
+    slow : float
+        m, correlated over ``MISFIT_TIME``: shared by the pieces of a line.
+    """
+
+    independent: float = MODEL_FLOOR
+    slow: float = 0.0
+
+
+WHITE, SLOW, TIME, INDEPENDENT, LASTING = range(5)
+"""Places of five logarithms: factors on the white and on the slow variance of the tracker's noise,
+its correlation time (s), variances of the misfit (m^2)."""
+
+
+def scaled(noise: NoiseModel, logs: Array) -> NoiseModel:
+    """Noise with its white and slow variances multiplied and another correlation time."""
+    white, slow = np.exp(logs[WHITE]), np.exp(logs[SLOW])
+
+    def level(u: float, share: float) -> tuple[float, float]:
+        own, rest = u**2 * share * white, u**2 * (1.0 - share) * slow
+        return float(np.sqrt(own + rest)), float(own / max(own + rest, 1e-300))
+
+    u_range, white_range = level(noise.u_range, noise.white_range)
+    u_angle, white_angle = level(noise.u_angle, noise.white_angle)
+    return NoiseModel(u_range, u_angle, white_range, white_angle, float(np.exp(logs[TIME])))
+
+
+def misfit_of(logs: Array) -> Misfit:
+    """Misfit for the logarithms of its variances."""
+    return Misfit(float(np.exp(0.5 * logs[INDEPENDENT])), float(np.exp(0.5 * logs[LASTING])))
 
 
 def path_frame(direction: Array, beam: Array) -> tuple[Array, Array]:
@@ -106,6 +153,40 @@ def beam_shares(distance: Array, beam: Array, axes: Array) -> tuple[Array, Array
 def sample_variance(noise: NoiseModel, along: Array, across: Array) -> Array:
     """Variance of single samples, shape (2, p), m^2, for the shares of ``beam_shares``."""
     return (noise.u_range * along) ** 2 + (noise.u_angle * across) ** 2
+
+
+def covariance_parts(
+    noise: NoiseModel, misfit: Misfit, shares: tuple[Array, Array], windows: Windows
+) -> tuple[Array, Array, Array, Array]:
+    """Covariance of the pieces of a line in one component, part by part.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+    misfit : Misfit
+    shares : two ndarrays, shape (m,)
+        Of range and angle noise, see ``beam_shares``.
+    windows : tuple of time, duration (s) and count, each of shape (m,)
+        See ``mean_covariance``.
+
+    Returns
+    -------
+    white, slow : ndarray, shape (m, m), m^2
+        Noise of the tracker.
+    independent, lasting : ndarray, shape (m, m), m^2
+        The parts of the misfit.
+    """
+    time, duration, count = windows
+    weights = (noise.u_range * shares[0], noise.u_angle * shares[1])
+    whites = (noise.white_range, noise.white_angle)
+    white = sum(w * g**2 for w, g in zip(whites, weights, strict=True)) / count
+    slow = mean_covariance(0.0, noise.correlation_time, time, duration, count)
+    slow *= sum((1.0 - w) * np.outer(g, g) for w, g in zip(whites, weights, strict=True))
+    lasting = np.zeros_like(slow)
+    if misfit.slow:
+        lasting = misfit.slow**2 * mean_covariance(0.0, MISFIT_TIME, time, duration, count)
+    independent = misfit.independent**2 * np.eye(len(time))
+    return np.diag(white), slow, independent, lasting
 
 
 def mean_covariance(

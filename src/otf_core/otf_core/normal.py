@@ -16,23 +16,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 
 from otf_core.errors import InputError
-from otf_core.noise import NoiseModel, mean_covariance
+from otf_core.noise import Misfit, NoiseModel, covariance_parts
 from otf_core.pieces import Pieces
 from otf_core.system import System
 from otf_core.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 
-MODEL_FLOOR = 5e-8
-"""m; independent uncertainty of every piece at least: tables are not better than that."""
-COHERENCE = 5.0
-"""Found by simulating smooth errors between nodes: from here on the tables are as good as those
-of plain least squares, which such shapes disturb less (docs/uncertainty.md)."""
-SIGNIFICANT = 4.0
-"""Standard deviations."""
+NO_MISFIT = Misfit()
 
 
 @dataclass(frozen=True)
@@ -81,47 +75,21 @@ class Whitener:
         Its noise shares are used; they change little from iteration to iteration.
     pieces : Pieces
     noise : NoiseModel
-    floor : float
-        m; independent uncertainty of every piece besides the noise.
+    misfit : Misfit
     """
 
     def __init__(
-        self, system: System, pieces: Pieces, noise: NoiseModel, floor: float = MODEL_FLOOR
+        self, system: System, pieces: Pieces, noise: NoiseModel, misfit: Misfit = NO_MISFIT
     ) -> None:
         self.bounds = leg_bounds(pieces.leg)
-        self.floor = floor
-        self._step_variance = np.zeros(system.deviation.shape)
         self._factors = [
             [
-                self._factor(system, pieces, noise, component, slice(low, high))
+                _factor(leg_covariance(system, pieces, noise, misfit, component, low, high), leg)
                 for component in range(len(system.deviation))
             ]
             for low, high in self.bounds
+            for leg in [int(pieces.leg[low])]
         ]
-
-    def _factor(
-        self, system: System, pieces: Pieces, noise: NoiseModel, component: int, part: slice
-    ) -> Array:
-        window = (pieces.time[part], pieces.duration[part], pieces.count[part])
-        total = np.eye(part.stop - part.start) * self.floor**2
-        for level, white, share in (
-            (noise.u_range, noise.white_range, system.along[component, part]),
-            (noise.u_angle, noise.white_angle, system.across[component, part]),
-        ):
-            weight = level * share
-            total += mean_covariance(white, noise.correlation_time, *window) * np.outer(
-                weight, weight
-            )
-        own = np.diag(total)
-        step = own[1:] + own[:-1] - 2.0 * np.diag(total, 1)
-        self._step_variance[component, part.start + 1 : part.stop] = step
-        try:
-            return np.asarray(cholesky(total, lower=True, check_finite=False))
-        except LinAlgError:
-            raise InputError(
-                f'leg {pieces.leg[part.start]} of the path: its samples belong to two passes; '
-                f'path and track do not agree there'
-            ) from None
 
     @property
     def factors(self) -> tuple[tuple[Array, ...], ...]:
@@ -131,37 +99,10 @@ class Whitener:
     @property
     def expected(self) -> Array:
         """Standard deviation of the noise of every piece, shape (c, p), m."""
-        result = np.empty_like(self._step_variance)
-        for (low, high), leg in zip(self.bounds, self._factors, strict=True):
-            for component, factor in enumerate(leg):
-                result[component, low:high] = np.linalg.norm(factor, axis=1)
-        return result
-
-    def floor_seen(self, residual: Array) -> float:
-        """Independent uncertainty of pieces that the residuals call for, m.
-
-        Neighbouring pieces of a leg differ by the fast part of the noise, which is known; what
-        they differ by beyond it is the shape of errors that the tables cannot follow. Such
-        shapes repeat on every line, so they bend the tables more than noise of that size does:
-        they are weighted down ``COHERENCE`` times.
-
-        Parameters
-        ----------
-        residual : ndarray, shape (c, p), m
-        """
-        inside = self._step_variance > 0
-        if not inside.any():  # stops: no two pieces of one leg
-            return self.floor
-        step = np.zeros_like(residual)
-        step[:, 1:] = np.diff(residual, axis=1)
-        excess = 0.5 * (step[inside] ** 2 - self._step_variance[inside])
-        excess = np.minimum(excess, 20 * np.mean(np.abs(excess)))
-        mean = float(np.mean(excess))
-        if mean < SIGNIFICANT * float(np.std(excess)) / np.sqrt(excess.size):
-            return self.floor
-        return float(
-            np.hypot(MODEL_FLOOR, COHERENCE * np.sqrt((self.floor / COHERENCE) ** 2 + mean))
-        )
+        return np.stack([
+            np.concatenate([np.linalg.norm(leg[c], axis=1) for leg in self._factors])
+            for c in range(len(self._factors[0]))
+        ])  # fmt: skip
 
     def leg_rows(self, leg: int, component: int, rows: Array) -> Array:
         """Whiten the rows (m, k) of one component of one leg."""
@@ -176,6 +117,56 @@ class Whitener:
                 part = values[component, low:high]
                 result[component, low:high] = self.leg_rows(leg, component, part)
         return result
+
+
+    def weighted(self, values: Array) -> Array:
+        """Multiply values (c, p, ...) by the inverse covariance of the noise."""
+        result = np.empty_like(values)
+        for (low, high), leg in zip(self.bounds, self._factors, strict=True):
+            for component, factor in enumerate(leg):
+                part = values[component, low:high]
+                result[component, low:high] = cho_solve((factor, True), part, check_finite=False)
+        return result
+
+
+def leg_parts(
+    system: System,
+    pieces: Pieces,
+    noise: NoiseModel,
+    misfit: Misfit,
+    component: int,
+    low: int,
+    high: int,
+) -> tuple[Array, Array, Array, Array]:
+    """Parts of the covariance of successive pieces of one leg; see ``noise.covariance_parts``."""
+    part = slice(low, high)
+    shares = (system.along[component, part], system.across[component, part])
+    windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
+    return covariance_parts(noise, misfit, shares, windows)
+
+
+def leg_covariance(
+    system: System,
+    pieces: Pieces,
+    noise: NoiseModel,
+    misfit: Misfit,
+    component: int,
+    low: int,
+    high: int,
+) -> Array:
+    """Covariance of successive pieces of one leg in one component, shape (m, m), m^2."""
+    parts = leg_parts(system, pieces, noise, misfit, component, low, high)
+    return np.asarray(sum(parts))
+
+
+def _factor(covariance: Array, leg: int) -> Array:
+    try:
+        return np.asarray(cholesky(covariance, lower=True, check_finite=False))
+    except LinAlgError:
+        raise InputError(
+            f'leg {leg} of the path: its samples belong to two passes; '
+            f'path and track do not agree there'
+        ) from None
 
 
 def leg_bounds(leg: NDArray[np.int64]) -> list[tuple[int, int]]:

@@ -27,7 +27,7 @@ from otf_core.effects.direction_dependent_tables import (
 from otf_core.effects.position import scaled_position
 from otf_core.effects.state import state_of_travel
 from otf_core.machine import AXES, Machine
-from otf_core.tables import MOTIONS
+from otf_core.tables import MOTIONS, ErrorTables
 from otf_core.unknowns import Unknowns, reversal_block
 
 Array = NDArray[np.float64]
@@ -117,7 +117,7 @@ def reversal_columns(
 
 
 def reversal_tables(
-    machine: Machine,
+    tables: ErrorTables,
     unknowns: Unknowns,
     estimate: Array,
     covariance: Array,
@@ -127,7 +127,8 @@ def reversal_tables(
 
     Parameters
     ----------
-    machine : Machine
+    tables : ErrorTables
+        With the nodes.
     unknowns : Unknowns
     estimate, covariance : ndarray, shape (full,) and (full, full), m and rad
     accepted : collection of str
@@ -135,9 +136,10 @@ def reversal_tables(
     """
     if not unknowns.reversal:
         return {}
-    orders, tables = range(unknowns.reversal), {}
+    orders, found = range(unknowns.reversal), {}
+    machine = tables.machine
     for motion in MOTIONS:
-        nodes, axis = unknowns.nodes[motion[2]], AXES.index(motion[2])
+        nodes, axis = tables.motions[motion].position, AXES.index(motion[2])
         q = np.tile(machine.lower, (len(nodes), 1))
         q[:, axis] = nodes
         place = scaled_position(state_of_travel(machine, q, np.zeros_like(q)))[:, axis]
@@ -145,10 +147,10 @@ def reversal_tables(
         index = [unknowns.blocks[n].start for n in names]
         along = polynomials(place, unknowns.reversal - 1)
         variance = np.einsum('ij,jk,ik->i', along, covariance[np.ix_(index, index)], along)
-        tables[motion] = ReversalTable(
+        found[motion] = ReversalTable(
             nodes,
             along @ estimate[index] + 0.0,
             np.sqrt(np.maximum(variance, 0.0)),
             any(n in accepted for n in names),
         )
-    return tables
+    return found

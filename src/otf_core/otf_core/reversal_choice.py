@@ -29,8 +29,10 @@ from otf_core.effects.state import state_of_travel
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.normal import sum_groups
 from otf_core.reversal import MODELS
+from otf_core.roughness import TRACE
 from otf_core.runs import Run
-from otf_core.solution import TRACE, estimate, free_columns, identifiable_blocks, smoothness
+from otf_core.shape_choice import choose_shapes
+from otf_core.solution import estimate, free_columns, identifiable_blocks
 from otf_core.system import System, build_system
 from otf_core.unknowns import Unknowns, is_reversal, layout, reversal_order
 
@@ -94,12 +96,17 @@ def solve_with_reversal(
     config : CalibrationConfig
     progress : callable(stage, fraction)
     """
-    kept, done = solve_robustly(runs, layout(nodes, len(runs)), config, progress)
+    shapes = choose_shapes(runs, nodes, config, progress)
+    plain = layout(shapes.bases, len(runs))
+    kept, done = solve_robustly(shapes.runs, plain, config, progress, shapes.start)
     choice = choose(kept, done, config)
     if choice.model == 'none':
         return ReversalSolution(kept, done, choice)
-    unknowns = layout(nodes, len(runs), MODELS[choice.model], held=choice.held)
-    return ReversalSolution(*solve_robustly(runs, unknowns, config, progress), choice)
+    unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)
+    start = done.roughness.logs
+    return ReversalSolution(
+        *solve_robustly(shapes.runs, unknowns, config, progress, start), choice
+    )
 
 
 def choose(runs: Sequence[Run], done: JointSolution, config: CalibrationConfig) -> Choice:
@@ -184,7 +191,7 @@ def _held_out_squares(
     runs: Sequence[Run], done: JointSolution, fold: Sequence[Index], limit: float, held: bool
 ) -> dict[str, Array]:
     """Squared whitened residual of every leg under every model fitted to the other folds."""
-    unknowns = layout(done.unknowns.nodes, len(runs), max(MODELS.values()), held=held)
+    unknowns = layout(done.unknowns.bases, len(runs), max(MODELS.values()), held=held)
     tables = tables_of(runs[0].machine, done.unknowns, done.solution)
     systems = [
         build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
@@ -208,10 +215,11 @@ def _held_out_squares(
     }
     width = rivals[0].shape[2]
     columns[RIVAL.name] = np.append(columns['none'], unknowns.free + np.arange(width))
-    smooth = block_diag(smoothness(unknowns), TRACE * np.eye(width))
+    loose = unknowns.free - done.unknowns.free + width
+    prior = block_diag(done.roughness.precision, TRACE / limit**2 * np.eye(loose))
     left = {}
     for model, use in columns.items():
-        values = [estimate(total.less(part), use, smooth, limit) for part in parts]
+        values = [estimate(total.less(part), use, prior) for part in parts]
         squares = [
             _squares(system, solved, group, rival, unknowns, np.stack(values, axis=1))
             for system, solved, group, rival in zip(systems, done.runs, fold, rivals, strict=True)

@@ -16,8 +16,7 @@ from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.frames import RigidTransform
 from otf_core.machine import AXES, Machine
 from otf_core.matching import OFF_PATH
-from otf_core.noise import NoiseModel
-from otf_core.normal import MODEL_FLOOR
+from otf_core.noise import Misfit, NoiseModel, misfit_of, scaled
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
 from otf_core.pieces import Pieces, reduce_to_pieces
@@ -73,8 +72,9 @@ class Run:
     pose : RigidTransform
         Tracker to machine, fitted rigidly.
     noise : NoiseModel
-    floor : float
-        m; independent uncertainty of every piece besides the noise.
+        As the standstills of the run show it, else as specified.
+    fitted : ndarray, shape (5,), optional
+        What the residuals say of noise and misfit, see ``noise_fit.fit_noise``.
     """
 
     recording: Recording
@@ -82,7 +82,14 @@ class Run:
     pieces: Pieces
     pose: RigidTransform
     noise: NoiseModel
-    floor: float = MODEL_FLOOR
+    fitted: Array | None = None
+
+    @property
+    def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:
+        """Noise of single samples, and what the model leaves besides: as far as is known."""
+        if self.fitted is None:
+            return self.noise, Misfit()
+        return scaled(self.noise, self.fitted), misfit_of(self.fitted)
 
     @property
     def machine(self) -> Machine:

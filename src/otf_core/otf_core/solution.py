@@ -2,10 +2,9 @@
 """Rank-revealing solution of the normal equations (paper 1.2.6, 1.2.7).
 
 The normal matrix is reduced motion by motion: a block of columns that the accepted ones leave
-without information is dropped and its motion reported as not identifiable. Single nodes that
-stay undetermined are interpolated from their neighbours by a vanishing smoothness condition and
-reported too. 'Undetermined' has a physical meaning: the data leave more than
-``unidentifiable_above`` (m, rad) uncertain.
+without information is dropped and its motion reported as not identifiable. 'Undetermined' has a
+physical meaning: the data leave more than ``unidentifiable_above`` (m, rad) uncertain. What
+single places of an accepted motion lack in data, its smoothness supplies (``roughness``).
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ Array = NDArray[np.float64]
 
 TIE_BREAK = 1e-2
 """Weight of the smoothness condition, in units of 1 / unidentifiable_above^2."""
-TRACE = 1e-2
+SIZE = 1e-2
 """Weight of the size of the values beside that of their second differences."""
 
 
@@ -37,10 +36,9 @@ class Solution:
     ----------
     value : ndarray, shape (full,), m and rad
     covariance : ndarray, shape (full, full)
-        For the noise assumed in the normal equations.
+        For the noise assumed in the normal equations and the prior.
     accepted : tuple of str
         Blocks that were solved for; all others are zero.
-    determined : ndarray of bool, shape (full,)
     unknowns : int
         Free unknowns after the gauge.
     rank : int
@@ -50,13 +48,12 @@ class Solution:
     value: Array
     covariance: Array
     accepted: tuple[str, ...]
-    determined: NDArray[np.bool_]
     unknowns: int
     rank: int
 
 
 def smoothness(unknowns: Unknowns) -> Array:
-    """Tie-breaker: squared second differences of the tables, and a trace of size."""
+    """Tie-breaker where no roughness is known: squared second differences, a trace of size."""
     total = np.zeros((unknowns.full, unknowns.full))
     for name, block in unknowns.blocks.items():
         count = block.stop - block.start
@@ -64,7 +61,7 @@ def smoothness(unknowns: Unknowns) -> Array:
             bend = np.diff(np.eye(count), 2, axis=0)
             total[block, block] = bend.T @ bend
     gauge = unknowns.gauge.toarray()
-    return np.asarray(gauge.T @ total @ gauge + TRACE * np.eye(unknowns.free))
+    return np.asarray(gauge.T @ total @ gauge + SIZE * np.eye(unknowns.free))
 
 
 def identifiable_blocks(
@@ -117,9 +114,7 @@ def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> NDArray[np.int64]
     return np.concatenate([np.arange(part.start, part.stop) for part in parts])
 
 
-def estimate(
-    normal: NormalEquations, use: NDArray[np.int64], smooth: Array, limit: float
-) -> Array:
+def estimate(normal: NormalEquations, use: NDArray[np.int64], prior: Array) -> Array:
     """Solve for some columns of normal equations, all others zero; see ``solve``.
 
     Parameters
@@ -127,23 +122,26 @@ def estimate(
     normal : NormalEquations
         Of k columns.
     use : ndarray of int, shape (m,)
-    smooth : ndarray, shape (k, k)
-        As of ``smoothness``.
-    limit : float
+    prior : ndarray, shape (k, k), 1 / (m, rad)^2
 
     Returns
     -------
     ndarray, shape (k,), m and rad
     """
     place = np.ix_(use, use)
-    data = normal.matrix[place] * limit**2 + TIE_BREAK * smooth[place]
     value = np.zeros(len(normal.right))
-    value[use] = linalg.solve(data, normal.right[use] * limit, assume_a='pos') * limit
+    value[use] = linalg.solve(
+        normal.matrix[place] + prior[place], normal.right[use], assume_a='pos'
+    )
     return value
 
 
 def solve(
-    normal: NormalEquations, unknowns: Unknowns, limit: float, accepted: tuple[str, ...]
+    normal: NormalEquations,
+    unknowns: Unknowns,
+    limit: float,
+    accepted: tuple[str, ...],
+    prior: Array,
 ) -> Solution:
     """Solve in the gauge of ``unknowns``.
 
@@ -155,25 +153,24 @@ def solve(
         m and rad; ``unidentifiable_above``.
     accepted : tuple of str
         Blocks to solve for.
+    prior : ndarray, shape (free, free), 1 / (m, rad)^2
+        Inverse covariance before any data, see ``roughness.Roughness``.
 
     Returns
     -------
     Solution
     """
-    matrix, right = normal.matrix * limit**2, normal.right * limit
-    smooth = smoothness(unknowns)
     use = free_columns(unknowns, accepted)
-    data = matrix[np.ix_(use, use)]
-    factor = linalg.cho_factor(data + TIE_BREAK * smooth[np.ix_(use, use)], lower=True)
+    data = normal.matrix[np.ix_(use, use)] * limit**2
+    weight = data + prior[np.ix_(use, use)] * limit**2
+    factor = linalg.cho_factor(weight, lower=True)
     free = np.zeros(unknowns.free)
-    free[use] = linalg.cho_solve(factor, right[use])
+    free[use] = linalg.cho_solve(factor, normal.right[use] * limit)
     cover = np.zeros((unknowns.free, unknowns.free))
     cover[np.ix_(use, use)] = linalg.cho_solve(factor, np.eye(use.size))
     gauge = unknowns.gauge
-    value = gauge @ free * limit
     covariance = gauge @ (gauge @ cover).T
-    determined = np.diag(covariance) <= 1.0
-    for name, block in unknowns.blocks.items():
-        determined[block] &= name in accepted
     rank = int(np.sum(linalg.eigvalsh(data) > 1.0))
-    return Solution(value, covariance * limit**2, accepted, determined, unknowns.free, rank)
+    return Solution(
+        gauge @ free * limit, covariance * limit**2, accepted, unknowns.free, rank
+    )

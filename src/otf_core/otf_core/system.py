@@ -20,7 +20,7 @@ from otf_core.noise import beam_shares, path_frame
 from otf_core.pieces import Pieces
 from otf_core.reversal import reversal_columns
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
-from otf_core.unknowns import Unknowns, interval, pose_block
+from otf_core.unknowns import Unknowns, pose_block
 
 Array = NDArray[np.float64]
 
@@ -119,15 +119,17 @@ def _design(
         add(np.cross(np.eye(3)[k], points), np.full(count, pose + 3 + k), -1.0)
     for name in SQUARENESS:
         add(squareness_influence(name, q), np.full(count, unknowns.blocks[name].start), 1.0)
-    places = {a: interval(unknowns.nodes[a], q[:, k]) for k, a in enumerate(AXES)}
+    places = {a: unknowns.bases[a].places(q[:, k]) for k, a in enumerate(AXES)}
     for name in MOTIONS:
-        nodes, axis = unknowns.nodes[name[2]], AXES.index(name[2])
-        index, fraction = places[name[2]]
-        start, lever_q = unknowns.blocks[name].start, q.copy()
-        for step, factor in enumerate((1.0 - fraction, fraction)[: len(nodes)]):
+        basis, axis = unknowns.bases[name[2]], AXES.index(name[2])
+        first, weight = places[name[2]]
+        start, influence = unknowns.blocks[name].start, motion_influence(machine, name, q)
+        for step in range(basis.nonzero):
             if nodal_lever:
-                lever_q[:, axis] = nodes[index + step]
-            add(motion_influence(machine, name, lever_q), start + index + step, factor)
+                lever_q = q.copy()
+                lever_q[:, axis] = basis.centres[first + step]
+                influence = motion_influence(machine, name, lever_q)
+            add(influence, start + first + step, weight[:, step])
     for name, influence in reversal_columns(machine, q, pieces.direction, pieces.side, unknowns):
         add(influence, np.full(count, unknowns.blocks[name].start), 1.0)
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
@@ -158,9 +160,10 @@ def build_system(
     run : int
         Which pose block the rows belong to.
     nodal_lever : bool
-        Take an axis' own travel in a lever arm at the nodes. A rotation that acts only through
-        it is then exactly a translation, as it is for continuous tables, instead of differing
-        by the bend of a product of two linear functions: for judging what is identifiable.
+        Take an axis' own travel in a lever arm at the centre of every spline. A rotation that
+        acts only through it is then exactly a translation, as it is for continuous functions,
+        instead of differing by what a spline times the travel is off a spline: for judging
+        what is identifiable.
 
     Returns
     -------
@@ -180,3 +183,26 @@ def build_system(
         along=along,
         across=across,
     )
+
+
+def model_rows(machine: Machine, unknowns: Unknowns, q: Array) -> Array:
+    """Derivatives of the volumetric error by the full vector; poses and reversal are left out.
+
+    Parameters
+    ----------
+    machine : Machine
+    unknowns : Unknowns
+    q : ndarray, shape (n, 3), m
+
+    Returns
+    -------
+    ndarray, shape (n, 3, full)
+    """
+    rows = np.zeros((len(q), 3, unknowns.full))
+    for name in SQUARENESS:
+        rows[:, :, unknowns.blocks[name].start] = squareness_influence(name, q)
+    for name in MOTIONS:
+        along = unknowns.bases[name[2]].matrix(q[:, AXES.index(name[2])])
+        influence = motion_influence(machine, name, q)
+        rows[:, :, unknowns.blocks[name]] = influence[:, :, None] * along[:, None, :]
+    return rows

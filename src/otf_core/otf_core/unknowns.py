@@ -2,20 +2,22 @@
 """The unknowns of a calibration and their gauge.
 
 Unknowns are a pose correction per run (3 translations, 3 rotations), 3 squareness errors, the
-node values of 18 error motions and, if asked for, reversal coefficients of these motions. The
-gauge (docs/formulation.md): positioning and rotations are zero at the axis' zero position, else
-at its minimum; straightness is zero at both ends. Gauge conditions are met exactly, by leaving
-nodes out: ``full = gauge @ free``.
+spline coefficients of 18 error motions and, if asked for, reversal coefficients of these motions.
+The gauge (docs/formulation.md): positioning and rotations are zero at the axis' zero position,
+else at its minimum; straightness is zero at both ends. Gauge conditions are met exactly, by
+leaving coefficients out: ``full = gauge @ free``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.basis import Basis
 from otf_core.machine import AXES, Axis, Machine
 from otf_core.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
 
@@ -32,8 +34,8 @@ class Unknowns:
 
     Attributes
     ----------
-    nodes : mapping of axis to ndarray, m
-        Table nodes of each axis.
+    bases : mapping of axis to Basis
+        Functions that the motions of each axis are made of.
     blocks : mapping of block name to slice
         Place of the poses, the squareness names, the motions and the reversal coefficients in
         the full vector; a dependent one gives way to those before it: pose, squareness,
@@ -47,7 +49,7 @@ class Unknowns:
         Axes that stand stay on the side of their last travel, see ``effects.backlash``.
     """
 
-    nodes: dict[str, Array]
+    bases: dict[str, Basis]
     blocks: dict[str, slice]
     gauge: sparse.csr_array
     free_blocks: dict[str, slice]
@@ -55,9 +57,21 @@ class Unknowns:
     held: bool = False
 
     @property
+    def knots(self) -> dict[str, Array]:
+        """Knots of each axis, m."""
+        return {axis: basis.knots for axis, basis in self.bases.items()}
+
+    @property
     def full(self) -> int:
         """Number of values in the full vector."""
         return int(self.gauge.shape[0])
+
+    @cached_property
+    def kept(self) -> NDArray[np.int64]:
+        """Places of the free unknowns in the full vector, shape (free,)."""
+        dense = self.gauge.toarray()
+        alone = (np.count_nonzero(dense, axis=1) == 1) & (dense.max(axis=1, initial=0.0) == 1.0)
+        return np.flatnonzero(alone)
 
     @property
     def free(self) -> int:
@@ -107,12 +121,9 @@ def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
     return nodes
 
 
-def reference_weights(nodes: Array) -> tuple[int, float]:
-    """Interval and fraction of the reference position: zero, else the minimum of the nodes."""
-    if not nodes[0] <= 0.0 <= nodes[-1]:
-        return 0, 0.0
-    index, fraction = interval(nodes, np.zeros(1))
-    return int(index[0]), float(fraction[0])
+def reference_position(low: float, high: float) -> float:
+    """Where positioning and rotations are zero: at zero, else at the minimum, m."""
+    return 0.0 if low <= 0.0 <= high else low
 
 
 def interval(nodes: Array, q: Array) -> tuple[NDArray[np.int64], Array]:
@@ -136,21 +147,18 @@ def interval(nodes: Array, q: Array) -> tuple[NDArray[np.int64], Array]:
     return index, np.clip(fraction, 0.0, 1.0)
 
 
-def _motion_gauge(motion: str, nodes: Array) -> Array:
-    """Columns that span the node values allowed by the gauge, shape (nodes, free)."""
-    count = len(nodes)
-    basis = np.eye(count)
-    if count == 1:
+def motion_gauge(motion: str, basis: Basis) -> Array:
+    """Columns that span the coefficients allowed by the gauge, shape (size, free)."""
+    columns = np.eye(basis.size)
+    if basis.size == 1:
         return np.zeros((1, 0))
     if is_straightness(motion):
-        return basis[:, 1:-1]
-    index, fraction = reference_weights(nodes)
-    if fraction <= 0.5:
-        dropped, other, ratio = index, index + 1, -fraction / (1.0 - fraction)
-    else:
-        dropped, other, ratio = index + 1, index, -(1.0 - fraction) / fraction
-    basis[dropped, other] = ratio
-    return np.delete(basis, dropped, axis=1)
+        return columns[:, 1:-1]
+    reference = reference_position(basis.knots[0], basis.knots[-1])
+    at = basis.matrix(np.array([reference]))[0]
+    dropped = int(np.argmax(at))
+    columns[dropped] = -at / at[dropped]
+    return np.delete(columns, dropped, axis=1)
 
 
 def pose_block(run: int) -> str:
@@ -174,13 +182,13 @@ def reversal_order(block: str) -> int:
 
 
 def layout(
-    nodes: dict[str, Array], runs: int = 1, reversal: int = 0, *, held: bool = False
+    bases: dict[str, Basis], runs: int = 1, reversal: int = 0, *, held: bool = False
 ) -> Unknowns:
     """Lay out the unknowns.
 
     Parameters
     ----------
-    nodes : mapping of axis to ndarray, m
+    bases : mapping of axis to Basis
     runs : int
         Each has its own pose.
     reversal : int
@@ -191,7 +199,7 @@ def layout(
     order = [m for m in MOTIONS if unit_of(m) == 'm'] + [m for m in MOTIONS if unit_of(m) == 'rad']
     parts: list[tuple[str, Array]] = [(pose_block(run), np.eye(POSE)) for run in range(runs)]
     parts += [(name, np.eye(1)) for name in SQUARENESS]
-    parts += [(name, _motion_gauge(name, nodes[name[2]])) for name in order]
+    parts += [(name, motion_gauge(name, bases[name[2]])) for name in order]
     parts += [(reversal_block(m, k), np.eye(1)) for k in range(reversal) for m in order]
     blocks, free_blocks = {}, {}
     full = free = 0
@@ -200,4 +208,9 @@ def layout(
         free_blocks[name] = slice(free, free + basis.shape[1])
         full, free = full + basis.shape[0], free + basis.shape[1]
     gauge = sparse.block_diag([basis for _, basis in parts], format='csr')
-    return Unknowns(nodes, blocks, sparse.csr_array(gauge), free_blocks, reversal, held)
+    return Unknowns(bases, blocks, sparse.csr_array(gauge), free_blocks, reversal, held)
+
+
+def free_values(unknowns: Unknowns, full: Array) -> Array:
+    """Free unknowns of full ones (full, ...) that obey the gauge: those that it keeps."""
+    return np.asarray(full[unknowns.kept])

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.bend import Bend, estimate_bend
 from otf_core.budget.columns import piece_state
 from otf_core.budget.freedom import (
     coverage_factor,
@@ -19,17 +19,15 @@ from otf_core.budget.freedom import (
 )
 from otf_core.budget.noise import noise_parts
 from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
-from otf_core.budget.unseen import unseen_covariance
 from otf_core.joint import JointSolution
-from otf_core.normal import COHERENCE, MODEL_FLOOR
 from otf_core.runs import Run
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
 from otf_core.uncertainty import ResidualCheck, check_residuals
-from otf_core.unknowns import Unknowns
+from otf_core.unknowns import free_values
 
 Array = NDArray[np.float64]
 
-NOISE, MISFIT, BEND, UNSEEN = 'noise', 'misfit', 'bend between nodes', 'rotations not seen'
+NOISE, MISFIT, SMOOTHNESS = 'noise', 'misfit', 'smoothness'
 NAMES = (*SQUARENESS, *MOTIONS)
 
 
@@ -40,8 +38,8 @@ class Source:
     Attributes
     ----------
     name : str
-    covariance : ndarray, shape (m, m)
-        Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order, m and rad.
+    covariance : ndarray, shape (full, full), m and rad
+        Of all unknowns.
     dof : float
         Degrees of freedom of its size; infinite for declared ones.
     """
@@ -61,25 +59,26 @@ class Budget:
         Their covariances add up.
     not_stated : tuple of str
         Systematic contributions that nothing was declared for; not included.
-    bend_factor, u_bend_factor : float
-        See ``bend.Bend``.
     inflation : float
-        Factor on the covariance that the residuals call for, the bend taken off.
-    whole : ndarray, shape (full, full)
-        Combined covariance of all unknowns, poses and reversal included.
+        Factor on the covariance that the residuals still call for.
+    rows : ndarray, shape (m, full)
+        Squareness and nodes of the tables from all unknowns, see ``tabulate.Tabulation``.
     """
 
     sources: tuple[Source, ...]
     not_stated: tuple[str, ...]
-    bend_factor: float
-    u_bend_factor: float
     inflation: float
-    whole: Array
+    rows: Array
 
     @property
-    def covariance(self) -> Array:
-        """Combined covariance, shape (m, m)."""
+    def whole(self) -> Array:
+        """Combined covariance of all unknowns, poses and reversal included, (full, full)."""
         return np.asarray(sum(s.covariance for s in self.sources))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Combined covariance of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ, shape (m, m)."""
+        return np.asarray(self.rows @ self.whole @ self.rows.T)
 
     @property
     def freedoms(self) -> Array:
@@ -93,10 +92,8 @@ class Budget:
         -------
         ndarray, shape (sources, n)
         """
-        if rows is None:
-            found = [np.diag(s.covariance) for s in self.sources]
-        else:
-            found = [np.einsum('ij,ij->i', rows @ s.covariance, rows) for s in self.sources]
+        whole = self.rows if rows is None else rows @ self.rows
+        found = [np.einsum('ij,ij->i', whole @ s.covariance, whole) for s in self.sources]
         return np.maximum(np.array(found), 0.0)
 
     def expansion(self, variances: Array) -> tuple[float, float]:
@@ -104,12 +101,6 @@ class Budget:
         known = variances[:, variances.sum(axis=0) > 0]
         freedom = float(welch_satterthwaite(known, self.freedoms).min(initial=np.inf))
         return coverage_factor(freedom), freedom
-
-
-def table_order(unknowns: Unknowns) -> NDArray[np.int64]:
-    """Places of squareness and nodes in the full vector, in the order of predictions."""
-    blocks = [unknowns.blocks[name] for name in NAMES]
-    return np.concatenate([np.arange(b.start, b.stop) for b in blocks])
 
 
 def whole_check(
@@ -122,13 +113,10 @@ def whole_check(
     return check_residuals(np.concatenate(white, axis=1), np.concatenate(legs), done.solution.rank)
 
 
-def _believed(run: Run, bend: Bend) -> float:
-    """Variance of the floor of one run that is believed, over the one it was weighted with."""
-    if not bend.significant:
-        return 1.0
-    # what makes the shapes between nodes worse than noise of their size is then known
-    seen = (run.floor**2 - MODEL_FLOOR**2) / COHERENCE**2
-    return (MODEL_FLOOR**2 + seen) / run.floor**2
+def _prior_part(done: JointSolution) -> Array:
+    """Part C K^-1 C of the covariance C that data leave to the prior K, shape (full, full)."""
+    free = free_values(done.unknowns, done.solution.covariance)
+    return np.asarray(free.T @ done.roughness.precision @ free)
 
 
 def make_budget(
@@ -145,33 +133,35 @@ def make_budget(
         As solved.
     speed : float
         m/s; slower counts as standstill.
+
+    Returns
+    -------
+    Budget
+        Of the unknowns themselves; ``rows`` are to be set to those of the tables.
     """
     own = done.solution.covariance
     states = [
-        piece_state(r, s, done.unknowns.nodes, tables)
+        piece_state(r, s, done.unknowns.knots, tables)
         for r, s in zip(runs, done.runs, strict=True)
     ]
-    first = whole_check(runs, done, [s.residual for s in done.runs])
-    bend = estimate_bend(runs, done, tables, first.inflation)
-    check = whole_check(runs, done, bend.residuals)
+    check = whole_check(runs, done, [s.residual for s in done.runs])
     parts = noise_parts(runs, done, states)
-    floors = [own @ f @ own for f in parts.floors]
-    noise = own - sum(floors) + own @ parts.corners @ own
-    misfit = (check.inflation - 1.0) * own
-    misfit += sum(_believed(r, bend) * f for r, f in zip(runs, floors, strict=True))
+    gauge = done.unknowns.gauge
+    smooth = _prior_part(done)
+    drawn = gauge @ done.roughness.drawn
+    misfit = own @ parts.misfit @ own
+    noise = own - misfit - smooth + own @ parts.corners @ own
+    misfit += own @ parts.misfit_corners @ own + (check.inflation - 1.0) * (own - smooth)
     dof = residual_freedom(done, check.correlation_factor) + standstill_freedom(runs, speed)
-    found = [(NOISE, noise, dof), (MISFIT, misfit, dof), (BEND, bend.covariance, bend.dof)]
-    found.append((UNSEEN, *unseen_covariance(runs, done, bend.residuals, check.inflation)))
+    found = [(NOISE, noise, dof), (MISFIT, misfit, dof)]
+    found.append((SMOOTHNESS, smooth + drawn @ drawn.T, np.inf))
     declared = declared_sources(runs)
     for source in declared:
         change = systematic_sensitivity(source, runs, done, tables)
         found.append((source.source, change @ change.T, np.inf))
-    order = table_order(done.unknowns)
     return Budget(
-        tuple(Source(name, c[np.ix_(order, order)], d) for name, c, d in found),
+        tuple(Source(*entry) for entry in found),
         tuple(s.source for s in SYSTEMATIC if s not in declared),
-        bend.factor,
-        bend.u,
         check.inflation,
-        np.asarray(sum(c for _, c, _ in found)),
+        np.eye(done.unknowns.full),
     )

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from otf_core.effects import State
 from otf_core.effects.state import state_on_path
@@ -51,21 +50,10 @@ def across(solved: SolvedRun, columns: Array) -> Array:
     return np.asarray(np.einsum('cij,ijk->cik', solved.system.axes, columns))
 
 
-def weighted(solved: SolvedRun, columns: Array) -> Array:
-    """Multiply columns (c, p, k) by the weight matrix W, the inverse noise covariance."""
-    result = np.empty_like(columns)
-    factors = solved.whitener.factors
-    for (low, high), leg in zip(solved.whitener.bounds, factors, strict=True):
-        for component, factor in enumerate(leg):
-            white = solve_triangular(factor, columns[component, low:high], lower=True)
-            result[component, low:high] = solve_triangular(factor, white, lower=True, trans=1)
-    return result
-
-
 def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
     parts = [
-        solved.system.design.T @ weighted(solved, part).reshape(-1, part.shape[2])
+        solved.system.design.T @ solved.whitener.weighted(part).reshape(-1, part.shape[2])
         for solved, part in zip(done.runs, columns, strict=True)
     ]
     return np.asarray(sum(parts))

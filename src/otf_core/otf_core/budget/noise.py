@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the weights do not say about the noise: its floor, and its correlation across corners.
+"""What the weights do not say about the noise: its parts, and its correlation across corners.
 
-The weights W take legs as independent and hold, besides the noise K of the tracker, the floor f.
-With the covariance V that is believed, the estimates have the covariance
+The weights W take lines as independent and hold, besides the noise of the tracker, the misfit. With
+the covariance C of the estimates and S of any part of the noise, that part makes
 
-    (A^T W A)^-1  A^T W V W A  (A^T W A)^-1
+    C  A^T W S W A  C
 
-V = W^-1 gives the usual inverse. Slow noise does not stop at a corner: pieces i, j of different
+of C. Slow noise does not stop at a corner: pieces i, j of different
 legs share cov_ij = s exp(-|t_i - t_j| / tau) for each of range and two angles. The exponential
 splits in a factor per piece, so the sum over all pairs of legs is one pass over the legs.
 """
@@ -23,7 +23,8 @@ from scipy.linalg import solve_triangular
 from otf_core.effects import State
 from otf_core.effects.beam import beam_of
 from otf_core.joint import JointSolution, SolvedRun
-from otf_core.noise import NoiseModel
+from otf_core.noise import MISFIT_TIME
+from otf_core.normal import leg_parts
 from otf_core.runs import Run
 
 Array = NDArray[np.float64]
@@ -31,33 +32,38 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NoiseParts:
-    """Parts of A^T W V W A of all runs.
+    """Parts of A^T W S W A of all runs.
 
     Attributes
     ----------
-    floors : tuple of ndarray, each of shape (full, full)
-        Of the floor of every run.
-    corners : ndarray, shape (full, full)
-        Of the covariance between different legs.
+    misfit : ndarray, shape (full, full)
+        Of the misfit within lines.
+    corners, misfit_corners : ndarray, shape (full, full)
+        Of the covariance between different lines: noise of the tracker, lasting misfit.
     """
 
-    floors: tuple[Array, ...]
+    misfit: Array
     corners: Array
+    misfit_corners: Array
 
 
 def slow_amplitudes(run: Run, solved: SolvedRun, state: State) -> Array:
     """Slow noise of range and two angles in every row, shape (c, p, 3), m."""
-    noise, beam = run.noise, beam_of(state)
+    noise, beam = run.noise_and_misfit[0], beam_of(state)
     level = np.sqrt([
         noise.u_range**2 * (1.0 - noise.white_range),
         *[noise.u_angle**2 * (1.0 - noise.white_angle)] * 2,
     ])  # fmt: skip
     reach = beam.distance[:, None]
     directions = np.stack([beam.e_r, beam.e_h * reach, beam.e_v * reach], axis=2)
-    x = np.maximum(run.pieces.duration / noise.correlation_time, 1e-6)
-    mean = np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x)
     rows = np.einsum('cij,ijk->cik', solved.system.axes, directions)
-    return np.asarray(rows * level * mean[:, None])
+    return np.asarray(rows * level * _smoothed(run.pieces.duration, noise.correlation_time))
+
+
+def _smoothed(duration: Array, time: float) -> Array:
+    """Weight of slow noise in means over windows (p,), s, in covariances between them."""
+    x = np.maximum(duration / time, 1e-6)
+    return np.asarray(np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x))[:, None]
 
 
 def _leg_weighted(solved: SolvedRun, leg: int) -> tuple[NDArray[np.int64], Array]:
@@ -81,11 +87,11 @@ def _leg_weighted(solved: SolvedRun, leg: int) -> tuple[NDArray[np.int64], Array
 class _Chain:
     """Sum over pairs of legs of tail and head vectors, decaying with the time between."""
 
-    def __init__(self, size: int, noise: NoiseModel) -> None:
+    def __init__(self, size: int, correlation_time: float) -> None:
         self.total = np.zeros((size, size))
         self._tail = np.zeros((size, 3))
         self._end = -np.inf
-        self._tau = noise.correlation_time
+        self._tau = correlation_time
 
     def add(self, active: NDArray[np.int64], rows: Array, slow: Array, time: Array) -> None:
         """Add a leg: W A (c, m, active), slow amplitudes (c, m, 3), times (m,)."""
@@ -103,7 +109,7 @@ class _Chain:
 
 
 def noise_parts(runs: Sequence[Run], done: JointSolution, states: Sequence[State]) -> NoiseParts:
-    """Sum up floor and covariance between legs.
+    """Sum up the misfit and the covariance between lines.
 
     Parameters
     ----------
@@ -114,15 +120,22 @@ def noise_parts(runs: Sequence[Run], done: JointSolution, states: Sequence[State
         Of their pieces.
     """
     size = done.unknowns.full
-    floors, corners = [], np.zeros((size, size))
+    within, corners, lasting = (np.zeros((size, size)) for _ in range(3))
     for run, solved, state in zip(runs, done.runs, states, strict=True):
-        slow, chain = slow_amplitudes(run, solved, state), _Chain(size, run.noise)
-        floor = np.zeros((size, size))
+        noise, misfit = run.noise_and_misfit
+        slow = slow_amplitudes(run, solved, state)
+        shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, MISFIT_TIME)
+        chains = _Chain(size, noise.correlation_time), _Chain(size, MISFIT_TIME)
         for leg, (low, high) in enumerate(solved.whitener.bounds):
             active, rows = _leg_weighted(solved, leg)
-            flat = rows.reshape(-1, active.size)
-            floor[np.ix_(active, active)] += run.floor**2 * (flat.T @ flat)
-            chain.add(active, rows, slow[:, low:high], run.pieces.time[low:high])
-        floors.append(floor)
-        corners += chain.total
-    return NoiseParts(tuple(floors), corners)
+            for component, part in enumerate(rows):
+                parts = leg_parts(
+                    solved.system, run.pieces, noise, misfit, component, low, high
+                )
+                within[np.ix_(active, active)] += part.T @ (parts[2] + parts[3]) @ part
+            time = run.pieces.time[low:high]
+            chains[0].add(active, rows, slow[:, low:high], time)
+            chains[1].add(active, rows, shared[:, low:high], time)
+        corners += chains[0].total
+        lasting += chains[1].total
+    return NoiseParts(within, corners, lasting)

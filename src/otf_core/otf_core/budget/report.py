@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from otf_core.budget.budget import NAMES, Budget
 from otf_core.budget.freedom import COVERAGE
-from otf_core.evaluation import lattice
-from otf_core.forecast import free_rows
+from otf_core.evaluation import covered_grid, free_rows
+from otf_core.machine import AXES
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, unit_of
 from otf_core.threads import one_thread
 from otf_core.uncertainty import prediction_rows
@@ -25,8 +25,7 @@ STRONG = 0.5
 """Correlations at least as large are listed."""
 LISTED = 20
 SHORT = {
-    'bend between nodes': 'bend',
-    'rotations not seen': 'unseen',
+    'smoothness': 'smooth',
     'tracker scale': 'scale',
     'tracker range offset': 'offset',
     'tracker angles': 'angles',
@@ -45,8 +44,8 @@ class Line:
     Attributes
     ----------
     name : str
-        Squareness error, motion, or 'grid': length of the error vector on a regular grid, the
-        best rigid motion taken out.
+        Squareness error, motion, or 'grid': length of the error vector on a regular grid over
+        the driven volume, the best rigid motion taken out.
     unit : str
         m or rad.
     u : float
@@ -93,7 +92,8 @@ def budget_lines(tables: ErrorTables, budget: Budget) -> list[Line]:
         if variances[:, place].any():
             unit = 'rad' if name in SQUARENESS else unit_of(name)
             lines.append(_line(budget, name, unit, variances[:, place]))
-    grid = lattice(tables.machine, GRID_POINTS)
+    ends = np.array([tables.motions[f'E{a}{a}'].position[[0, -1]] for a in AXES])
+    grid = covered_grid(tables.machine, ends.T, GRID_POINTS)
     rows = prediction_rows(tables.machine, {m: tables.motions[m].position for m in MOTIONS}, grid)
     with one_thread():
         free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
@@ -168,8 +168,6 @@ def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[Line]) -> di
             'coverage_probability': COVERAGE,
             'dof': {s.name: _finite(s.dof) for s in budget.sources},
             'not_stated': list(budget.not_stated),
-            'bend_factor': budget.bend_factor,
-            'u_bend_factor': budget.u_bend_factor if np.isfinite(budget.u_bend_factor) else None,
             'u_rms': {n.name: {'unit': n.unit, 'u': n.u, 'sources': n.parts} for n in lines},
         },
         'correlations': {

@@ -114,7 +114,7 @@ def systematic_sensitivity(
     """
     effect, columns = REGISTRY[source.effect], []
     for run, solved in zip(runs, done.runs, strict=True):
-        state = piece_state(run, solved, done.unknowns.nodes, tables)
+        state = piece_state(run, solved, done.unknowns.knots, tables)
         terms = effect.terms(state, source.shape)
         declared = run.machine.uncertainty or DeclaredUncertainty({})
         u = source.uncertainty(terms, state, declared)

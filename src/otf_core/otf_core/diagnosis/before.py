@@ -49,7 +49,7 @@ def forecast_rows(plan: Plan, setup: Setup, found: Forecast) -> Rows:
         pieces.speed,
         pieces.time,
         pose,
-        found.unknowns.nodes,
+        found.unknowns.knots,
         tables,
         found.duration,
     )

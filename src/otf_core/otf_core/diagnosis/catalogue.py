@@ -68,7 +68,7 @@ def shapes_from_lines(lines: Sequence[Line]) -> dict[str, list[Shape]]:
 
 def spectral_lines(rows: Rows) -> list[Line]:
     """Spectral lines of all runs, strongest first."""
-    nodes = rows.done.unknowns.nodes
+    nodes = rows.done.unknowns.knots
     lines: list[Line] = []
     for run, solved in zip(rows.runs, rows.done.runs, strict=True):
         if len(run.pieces.samples):

@@ -78,7 +78,7 @@ class Rows:
     @cached_property
     def sample_states(self) -> tuple[State, ...]:
         """States of the samples in the pieces, one per run."""
-        nodes = self.done.unknowns.nodes
+        nodes = self.done.unknowns.knots
         return tuple(
             sample_state(r, s.pose, self.tables, nodes)
             for r, s in zip(self.runs, self.done.runs, strict=True)
@@ -192,7 +192,7 @@ def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
     """
     tables = plausible_tables(runs, done)
     states = tuple(
-        piece_state(r, s, done.unknowns.nodes, tables)
+        piece_state(r, s, done.unknowns.knots, tables)
         for r, s in zip(runs, done.runs, strict=True)
     )
     return rows_of(runs, done, tables, states, limit)

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which functions the error motions are made of: smooth, finer, or straight between the nodes.
+
+Smooth functions over ``INTERVALS`` parts of every axis come first. Where neighbouring pieces of
+a line differ by more than the noise allows, they cannot follow something: then splines over twice
+as many parts, and tables that are linear between the nodes of machine.yaml (a machine that its
+control compensates with such tables has kinks there), are solved for as well, and the functions
+with the largest restricted likelihood are taken, the size of the residuals left free:
+
+    L = -1/2 ( n log S + log det(N + K^-1) + log det K ),   S weighted sum of squares of n rows
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.basis import Basis, cubic, linear
+from otf_core.config import CalibrationConfig
+from otf_core.joint import JointSolution, Progress, SolvedRun, solve_jointly, summed, tables_of
+from otf_core.normal import NormalEquations
+from otf_core.roughness import Roughness, Search
+from otf_core.runs import Run
+from otf_core.solution import identifiable_blocks
+from otf_core.system import build_system
+from otf_core.tables import ErrorTables
+from otf_core.unknowns import Unknowns, layout
+
+Array = NDArray[np.float64]
+Bases = dict[str, Basis]
+
+INTERVALS = 20
+"""Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
+SIGNIFICANT = 4.0
+"""Standard deviations of the mean."""
+NOTABLE = 0.02
+"""Share of the variance of a step between pieces."""
+
+
+@dataclass(frozen=True)
+class ShapeChoice:
+    """Functions for the error motions, and runs with poses to start from.
+
+    Attributes
+    ----------
+    bases : mapping of axis to Basis
+    runs : list of Run
+        With the poses of the first solution.
+    start : mapping of motion to ndarray
+        Roughness of the motions to start from.
+    evidence : mapping of name to float
+        Restricted log likelihood of everything that was tried, less the best; empty if the
+        first choice left nothing to explain.
+    """
+
+    bases: Bases
+    runs: list[Run]
+    start: Mapping[str, Array]
+    evidence: Mapping[str, float]
+
+
+def smooth_bases(nodes: Mapping[str, Array], parts: int = INTERVALS) -> Bases:
+    """Cubic splines over equal parts of the range of the nodes of every axis."""
+    return {axis: cubic(at, parts) for axis, at in nodes.items()}
+
+
+def _steps_unexplained(solved: SolvedRun) -> bool:
+    """Tell whether neighbouring pieces of a line differ by more than the noise."""
+    found = []
+    for (low, high), leg in zip(solved.whitener.bounds, solved.whitener.factors, strict=True):
+        for component, factor in enumerate(leg):
+            noise = np.sum(np.diff(factor, axis=0) ** 2, axis=1)
+            step = np.diff(solved.residual[component, low:high]) ** 2
+            found.append(np.stack([step - noise, noise]))
+    excess, noise = np.concatenate(found, axis=1)
+    if not excess.size:  # stops: no two pieces of one line
+        return False
+    excess = np.minimum(excess, 20.0 * float(np.mean(np.abs(excess))))
+    mean, scatter = float(np.mean(excess)), float(np.std(excess)) / np.sqrt(excess.size)
+    return mean > SIGNIFICANT * scatter and mean > NOTABLE * float(np.mean(noise))
+
+
+def choose_shapes(
+    runs: Sequence[Run], nodes: Mapping[str, Array], config: CalibrationConfig, progress: Progress
+) -> ShapeChoice:
+    """Choose the functions that the motions are made of.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    nodes : mapping of axis to ndarray, m
+        Of the tables that machine.yaml asks for.
+    config : CalibrationConfig
+    progress : callable(stage, fraction)
+    """
+    bases = smooth_bases(nodes)
+    done = solve_jointly(runs, layout(bases, len(runs)), config, progress)
+    moved = [replace(r, pose=s.pose) for r, s in zip(runs, done.runs, strict=True)]
+    if not any(_steps_unexplained(solved) for solved in done.runs):
+        return ShapeChoice(bases, moved, done.roughness.logs, {})
+    tried: dict[str, tuple[float, Bases, Roughness]] = {}
+    for name, make in _CHOICES.items():
+        trial = make(nodes)
+        rough, rows = _tried(moved, trial, done, config)
+        tried[name] = (_likelihood(rough, rows), trial, rough)
+    best = max(tried.values(), key=lambda entry: entry[0])
+    evidence = {name: score - best[0] for name, (score, _, _) in tried.items()}
+    return ShapeChoice(best[1], moved, best[2].logs, evidence)
+
+
+_CHOICES = {
+    'smooth': smooth_bases,
+    'smooth, twice as fine': partial(smooth_bases, parts=2 * INTERVALS),
+    'straight between nodes': lambda nodes: {axis: linear(at) for axis, at in nodes.items()},
+}
+
+
+def _tried(
+    runs: Sequence[Run], bases: Bases, done: JointSolution, config: CalibrationConfig
+) -> tuple[Roughness, int]:
+    """Roughness and number of rows of one linear solution at given poses and positions."""
+    unknowns = layout(bases, len(runs))
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    normal = _normal(runs, unknowns, done, tables)
+    limit = config.unidentifiable_above
+    accepted = identifiable_blocks(_normal(runs, unknowns, done, tables, nodal=True), unknowns, limit)
+    return Search(normal, unknowns, accepted, limit).run(done.roughness.logs), normal.rows
+
+
+def _normal(
+    runs: Sequence[Run], unknowns: Unknowns, done: JointSolution, tables: ErrorTables, nodal: bool = False
+) -> NormalEquations:
+    systems = [
+        build_system(r.machine, r.pieces, r.pose, unknowns, tables, run=k, nodal_lever=nodal)
+        for k, r in enumerate(runs)
+    ]
+    return summed(systems, unknowns, [s.whitener for s in done.runs])
+
+
+def _likelihood(rough: Roughness, rows: int) -> float:
+    """Restricted log likelihood with the size of the residuals free."""
+    volume = -2.0 * rough.log_likelihood - rough.square
+    return -0.5 * (rows * float(np.log(rough.square)) + volume)
