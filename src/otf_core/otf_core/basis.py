@@ -91,7 +91,7 @@ class Basis:
     @cached_property
     def from_values(self) -> Array:
         """Coefficients of the function with given values at ``centres``, shape (size, size)."""
-        return np.linalg.inv(self.matrix(self.centres))
+        return np.asarray(np.linalg.inv(self.matrix(self.centres)), dtype=float)
 
     def finer(self, parts: int) -> Array:
         """Knots with every interval cut into equal parts, shape (m,), m."""

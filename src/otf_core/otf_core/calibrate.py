@@ -204,6 +204,15 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
             f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, with the '
             f'misfit of the model counted'
         )
+    for name, table in tables.motions.items():
+        if table.identifiable and table.node_identifiable is not None:
+            loose = table.position[~table.node_identifiable]
+            if loose.size:
+                where = f'{loose[0]:g}' if loose.size == 1 else f'{loose[0]:g} ... {loose[-1]:g}'
+                found.append(
+                    f'{name}: not determined by the data at {loose.size} nodes ({where} m); '
+                    f'continued smoothly'
+                )
     if fit.coverage < 0.98:
         found.append(f'only {100 * fit.coverage:.1f} % of the path was recorded')
     if fit.outliers > 0.01 * fit.samples:
@@ -366,7 +375,8 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
     fine = tables_of(machine, unknowns, solution)
     budget = make_budget(runs, done, fine, config.standstill_speed)
     fit = _fit(runs, results, done, budget.inflation)
-    table = tabulate(machine, done, mean_grid_uncertainty(machine, unknowns, budget.whole))
+    grid_u = mean_grid_uncertainty(machine, unknowns, budget.whole)
+    table = tabulate(machine, done, grid_u, config.unidentifiable_above)
     whole, budget = budget.whole, replace(budget, rows=table.rows)
     covariance = budget.covariance
     tables = with_uncertainty(table.tables, covariance)

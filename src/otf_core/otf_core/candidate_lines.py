@@ -3,7 +3,7 @@
 
 Candidates join any two points of a small lattice: edges, face and space diagonals, lines of half
 slope. Lines are separated by standstill, so their normal matrices add up, and a path is judged by
-the sum over its legs. For this choice the tables are taken no finer than ``INTERVALS`` per axis.
+the sum over its legs. For this choice the splines have ``INTERVALS`` parts per axis.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from otf_core.evaluation import covered_grid, free_rows
 from otf_core.forecast import Setup, lay_out, tracker_pose
 from otf_core.machine import Machine
 from otf_core.normal import NormalEquations, Whitener, leg_bounds, sum_groups
-from otf_core.solution import TIE_BREAK, identifiable_blocks, smoothness
-from otf_core.system import build_system
+from otf_core.roughness import expected_precision
+from otf_core.shape_choice import smooth_bases
+from otf_core.solution import identifiable_blocks
+from otf_core.system import build_system, model_rows
 from otf_core.tables import MOTIONS, SQUARENESS
-from otf_core.uncertainty import prediction_rows
 from otf_core.unknowns import Unknowns, layout, table_nodes
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ class CandidateLines:
     information : ndarray, shape (n * f, u, u)
         Normal matrix of line i at feed j in row i * f + j.
     prior : ndarray, shape (u, u)
-        Tie-breaker of the solution.
+        What is expected of the motions.
     target : ndarray, shape (u, u)
         trace(target @ covariance) is the mean variance of the grid, in the same units.
     visible : tuple of str
@@ -77,15 +78,6 @@ class CandidateLines:
         )
 
 
-def coarse(machine: Machine) -> Machine:
-    """Return the machine with tables no finer than ``INTERVALS`` per axis."""
-    axes = {
-        name: replace(a, table_pitch=max(a.table_pitch, (a.max - a.min) / INTERVALS))
-        for name, a in machine.axes.items()
-    }
-    return replace(machine, axes=axes)
-
-
 def lattice_points(low: Array, high: Array, levels: int) -> Array:
     """Points of a regular lattice between two corners, shape (levels**3, 3), m."""
     grids = np.meshgrid(*(np.linspace(a, b, levels) for a, b in zip(low, high, strict=True)))
@@ -101,7 +93,7 @@ def _line_matrices(
     # far apart in time: each line is driven on its own
     begin = np.arange(len(length)) * (moving.max() + 100.0)
     times = DriveTimes(length, peak, moving, begin, setup.config.acceleration, 0.0)
-    pieces = lay_out(starts, ends, times, unknowns.nodes, setup)
+    pieces = lay_out(starts, ends, times, unknowns.knots, setup)
     system = build_system(setup.machine, pieces, tracker_pose(setup), unknowns, nodal_lever=nodal)
     whitener = Whitener(system, pieces, setup.noise)
     group = pieces.leg[[low for low, _ in leg_bounds(pieces.leg)]]
@@ -112,11 +104,9 @@ def _line_matrices(
 def _target(machine: Machine, points: Array, unknowns: Unknowns, use: Index) -> Array:
     """Quadratic form of the mean variance on the grid, rigid motion taken out."""
     grid = covered_grid(machine, points, _JUDGED)
-    rows = prediction_rows(machine, {m: unknowns.nodes[m[2]] for m in MOTIONS}, grid)
+    rows = model_rows(machine, unknowns, grid)
     flat = free_rows(rows.reshape(-1, rows.shape[2]), grid)
-    order = [unknowns.blocks[n] for n in (*SQUARENESS, *MOTIONS)]
-    index = np.concatenate([np.arange(b.start, b.stop) for b in order])
-    free = flat @ unknowns.gauge.toarray()[index][:, use]
+    free = (flat @ unknowns.gauge)[:, use]
     return np.asarray(free.T @ free / len(grid))
 
 
@@ -138,15 +128,15 @@ def candidate_lines(
     CandidateLines
         Only of the errors that all lines together can show.
     """
-    setup = replace(setup, machine=coarse(setup.machine))
     machine, limit = setup.machine, setup.calibration.unidentifiable_above
     nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
-    unknowns = layout(nodes)
+    unknowns = layout(smooth_bases(nodes, INTERVALS))
     ends = np.array(list(combinations(range(len(points)), 2)))
     starts_m, ends_m = points[ends[:, 0]], points[ends[:, 1]]
     accepted = _visible(setup, unknowns, starts_m, ends_m, float(feeds[0]))
     blocks = [unknowns.free_blocks[n] for n in accepted]
     use = np.concatenate([np.arange(b.start, b.stop) for b in blocks])
+    prior = expected_precision(unknowns, limit, setup.config.error_size)
     information = np.empty(
         (len(ends), len(feeds), use.size, use.size),
     )
@@ -165,7 +155,7 @@ def candidate_lines(
         feeds,
         cost,
         information.reshape(-1, use.size, use.size),
-        TIE_BREAK * smoothness(unknowns)[np.ix_(use, use)],
+        limit**2 * prior[np.ix_(use, use)],
         _target(machine, points, unknowns, use),
         tuple(n for n in accepted if n in SQUARENESS or n in MOTIONS),
     )

@@ -165,6 +165,10 @@ class ForecastConfig(Parameters):
 
     rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
     acceleration: float = parameter(2.0, 'acceleration of the drives', 'm/s^2', 0.01, 100)
+    error_size: float = parameter(
+        2e-5, 'standard deviation of the error motions expected, which are taken as smooth',
+        'm or rad', 1e-7, 1e-2,
+    )  # fmt: skip
     grid: int = parameter(7, 'points per axis of the grid that is judged', '', 2, 15)
     min_range: float = parameter(
         0.15, 'shortest beam: places of the tracker nearer to the path are left out', 'm', 0.01, 10

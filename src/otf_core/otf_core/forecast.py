@@ -23,9 +23,12 @@ from otf_core.normal import NormalEquations, Whitener, normal_equations
 from otf_core.path import MIN_LEG, sides_of_travel
 from otf_core.pieces import SPEED_WINDOW, Pieces, piece_boundaries
 from otf_core.planning import Plan
-from otf_core.solution import Solution, identifiable_blocks, solve
+from otf_core.roughness import expected_precision
+from otf_core.shape_choice import smooth_bases
+from otf_core.solution import Solution, determined_by_data, identifiable_blocks, solve
 from otf_core.system import build_system
 from otf_core.tables import MOTIONS, SQUARENESS
+from otf_core.tabulate import by_motion, table_rows
 from otf_core.uncertainty import prediction_rows
 from otf_core.unknowns import Unknowns, layout, table_nodes
 
@@ -85,7 +88,11 @@ class Forecast:
     ----------
     unknowns : Unknowns
     solution : Solution
-        Its values are zero; covariance, accepted blocks and determined nodes count.
+        Its values are zero; covariance and accepted blocks count.
+    nodes : mapping of axis to ndarray, m
+        Of the tables.
+    determined : mapping of motion to ndarray of bool
+        Nodes that the data determine without what is expected of the motions.
     normal : NormalEquations
         Of the pieces, in the form that tells what is identifiable (``nodal_lever``).
     u : mapping of motion or squareness name to ndarray, m or rad
@@ -106,6 +113,8 @@ class Forecast:
 
     unknowns: Unknowns
     solution: Solution
+    nodes: dict[str, Array]
+    determined: dict[str, NDArray[np.bool_]]
     normal: NormalEquations
     u: dict[str, Array]
     covariance: Array
@@ -125,15 +134,21 @@ class Forecast:
         """Squareness errors and motions that will not be seen."""
         return tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in self.solution.accepted)
 
+    def seen_at(self, name: str) -> NDArray[np.bool_]:
+        """Nodes of a motion, or the one value of a squareness error, that the data determine."""
+        if name not in self.solution.accepted:
+            return np.zeros_like(self.u[name], dtype=bool)
+        return self.determined.get(name, np.ones(1, dtype=bool))
+
     @property
     def loose_nodes(self) -> dict[str, Array]:
         """Nodes of seen motions that are interpolated only: motion to positions, m."""
         found = {}
         for name in self.solution.accepted:
             if name in MOTIONS:
-                loose = ~self.solution.determined[self.unknowns.blocks[name]]
+                loose = ~self.determined[name]
                 if loose.any():
-                    found[name] = self.unknowns.nodes[name[2]][loose]
+                    found[name] = self.nodes[name[2]][loose]
         return found
 
 
@@ -233,25 +248,29 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     machine, limit = setup.machine, setup.calibration.unidentifiable_above
     points = plan.path.points
     nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
-    unknowns = layout(nodes)
+    unknowns = layout(smooth_bases(nodes))
     pieces, pose = forecast_pieces(plan, nodes, setup), tracker_pose(setup)
     judged = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
     whitener = Whitener(judged, pieces, setup.noise)
     normal = normal_equations(judged, unknowns, whitener)
     accepted = identifiable_blocks(normal, unknowns, limit)
     system = build_system(machine, pieces, pose, unknowns)
-    solution = solve(normal_equations(system, unknowns, whitener), unknowns, limit, accepted)
-    order = [unknowns.blocks[n] for n in (*SQUARENESS, *MOTIONS)]
-    index = np.concatenate([np.arange(b.start, b.stop) for b in order])
-    covariance = solution.covariance[np.ix_(index, index)]
-    deviation = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0))
+    prior = expected_precision(unknowns, limit, setup.config.error_size)
+    own = normal_equations(system, unknowns, whitener)
+    solution = solve(own, unknowns, limit, accepted, prior)
+    rows = table_rows(unknowns, nodes)
+    covariance = rows @ solution.covariance @ rows.T
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    u: dict[str, Array] = {n: deviation[k : k + 1] for k, n in enumerate(SQUARENESS)}
     grid = covered_grid(machine, points, setup.config.grid)
     grid_u, grid_u_free = grid_uncertainty(machine, nodes, covariance, grid)
     return Forecast(
         unknowns=unknowns,
         solution=solution,
+        nodes=nodes,
+        determined=by_motion(determined_by_data(own, unknowns, accepted, limit, rows), nodes),
         normal=normal,
-        u={n: deviation[unknowns.blocks[n]] for n in (*SQUARENESS, *MOTIONS)},
+        u=u | by_motion(deviation, nodes),
         covariance=covariance,
         grid=grid,
         grid_u=grid_u,

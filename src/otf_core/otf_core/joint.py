@@ -65,6 +65,8 @@ class JointSolution:
     unknowns : Unknowns
     solution : Solution
     roughness : Roughness
+    normal : NormalEquations
+        Of the first iteration.
     runs : tuple of SolvedRun
     iterations : int
     """
@@ -72,6 +74,7 @@ class JointSolution:
     unknowns: Unknowns
     solution: Solution
     roughness: Roughness
+    normal: NormalEquations
     runs: tuple[SolvedRun, ...]
     iterations: int
 
@@ -214,9 +217,8 @@ def solve_jointly(
         progress('solving', iteration / (iteration + 1))
         if change < config.alignment_stop:
             solved = zip(poses, systems, whiteners, left, strict=True)
-            return JointSolution(
-                unknowns, solution, rough, tuple(SolvedRun(*parts) for parts in solved), iteration
-            )
+            done = tuple(SolvedRun(*parts) for parts in solved)
+            return JointSolution(unknowns, solution, rough, normal, done, iteration)
     names = ', '.join(run.recording.name for run in runs if run.recording.name)
     raise InputError(
         f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
@@ -240,9 +242,7 @@ def _weights_and_blocks(
 
 
 def _left(systems: Sequence[System], solution: Solution) -> list[Array]:
-    return [
-        s.deviation - (s.design @ solution.value).reshape(s.deviation.shape) for s in systems
-    ]
+    return [s.deviation - (s.design @ solution.value).reshape(s.deviation.shape) for s in systems]
 
 
 def _without_poses(solution: Solution, unknowns: Unknowns, runs: int) -> Solution:
@@ -265,9 +265,7 @@ def _improved(
     move by C (A^T W (y - A x) - K^-1 x).
     """
     pull = np.zeros(unknowns.full)
-    for system, whitener, rest in zip(
-        systems, whiteners, _left(systems, solution), strict=True
-    ):
+    for system, whitener, rest in zip(systems, whiteners, _left(systems, solution), strict=True):
         pull += system.design.T @ whitener.weighted(rest).reshape(-1)
     free = free_values(unknowns, solution.value)
     step = unknowns.gauge.T @ pull - rough.precision @ free

@@ -64,9 +64,7 @@ class _Line:
     explained: Array
 
 
-def _lines(
-    system: System, pieces: Pieces, residual: Array, covariance: Array
-) -> list[_Line]:
+def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -> list[_Line]:
     bounds = [(low, min(high, low + PIECES)) for low, high in leg_bounds(pieces.leg)]
     chosen = np.unique(np.linspace(0, len(bounds) - 1, LINES).round().astype(int))
     count, found = len(pieces), []

@@ -118,7 +118,6 @@ class Whitener:
                 result[component, low:high] = self.leg_rows(leg, component, part)
         return result
 
-
     def weighted(self, values: Array) -> Array:
         """Multiply values (c, p, ...) by the inverse covariance of the noise."""
         result = np.empty_like(values)

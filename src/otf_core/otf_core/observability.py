@@ -19,7 +19,7 @@ from otf_core.kinematics import motion_influence
 from otf_core.machine import AXES, Machine
 from otf_core.solution import TIE_BREAK, smoothness
 from otf_core.tables import DIRECTIONS, MOTIONS, SQUARENESS, is_straightness, unit_of
-from otf_core.unknowns import Unknowns
+from otf_core.unknowns import Unknowns, reference_position
 
 Array = NDArray[np.float64]
 
@@ -72,11 +72,15 @@ def _bow(unknowns: Unknowns, name: str) -> Array:
     block = unknowns.blocks[name]
     if name in SQUARENESS:
         return np.ones(1)
-    nodes = unknowns.nodes[name[2]]
-    x = (nodes - nodes[0]) / max(nodes[-1] - nodes[0], 1e-12)
-    value = x * (1 - x)
+    basis = unknowns.bases[name[2]]
+    low, high = basis.knots[0], basis.knots[-1]
+
+    def bow(q: Array) -> Array:
+        return np.asarray((q - low) * (high - q) / max(high - low, 1e-12) ** 2)
+
+    value = basis.from_values @ bow(basis.centres)
     if not is_straightness(name):
-        value -= np.interp(0.0, nodes, value)
+        value -= bow(np.array([reference_position(low, high)]))
     free = unknowns.free_blocks[name]
     gauge = unknowns.gauge.toarray()[block, free]
     return np.asarray(np.linalg.lstsq(gauge, value, rcond=None)[0])
@@ -119,7 +123,7 @@ def _moves_nothing(result: Forecast, machine: Machine, error: str) -> bool:
 
 
 def _unseen(result: Forecast, machine: Machine, error: str, limit: float) -> Finding:
-    if error in MOTIONS and len(result.unknowns.nodes[error[2]]) == 1:
+    if error in MOTIONS and len(result.nodes[error[2]]) == 1:
         words = f'{error}: the path does not move {error[2]}'
         return Finding(error, (), words, f'lines that move {error[2]}')
     others = imitators(result, error, limit)
@@ -173,7 +177,7 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Finding,
     """
     found = [_unseen(result, machine, error, limit) for error in result.not_identifiable]
     for name, positions in result.loose_nodes.items():
-        found.append(_loose(name, positions, len(result.unknowns.nodes[name[2]])))
+        found.append(_loose(name, positions, len(result.nodes[name[2]])))
     found += _not_driven(result, machine)
     return tuple(found)
 
@@ -182,7 +186,7 @@ def _not_driven(result: Forecast, machine: Machine) -> list[Finding]:
     """Ends of the axis ranges beyond the plan: no forecast holds there."""
     found = []
     for axis in AXES:
-        nodes, spec = result.unknowns.nodes[axis], machine.axes[axis]
+        nodes, spec = result.nodes[axis], machine.axes[axis]
         gap = max(nodes[0] - spec.min, spec.max - nodes[-1])
         if gap > 1e-6 and len(nodes) > 1:
             words = (

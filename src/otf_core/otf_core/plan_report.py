@@ -85,13 +85,12 @@ def _margin(report: PlanReport) -> float:
 def _errors(found: Forecast) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     for name in (*SQUARENESS, *MOTIONS):
-        block = found.unknowns.blocks[name]
         entry: dict[str, Any] = {'unit': unit_of(name) if name in MOTIONS else 'rad'}
         if name in MOTIONS:
-            entry |= {'axis': name[2], 'position': found.unknowns.nodes[name[2]].tolist()}
+            entry |= {'axis': name[2], 'position': found.nodes[name[2]].tolist()}
         entry |= {
             'identifiable': name in found.solution.accepted,
-            'node_identifiable': found.solution.determined[block].tolist(),
+            'node_identifiable': found.seen_at(name).tolist(),
             'u': found.u[name].tolist(),
         }
         entries[name] = entry

@@ -37,7 +37,7 @@ from scipy import linalg
 from otf_core.basis import Basis
 from otf_core.normal import NormalEquations
 from otf_core.tables import MOTIONS, is_straightness, unit_of
-from otf_core.unknowns import Unknowns, motion_gauge, reference_position
+from otf_core.unknowns import Unknowns, reference_position
 
 Array = NDArray[np.float64]
 
@@ -221,8 +221,7 @@ class Search:
 
     def _centres(self, logs: Mapping[str, Array]) -> dict[str, Array]:
         return {
-            m: np.median([logs[o] for o in logs if unit_of(o) == unit_of(m)], axis=0)
-            for m in logs
+            m: np.median([logs[o] for o in logs if unit_of(o) == unit_of(m)], axis=0) for m in logs
         }
 
     def _moved(self, logs: Mapping[str, Array], step: Array) -> dict[str, Array]:
@@ -247,7 +246,7 @@ class Search:
         for _ in range(MAX_STEPS):
             centres = self._centres(point.logs)
             score, information, _ = point.slopes(centres)
-            step = np.linalg.solve(information, score)
+            step = np.asarray(np.linalg.solve(information, score), dtype=float)
             step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
             best, share = point.penalised(centres), 1.0
             after = _Point(self, self._moved(point.logs, step))
@@ -271,15 +270,27 @@ class Search:
         return Roughness(point.logs, precision, moved, point.likelihood, point.square)
 
 
-def flat_prior(unknowns: Unknowns, limit: float) -> Array:
-    """Precision of unknowns of which nothing is known, shape (free, free), 1 / (m, rad)^2."""
-    return np.asarray(TRACE / limit**2 * np.eye(unknowns.free))
+def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
+    """Precision of the free unknowns for motions of a usual smoothness, before any data.
 
+    Parameters
+    ----------
+    unknowns : Unknowns
+    limit : float
+        m and rad.
+    size : float
+        m and rad; standard deviation of the motions.
 
-def prior_covariance(
-    unknowns: Unknowns, motion: str, logs: Array, limit: float
-) -> Array:
-    """Covariance of the coefficients of one motion before any data, shape (size, size)."""
-    basis = unknowns.bases[motion[2]]
-    gauge = motion_gauge(motion, basis)
-    return np.asarray(gauge @ MotionPrior(motion, basis).at(logs)[0] @ gauge.T * limit**2)
+    Returns
+    -------
+    ndarray, shape (free, free), 1 / (m, rad)^2
+    """
+    precision = TRACE * np.eye(unknowns.free)
+    own = 2.0 * np.log(size / limit)
+    logs = np.array([own, START[1], own + START[2] - START[0]])
+    for motion in MOTIONS:
+        part = unknowns.free_blocks[motion]
+        if part.stop > part.start:
+            covariance = MotionPrior(motion, unknowns.bases[motion[2]]).at(logs)[0]
+            precision[part, part] = np.linalg.inv(covariance)
+    return np.asarray(precision / limit**2)

@@ -12,7 +12,7 @@ with the largest restricted likelihood are taken, the size of the residuals left
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -68,6 +68,11 @@ def smooth_bases(nodes: Mapping[str, Array], parts: int = INTERVALS) -> Bases:
     return {axis: cubic(at, parts) for axis, at in nodes.items()}
 
 
+def linear_bases(nodes: Mapping[str, Array]) -> Bases:
+    """Functions that are linear between the nodes of every axis."""
+    return {axis: linear(at) for axis, at in nodes.items()}
+
+
 def _steps_unexplained(solved: SolvedRun) -> bool:
     """Tell whether neighbouring pieces of a line differ by more than the noise."""
     found = []
@@ -112,10 +117,10 @@ def choose_shapes(
     return ShapeChoice(best[1], moved, best[2].logs, evidence)
 
 
-_CHOICES = {
+_CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
     'smooth': smooth_bases,
     'smooth, twice as fine': partial(smooth_bases, parts=2 * INTERVALS),
-    'straight between nodes': lambda nodes: {axis: linear(at) for axis, at in nodes.items()},
+    'straight between nodes': linear_bases,
 }
 
 
@@ -127,12 +132,18 @@ def _tried(
     tables = tables_of(runs[0].machine, done.unknowns, done.solution)
     normal = _normal(runs, unknowns, done, tables)
     limit = config.unidentifiable_above
-    accepted = identifiable_blocks(_normal(runs, unknowns, done, tables, nodal=True), unknowns, limit)
+    accepted = identifiable_blocks(
+        _normal(runs, unknowns, done, tables, nodal=True), unknowns, limit
+    )
     return Search(normal, unknowns, accepted, limit).run(done.roughness.logs), normal.rows
 
 
 def _normal(
-    runs: Sequence[Run], unknowns: Unknowns, done: JointSolution, tables: ErrorTables, nodal: bool = False
+    runs: Sequence[Run],
+    unknowns: Unknowns,
+    done: JointSolution,
+    tables: ErrorTables,
+    nodal: bool = False,
 ) -> NormalEquations:
     systems = [
         build_system(r.machine, r.pieces, r.pose, unknowns, tables, run=k, nodal_lever=nodal)

@@ -171,6 +171,35 @@ def solve(
     gauge = unknowns.gauge
     covariance = gauge @ (gauge @ cover).T
     rank = int(np.sum(linalg.eigvalsh(data) > 1.0))
-    return Solution(
-        gauge @ free * limit, covariance * limit**2, accepted, unknowns.free, rank
-    )
+    return Solution(gauge @ free * limit, covariance * limit**2, accepted, unknowns.free, rank)
+
+
+def determined_by_data(
+    normal: NormalEquations,
+    unknowns: Unknowns,
+    accepted: tuple[str, ...],
+    limit: float,
+    rows: Array,
+) -> NDArray[np.bool_]:
+    """Tell which combinations of unknowns the data determine without what is known before.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+    unknowns : Unknowns
+    accepted : tuple of str
+    limit : float
+        m and rad; ``unidentifiable_above``.
+    rows : ndarray, shape (m, full)
+        Such as the nodes of the tables, see ``tabulate.Tabulation``.
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+    """
+    use = free_columns(unknowns, accepted)
+    place = np.ix_(use, use)
+    weight = normal.matrix[place] * limit**2 + TIE_BREAK * smoothness(unknowns)[place]
+    own = (rows @ unknowns.gauge)[:, use]
+    cover = linalg.cho_solve(linalg.cho_factor(weight, lower=True), own.T)
+    return np.asarray(np.einsum('ij,ji->i', own, cover) <= 1.0)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from otf_core.evaluation import free_rows, mean_length, without_rigid_motion
 from otf_core.joint import JointSolution
 from otf_core.kinematics import motion_influence
 from otf_core.machine import AXES, Machine
+from otf_core.solution import determined_by_data
 from otf_core.system import model_rows
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
 from otf_core.unknowns import Unknowns, motion_gauge, table_nodes
@@ -91,7 +93,8 @@ def projection(motion: str, basis: Basis, nodes: Array) -> Array:
     return np.asarray(gauge @ np.linalg.lstsq(hats * weight, basis.matrix(q) * weight)[0])
 
 
-def _rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:
+def table_rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:
+    """C0Y, B0Z, A0Z and node values of EXX ... ECZ from the full vector, shape (m, full)."""
     blocks = [np.eye(1)] * len(SQUARENESS)
     blocks += [projection(m, unknowns.bases[m[2]], nodes[m[2]]) for m in MOTIONS]
     order = [unknowns.blocks[n] for n in (*SQUARENESS, *MOTIONS)]
@@ -100,7 +103,8 @@ def _rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:
     return rows
 
 
-def _split(values: Array, nodes: Mapping[str, Array]) -> dict[str, Array]:
+def by_motion(values: NDArray[Any], nodes: Mapping[str, Array]) -> dict[str, NDArray[Any]]:
+    """Node values of every motion among values (m,) in the order of ``table_rows``."""
     ends = np.cumsum([len(SQUARENESS)] + [len(nodes[m[2]]) for m in MOTIONS])
     return dict(zip(MOTIONS, np.split(values, ends[:-1])[1:], strict=True))
 
@@ -133,7 +137,7 @@ def _inner_lattice(low: Array, high: Array) -> Array:
     return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing='ij')], axis=1)
 
 
-def tabulate(machine: Machine, done: JointSolution, grid_u: float) -> Tabulation:
+def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float) -> Tabulation:
     """Make tables of the functions that were solved for.
 
     Parameters
@@ -142,6 +146,8 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float) -> Tabulation
     done : JointSolution
     grid_u : float
         m; mean uncertainty of the grid, which decides how fine the tables are.
+    limit : float
+        m and rad; ``unidentifiable_above``.
 
     Returns
     -------
@@ -154,9 +160,9 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float) -> Tabulation
         nodes = table_nodes(_finer(machine, fraction), low, high)
         if fraction > 1 and 6 * sum(len(n) for n in nodes.values()) > MOST_NODES:
             break
-        rows = _rows(done.unknowns, nodes)
+        rows = table_rows(done.unknowns, nodes)
         value = rows @ done.solution.value
-        split = _split(value, nodes)
+        split = by_motion(value, nodes)
         costs[fraction] = _cost(machine, done, nodes, split)
         best = (fraction, nodes, rows, value, split)
         if costs[fraction].grid <= WORTH * grid_u:
@@ -164,8 +170,15 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float) -> Tabulation
     assert best is not None
     fraction, nodes, rows, value, split = best
     seen = done.solution.accepted
+    known = by_motion(determined_by_data(done.normal, done.unknowns, seen, limit, rows), nodes)
     motions = {
-        m: MotionTable(nodes[m[2]], split[m] + 0.0, np.zeros(len(split[m])), m in seen)
+        m: MotionTable(
+            nodes[m[2]],
+            split[m] + 0.0,
+            np.zeros(len(split[m])),
+            m in seen,
+            known[m] if m in seen else np.zeros(len(split[m]), dtype=bool),
+        )
         for m in MOTIONS
     }
     squareness = {n: Squareness(float(value[k])) for k, n in enumerate(SQUARENESS)}

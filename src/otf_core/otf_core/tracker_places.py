@@ -9,7 +9,6 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.candidate_lines import coarse
 from otf_core.errors import ConfigError
 from otf_core.forecast import BESIDE, Setup, forecast
 from otf_core.machine import AXES, Machine
@@ -80,7 +79,6 @@ def rough(setup: Setup) -> Setup:
     """Return a set-up that is quick to judge and good enough to compare places."""
     return replace(
         setup,
-        machine=coarse(setup.machine),
         calibration=replace(setup.calibration, piece_length=_PIECE),
         config=replace(setup.config, grid=min(setup.config.grid, 5)),
     )

@@ -17,6 +17,7 @@ from otf_core.effects import AppliedEffect, State
 from otf_core.frames import RigidTransform
 from otf_core.joint import solve_jointly
 from otf_core.runs import Recording, prepare_runs
+from otf_core.shape_choice import linear_bases
 from otf_core.sim.cell import SimulatedRun
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import displaced, run_state
@@ -116,7 +117,7 @@ def make_ruler(trial: Trial) -> Ruler:
     recordings = [Recording(r.samples, trial.plan.path, trial.machine) for r in simulated]
     with one_thread():
         runs, nodes = prepare_runs(recordings, config)
-        done = solve_jointly(runs, layout(nodes, len(runs)), config, lambda *_: None)
+        done = solve_jointly(runs, layout(linear_bases(nodes), len(runs)), config, lambda *_: None)
         rows = build_rows(runs, done, config.unidentifiable_above)
     states = tuple(sample_state(trial, k, r) for k, r in enumerate(simulated))
     return Ruler(trial, tuple(simulated), states, rows)

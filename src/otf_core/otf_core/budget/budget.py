@@ -94,7 +94,7 @@ class Budget:
         """
         whole = self.rows if rows is None else rows @ self.rows
         found = [np.einsum('ij,ij->i', whole @ s.covariance, whole) for s in self.sources]
-        return np.maximum(np.array(found), 0.0)
+        return np.asarray(np.maximum(np.array(found), 0.0))
 
     def expansion(self, variances: Array) -> tuple[float, float]:
         """Coverage factor for 95 % and degrees of freedom, smallest over values (sources, n)."""

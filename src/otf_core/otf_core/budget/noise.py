@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the weights do not say about the noise: its parts, and its correlation across corners.
 
-The weights W take lines as independent and hold, besides the noise of the tracker, the misfit. With
-the covariance C of the estimates and S of any part of the noise, that part makes
+The weights W take lines as independent and hold, besides the noise of the tracker, the misfit.
+With the covariance C of the estimates and S of any part of the noise, that part makes
 
     C  A^T W S W A  C
 
@@ -129,9 +129,7 @@ def noise_parts(runs: Sequence[Run], done: JointSolution, states: Sequence[State
         for leg, (low, high) in enumerate(solved.whitener.bounds):
             active, rows = _leg_weighted(solved, leg)
             for component, part in enumerate(rows):
-                parts = leg_parts(
-                    solved.system, run.pieces, noise, misfit, component, low, high
-                )
+                parts = leg_parts(solved.system, run.pieces, noise, misfit, component, low, high)
                 within[np.ix_(active, active)] += part.T @ (parts[2] + parts[3]) @ part
             time = run.pieces.time[low:high]
             chains[0].add(active, rows, slow[:, low:high], time)

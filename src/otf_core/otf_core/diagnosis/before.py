@@ -20,6 +20,7 @@ from otf_core.joint import JointSolution, SolvedRun, tables_of
 from otf_core.normal import Whitener
 from otf_core.observation import Samples
 from otf_core.planning import Plan
+from otf_core.roughness import Roughness
 from otf_core.runs import Recording, Run
 from otf_core.system import build_system
 
@@ -39,7 +40,8 @@ def forecast_rows(plan: Plan, setup: Setup, found: Forecast) -> Rows:
     alignment = Alignment(pose, corners, np.zeros(0, np.int64), 1.0, True)
     run = Run(Recording(still, plan.path, setup.machine), alignment, pieces, pose, setup.noise)
     solved = SolvedRun(pose, system, whitener, np.zeros_like(system.deviation))
-    done = JointSolution(found.unknowns, found.solution, (solved,), 1)
+    nothing = Roughness({}, np.zeros((found.unknowns.free,) * 2), np.zeros((0, 0)), 0.0, 0.0)
+    done = JointSolution(found.unknowns, found.solution, nothing, found.normal, (solved,), 1)
     tables = tables_of(setup.machine, found.unknowns, found.solution)
     state = state_on_path(
         setup.machine,

@@ -35,6 +35,7 @@ from otf_core.diagnosis.search import Cause, fit_out, noise_variance, search
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, solve_jointly
 from otf_core.runs import Recording, Run, prepare_runs
+from otf_core.shape_choice import choose_shapes
 from otf_core.tables import ErrorTables
 from otf_core.threads import one_thread
 from otf_core.unknowns import layout
@@ -110,8 +111,9 @@ def _solved(
     recordings: Sequence[Recording], config: CalibrationConfig, progress: Progress
 ) -> tuple[list[Run], JointSolution]:
     runs, nodes = prepare_runs(recordings, config)
-    unknowns = layout(nodes, len(runs))
-    return runs, solve_jointly(runs, unknowns, config, progress)
+    shapes = choose_shapes(runs, nodes, config, progress)
+    unknowns = layout(shapes.bases, len(runs))
+    return runs, solve_jointly(shapes.runs, unknowns, config, progress, shapes.start)
 
 
 def simulated_residual_um(

@@ -10,7 +10,7 @@ remains of E once A is projected out.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -23,15 +23,12 @@ from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.joint import JointSolution, SolvedRun, summed, tables_of
 from otf_core.runs import Run
 from otf_core.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
-from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
-from otf_core.uncertainty import check_residuals
+from otf_core.tables import ErrorTables
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FOLDS = 8
-PLAUSIBLE = 1e-4
-"""m and rad; size of the errors of a machine tool."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class Rows:
     runs : tuple of Run
     done : JointSolution
     tables : ErrorTables
-        As solved, see ``plausible_tables``.
+        As solved.
     states : tuple of State
         One per run, one entry per piece.
     plain_base, plain_deviation : ndarray, shape (r, b) and (r,), m
@@ -58,9 +55,9 @@ class Rows:
     limit : float
         m or rad per unit of ``base``.
     use : ndarray of int, shape (b,)
-        Free unknowns in ``base``: those that are solved for, and rotations that only the bend of
-        the tables between nodes tells from translations. They are of no use as tables, but their
-        trace must not be taken for something else.
+        Free unknowns in ``base``: those that are solved for, and rotations that only what a
+        spline times the travel is off a spline tells from translations. They are of no use as
+        tables, but their trace must not be taken for something else.
     """
 
     runs: tuple[Run, ...]
@@ -158,27 +155,6 @@ def _whitened(solved: SolvedRun, dense: Array) -> Array:
     return white
 
 
-def plausible_tables(runs: Sequence[Run], done: JointSolution) -> ErrorTables:
-    """Tables as solved, with what the data hardly determine held near zero.
-
-    A strong effect that the model lacks drives weak combinations of errors to millimetres. With
-    the covariance C of the estimates x as the residuals call for, and P that of errors of the
-    size ``PLAUSIBLE``, this is P (C + P)^-1 x.
-    """
-    solution, blocks = done.solution, done.unknowns.blocks
-    checks = [
-        check_residuals(s.whitener.vector(s.residual), r.pieces.leg, 0).inflation
-        for r, s in zip(runs, done.runs, strict=True)
-    ]
-    spans = [blocks[name] for name in (*SQUARENESS, *MOTIONS)]
-    index = np.concatenate([np.arange(b.start, b.stop) for b in spans])
-    covariance = solution.covariance[np.ix_(index, index)] * float(np.mean(checks))
-    prior = PLAUSIBLE**2 * np.eye(len(index))
-    value = solution.value.copy()
-    value[index] = PLAUSIBLE**2 * np.linalg.solve(covariance + prior, value[index])
-    return tables_of(runs[0].machine, done.unknowns, replace(solution, value=value))
-
-
 def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
     """Set up the rows of solved runs.
 
@@ -190,7 +166,7 @@ def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
     limit : float
         ``CalibrationConfig.unidentifiable_above``.
     """
-    tables = plausible_tables(runs, done)
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
     states = tuple(
         piece_state(r, s, done.unknowns.knots, tables)
         for r, s in zip(runs, done.runs, strict=True)
