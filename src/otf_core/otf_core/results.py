@@ -44,6 +44,7 @@ def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
         'runs': [_run_to_dict(run) for run in result.runs],
         'run_id': result.run_id,
         'gauge': GAUGE,
+        'spacing': _spacing(result),
         'covariance': pack_covariance(result.covariance),
         **budget_to_dict(result.tables, result.budget, lines),
         'not_identifiable': list(result.not_identifiable),
@@ -68,14 +69,29 @@ def _run_to_dict(run: RunResult) -> dict[str, Any]:
         'pieces': len(run.pieces),
         'residual_rms': float(np.sqrt(np.mean(np.sum(run.residual**2, axis=0)))),
         'noise': asdict(run.noise),
+        'misfit': asdict(run.misfit),
     }
+
+
+def _spacing(result: CalibrationResult) -> dict[str, Any]:
+    """Spacing of the nodes, and what straight lines between them cost: wished for and taken."""
+    costs = [
+        {
+            'fraction': fraction,
+            'grid': cost.grid,
+            'motions': {n: {'unit': unit_of(n), 'rms': v} for n, v in cost.motions.items()},
+        }
+        for fraction, cost in sorted(result.table_costs.items())
+    ]
+    return {'table_pitch_over': result.fraction, 'cost': costs}
 
 
 def _tidy_rows(result: CalibrationResult) -> str:
     lines = ['motion,axis,position,value,unit,u,identifiable']
     for name in MOTIONS:
         table = result.tables.motions[name]
-        flags = table.node_identifiable if table.node_identifiable is not None else ()
+        known = table.node_identifiable
+        flags = np.ones(len(table.position)) if known is None else known
         for row in zip(table.position, table.value, table.u, flags, strict=True):
             position, value, u, seen = row
             lines.append(
@@ -233,5 +249,21 @@ def format_tables(result: CalibrationResult) -> str:
         else:
             row += '   not identifiable in these data'
         lines.append(row)
-    lines += ['', f'Gauge: {GAUGE}.']
+    lines += ['', f'Gauge: {GAUGE}.', _spacing_in_words(result)]
     return '\n'.join(lines)
+
+
+def _spacing_in_words(result: CalibrationResult) -> str:
+    wish, taken = result.table_costs[1], result.table_costs[result.fraction]
+    worst = max(wish.motions, key=lambda name: wish.motions[name])
+    unit = 'um' if unit_of(worst) == 'm' else 'urad'
+    costs = (
+        f'straight lines between nodes cost {1e6 * wish.grid:.2f} um on the grid '
+        f'(most in {worst}: {1e6 * wish.motions[worst]:.2f} {unit})'
+    )
+    if result.fraction == 1:
+        return f'Nodes stand table_pitch apart; {costs}.'
+    return (
+        f'Nodes stand at 1/{result.fraction} of table_pitch, where straight lines cost '
+        f'{1e6 * taken.grid:.2f} um on the grid; at table_pitch {costs}.'
+    )
