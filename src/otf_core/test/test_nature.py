@@ -21,7 +21,7 @@ OFFSET = np.array([0.02, -0.03, -0.15])
 
 
 def nothing():
-    return {n: np.zeros_like for n in NAMES}, dict.fromkeys(SQUARE, 0.0)
+    return dict.fromkeys(NAMES, np.zeros_like), dict.fromkeys(SQUARE, 0.0)
 
 
 def constant(value):
@@ -107,9 +107,7 @@ def test_all_errors_together_are_the_sum_to_second_order():
 @pytest.mark.parametrize('form', FORMS)
 def test_forms_are_of_the_size_asked_for(form):
     rng = np.random.default_rng(5)
-    peaks = [
-        np.abs(draw_curve(rng, form, -0.2, 0.4, 6e-5, 0.03).value).max() for _ in range(40)
-    ]
+    peaks = [np.abs(draw_curve(rng, form, -0.2, 0.4, 6e-5, 0.03).value).max() for _ in range(40)]
     assert 3e-5 < np.median(peaks) < 9e-5
 
 
@@ -186,7 +184,5 @@ def test_a_rigid_motion_is_no_error():
     cell = Cell(7, form='polygon', path='short')
     tables = zero_tables(cell.machine)
     before = judge(cell, tables).before_um
-    cell.curves['EXX'] = Curve(
-        cell.curves['EXX'].position, cell.curves['EXX'].value + 1e-3
-    )
+    cell.curves['EXX'] = Curve(cell.curves['EXX'].position, cell.curves['EXX'].value + 1e-3)
     assert judge(cell, tables).before_um == pytest.approx(before, rel=1e-3)
