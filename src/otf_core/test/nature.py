@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from nature_forms import draw_curve
-from scipy.signal import lfilter
+from nature_tracker import Noise, spoiled
 
 from otf_core.config import PlannerConfig
 from otf_core.machine import machine_from_dict
@@ -121,31 +121,6 @@ class Drive:
         step = np.diff(self.points, axis=0)[leg]
         unit = step / np.maximum(self.length[leg], 1e-12)[:, None]
         return self.points[leg] + way[:, None] * unit, speed[:, None] * unit
-
-
-def coloured(rng, count, step, share, tau, tails):
-    """Noise of unit variance: the share is Gauss-Markov of time constant tau, the rest white."""
-    keep = np.exp(-step / tau)
-    kicks = rng.standard_normal(count) * np.sqrt(1 - keep**2)
-    kicks[0] = rng.standard_normal()
-    slow = lfilter([1.0], [1.0, -keep], kicks)
-    if tails is None:
-        fast = rng.standard_normal(count)
-    else:
-        fast = rng.standard_t(tails, count) * np.sqrt((tails - 2) / tails)
-    return np.sqrt(share) * slow + np.sqrt(1 - share) * fast
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Noise of a tracker: levels, colour, tails, and what is rotten beside it."""
-
-    u_range: float = 0.5e-6
-    u_angle: float = 1.5e-6
-    colour: float = 0.6
-    tau: float = 0.3
-    tails: float | None = None
-    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -276,19 +251,7 @@ class Cell:
 
     def measured(self, actual, noise, step, rng):
         """What the tracker reads of points (n, 3) in the machine frame: its own frame, noise."""
-        xyz = (actual - self.place) @ self.rotation.T
-        distance = np.linalg.norm(xyz, axis=1)
-        beam = xyz / distance[:, None]
-        first = np.cross(beam, [0.0, 0.0, 1.0])
-        flat = np.linalg.norm(first, axis=1) < 1e-3
-        first[flat] = np.cross(beam[flat], [1.0, 0.0, 0.0])
-        first /= np.linalg.norm(first, axis=1)[:, None]
-        second = np.cross(beam, first)
-        colour = (len(xyz), step, noise.colour, noise.tau, noise.tails)
-        along, one, two = (noise.factor * coloured(rng, *colour) for _ in range(3))
-        xyz = xyz + (noise.u_range * along)[:, None] * beam
-        xyz += (noise.u_angle * distance * one)[:, None] * first
-        return xyz + (noise.u_angle * distance * two)[:, None] * second
+        return spoiled((actual - self.place) @ self.rotation.T, noise, step, rng)
 
     def lattice(self, count=6):
         """Points in the driven volume that meet neither nodes nor corners; (count^3, 3), m."""

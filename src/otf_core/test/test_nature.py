@@ -9,13 +9,13 @@ from nature import (
     SQUARE,
     Cell,
     Extra,
-    coloured,
     influences,
     judge,
     target_on_table,
     tilted,
 )
 from nature_forms import FORMS, Curve, draw_curve
+from nature_tracker import coloured
 
 OFFSET = np.array([0.02, -0.03, -0.15])
 
