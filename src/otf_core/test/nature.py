@@ -15,6 +15,7 @@ squareness errors. The target relative to the table is the product from w to t a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from nature_forms import draw_curve
@@ -88,6 +89,20 @@ def target_on_table(chain, offset, curves, square, q):
     return point[:, :3] - offset
 
 
+def tour(low, high):
+    """Corner points of a lap of outlines, face and space diagonals that ends where it starts."""
+    square = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0), (1, 1), (1, 0), (0, 1), (0, 0)]
+    points = []
+    for normal in range(3):
+        for level in (0.0, 0.5, 1.0):
+            for pair in square:
+                points.append(np.insert(np.array(pair, float), normal, level))
+    space = ['000', '111', '110', '001', '011', '100', '101', '010', '000']
+    points += [np.array([float(c) for c in text]) for text in space]
+    moved = [True] + [bool(np.any(a != b)) for a, b in pairwise(points)]
+    return low + np.array(points)[moved] * (high - low)
+
+
 class Drive:
     """Programmed motion: trapezoidal speed on every leg, standstill at every corner."""
 
@@ -149,8 +164,10 @@ class Extra:
 class Cell:
     """One machine with true errors, a path and a place of the tracker, all from one seed.
 
-    Sizes in m; ``translation`` (m) and ``rotation`` (rad) are peaks of the error motions, about.
-    ``path``: 'default', 'short' (a quarter of it) or corner points (n, 3), m.
+    Sizes in m; ``pitch`` of the nodes for all axes or for each of three; ``translation`` (m) and
+    ``rotation`` (rad) are peaks of the error motions, about. ``path``: 'default' and 'short'
+    (fewer planes) of the project's planner, 'tour' (own: outlines and diagonals of nine planes,
+    space diagonals), or the corner points of a lap, (n, 3), m.
     """
 
     def __init__(
@@ -171,9 +188,10 @@ class Cell:
         dwell=0.2,
         extra=None,
     ):
-        rng = np.random.default_rng([20261101, seed])
+        rng = np.random.default_rng([20261101, seed, *chain.encode()])
         ends = {'X': (0.0, size[0]), 'Y': (0.0, size[1]), 'Z': (-size[2], 0.0)}
-        axes = {a: {'min': e[0], 'max': e[1], 'table_pitch': pitch} for a, e in ends.items()}
+        pitches = dict(zip(LETTERS, np.broadcast_to(np.array(pitch), 3).tolist(), strict=True))
+        axes = {a: {'min': e[0], 'max': e[1], 'table_pitch': pitches[a]} for a, e in ends.items()}
         self.machine = machine_from_dict(
             {
                 'name': f'nature-{seed}',
@@ -184,12 +202,17 @@ class Cell:
             }
         )
         self.seed, self.chain, self.form, self.extra = seed, chain, form, extra or Extra()
-        self.offset = np.array(offset, float)
+        self.offset, self.translation, self.rotational = np.array(offset), translation, rotation
         self.curves = {
-            n: draw_curve(rng, form, *ends[n[2]], translation if n[1] in LETTERS else rotation,
-                          pitch)
+            n: draw_curve(
+                rng,
+                form,
+                *ends[n[2]],
+                translation if n[1] in LETTERS else rotation,
+                pitches[n[2]],
+            )
             for n in NAMES
-        }  # fmt: skip
+        }
         self.square = {n: float(0.5 * rotation * rng.normal()) for n in SQUARE}
         self._cyclic_phase = rng.uniform(0, 2 * np.pi, 3)
         low, high = np.array([ends[a] for a in LETTERS]).T
@@ -203,7 +226,9 @@ class Cell:
         self._plan(path, passes, feed, dwell)
 
     def _plan(self, path, passes, feed, dwell):
-        if isinstance(path, str):
+        if isinstance(path, str) and path == 'tour':
+            lap = tour(self.machine.lower, self.machine.upper)
+        elif isinstance(path, str):
             config = {'default': {'levels': 3}, 'short': {'levels': 2}}[path]
             lap = plan_path(self.machine, PlannerConfig(passes=1, **config)).path.points
         else:
@@ -238,7 +263,7 @@ class Cell:
         """Record the run; ``levels``: fields of ``Noise``. The levels default to machine.yaml."""
         spec = self.machine.tracker
         noise = noise or Noise(**{'u_range': spec.u_range, 'u_angle': spec.u_angle, **levels})
-        rng = np.random.default_rng([977, self.seed, noise_seed])
+        rng = np.random.default_rng([977, self.seed, noise_seed, *self.chain.encode()])
         time = rng.uniform(0, 1 / rate) + np.arange(int(self.drive.duration * rate)) / rate
         q, speed = self.drive.at(time)
         actual = self.position(q) - np.array(self.extra.lag) * speed
