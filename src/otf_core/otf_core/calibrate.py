@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget, make_budget, whole_check
+from otf_core.budget.typical import TypicalSystematic, typical_systematic, typical_warnings
 from otf_core.config import CalibrationConfig
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
@@ -153,6 +154,8 @@ class CalibrationResult:
         How the motions differ between forward and backward travel; ``tables`` hold the mean.
     not_identifiable : tuple of str
         Motions and squareness errors the data cannot see.
+    typical : TypicalSystematic, optional
+        What typical systematic contributions would add; None if all are declared.
     warnings : tuple of str
     failed_gates : tuple of str
         Quality gates that failed; empty for a good calibration.
@@ -167,6 +170,7 @@ class CalibrationResult:
     fit: Fit
     reversal: Reversal
     not_identifiable: tuple[str, ...]
+    typical: TypicalSystematic | None
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
     config: CalibrationConfig
@@ -364,6 +368,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
     fit = _fit(runs, results, done, budget.inflation)
     covariance = budget.covariance
     tables = with_uncertainty(tables, covariance)
+    typical = typical_systematic(runs, done, tables, covariance)
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,
@@ -384,7 +389,11 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
             solved.choice.held,
         ),
         not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
-        warnings=tuple(_warnings(fit, unknowns, solution, tables, config.unidentifiable_above)),
+        typical=typical,
+        warnings=(
+            *typical_warnings(typical),
+            *_warnings(fit, unknowns, solution, tables, config.unidentifiable_above),
+        ),
         failed_gates=_failed_gates(fit),
         config=config,
     )

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.report import budget_lines, budget_to_dict, expanded, format_budget
+from otf_core.budget.typical import typical_to_dict
 from otf_core.calibrate import GAUGE, CalibrationResult, RunResult
 from otf_core.io.csv_points import write_csv
 from otf_core.io.files import ensure_folder, write_text
@@ -46,6 +47,7 @@ def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
         'gauge': GAUGE,
         'covariance': pack_covariance(result.covariance),
         **budget_to_dict(result.tables, result.budget, lines),
+        'typical_systematic': typical_to_dict(result.typical),
         'not_identifiable': list(result.not_identifiable),
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
