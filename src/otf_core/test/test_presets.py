@@ -73,7 +73,7 @@ def test_the_echo_names_the_presets_and_stands_on_its_own():
     echo = machine.to_dict()
     assert echo['tracker'] == {
         'u_range': 1.0e-6,
-        'u_angle': 3.0e-6,
+        'u_angle': 3.5e-6,
         'preset': 'absolute-distance-meter',
     }
     assert echo['uncertainty']['preset'] == 'workshop'

@@ -21,8 +21,8 @@ AT500 = (
     'typically half of the limits'
 )
 RECORDED = (
-    'public recordings at rest: 0.14 um to 0.7 um along the beam, across it 0.65 urad (calm air) '
-    'to 3.3 urad (turbulent), see docs/noise.md'
+    'recordings at rest, docs/noise.md: along the beam 0.3 um to 0.9 um, across it 1.0 urad to '
+    '1.9 urad in calm air, 3.1 urad to 4.2 urad in turbulent air'
 )
 LTD800 = (
     'LTD800 data sheet, coordinates at rest, 2 sigma: 25 um up to 2.5 m, 10 um/m beyond; taken '
@@ -74,7 +74,7 @@ TRACKERS: dict[str, Preset] = {
         'workshop',
         {
             'u_range': 1.0e-6,
-            'u_angle': 3.0e-6,
+            'u_angle': 3.5e-6,
             'tracker_scale': 0.2e-6,
             'tracker_range_offset': 6.5e-6,
             'tracker_offset': 8.7e-6,
@@ -86,7 +86,7 @@ TRACKERS: dict[str, Preset] = {
         'older interferometer tracker of the LTD class, reset at the bird bath',
         {
             'u_range': 0.7e-6,
-            'u_angle': 3.0e-6,
+            'u_angle': 3.5e-6,
             'tracker_scale': 0.3e-6,
             'tracker_range_offset': 5.8e-6,
             'tracker_offset': 12.5e-6,
