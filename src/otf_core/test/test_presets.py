@@ -11,11 +11,16 @@ import pytest
 from core_cells import some_machine
 
 from otf_core.budget.declared import KEYS, DeclaredUncertainty
+from otf_core.budget.planned import planned_systematic
 from otf_core.budget.presets import NOISE, TRACKERS, WORKSHOPS, typical_values
 from otf_core.budget.report import budget_lines
 from otf_core.calibrate import calibrate
+from otf_core.config import ForecastConfig
 from otf_core.errors import ConfigError
+from otf_core.evaluation import lattice
+from otf_core.forecast import Setup, forecast, grid_uncertainty
 from otf_core.machine import machine_from_dict
+from otf_core.plan_report import PlanReport, format_report, report_to_dict
 from otf_core.results import format_result, result_to_dict
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -195,3 +200,43 @@ def test_zero_declares_that_there_is_nothing(cell, calibrated):
     )
     machine = described(uncertainty=dict.fromkeys(KEYS, 0.0))
     assert set(machine.uncertainty.values.values()) == {0.0}
+
+
+# ---------------------------------------------------------------- before measuring
+
+
+def planned(machine, plan):
+    """What the forecast says of systematic contributions, and its text."""
+    setup = Setup.of(machine, config=ForecastConfig(rate=100.0))
+    found = forecast(plan, setup)
+    systematic = planned_systematic(plan, setup, found)
+    report = PlanReport(plan, 'given', setup, found, (), (), (), systematic=systematic)
+    return systematic, format_report(report), report_to_dict(report)
+
+
+def test_a_forecast_says_that_it_holds_noise_only_and_what_else_there_is(cell):
+    found, text, data = planned(cell.machine, cell.plan)
+    assert found.declared == ()
+    assert len(found.missing) == 6
+    assert found.with_declared == found.noise
+    assert found.with_typical > 3 * found.noise
+    assert 'Forecast of tracker noise alone' in text
+    assert 'WARNING tracker scale, air, ' in text
+    assert f'{1e6 * found.with_typical:.3f} um' in text
+    assert data['forecast']['holds'] == 'noise'
+    assert data['systematic']['mean_grid_u_with_typical'] == found.with_typical
+
+
+def test_a_forecast_with_declared_contributions_is_what_the_calibration_states(cell):
+    machine = replace(cell.machine, uncertainty=DeclaredUncertainty(typical_values()))
+    rotation, place = np.eye(3), Setup.of(machine).place
+    samples = cell.recording.measured(cell.truth, pose=(rotation, place))
+    result = calibrate(samples, cell.path, machine)
+    found, text, _ = planned(machine, cell.plan)
+    assert found.missing == ()
+    assert 'WARNING' not in text
+    nodes = {a: result.tables.motions[f'E{a}{a}'].position for a in 'XYZ'}
+    free = grid_uncertainty(machine, nodes, result.covariance, lattice(machine, 7))[1]
+    stated = np.linalg.norm(free, axis=1).mean()
+    assert found.with_declared == pytest.approx(stated, rel=0.05)
+    assert 'with the declared contributions (tracker scale, air, ' in text

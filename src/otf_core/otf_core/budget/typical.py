@@ -82,12 +82,17 @@ class TypicalSystematic:
         )
 
 
-def _typical_run(run: Run, values: Mapping[str, float]) -> Run:
-    machine = replace(run.machine, uncertainty=DeclaredUncertainty(values))
-    return replace(run, recording=replace(run.recording, machine=machine))
+def typical_runs(runs: Sequence[Run], values: Mapping[str, float]) -> list[Run]:
+    """Runs of machines that declare these values and nothing else."""
+    declared, found = DeclaredUncertainty(values), []
+    for run in runs:
+        machine = replace(run.machine, uncertainty=declared)
+        found.append(replace(run, recording=replace(run.recording, machine=machine)))
+    return found
 
 
-def _missing(runs: Sequence[Run]) -> dict[str, float]:
+def missing_keys(runs: Sequence[Run]) -> dict[str, float]:
+    """Keys that no run declares, with their typical values."""
     declared = {k for r in runs if r.machine.uncertainty for k in r.machine.uncertainty.values}
     typical = typical_values()
     return {k: typical[k] for k in KEYS if k not in declared}
@@ -101,7 +106,7 @@ def _changes(
     values: Mapping[str, float],
 ) -> Array:
     """Changes of squareness and nodes per standard uncertainty, shape (m, coefficients)."""
-    assumed = [_typical_run(r, values) for r in runs]
+    assumed = typical_runs(runs, values)
     blocks = [done.unknowns.blocks[name] for name in (*SQUARENESS, *MOTIONS)]
     order = np.concatenate([np.arange(b.start, b.stop) for b in blocks])
     parts = [systematic_sensitivity(s, assumed, done, tables)[order] for s in sources]
@@ -128,7 +133,7 @@ def typical_systematic(
     TypicalSystematic or None
         None if everything is declared.
     """
-    assumed = _missing(runs)
+    assumed = missing_keys(runs)
     sources = [s for s in SYSTEMATIC if set(s.keys) & set(assumed)]
     if not sources:
         return None
