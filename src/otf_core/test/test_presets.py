@@ -177,6 +177,14 @@ def test_undeclared_contributions_are_a_warning_above_the_table(calibrated):
     json.dumps(entry, allow_nan=False)
 
 
+def test_large_sizes_are_written_out(calibrated):
+    large = replace(
+        calibrated.typical, grid=(1.1e-3, 1.2345e-3), squareness={'B0Z': (99.4e-6, 99.6e-6)}
+    )
+    assert 'would be (k = 1) B0Z 99 -> 100 urad, grid 1100 -> 1234 um; ' in large.warning
+    assert '(k = 1) grid ' in replace(large, squareness={}).warning
+
+
 def test_what_is_declared_in_part_is_missing_in_part(cell):
     some = {
         k: v for k, v in typical_values().items() if k not in ('tracker_angle', 'air_pressure')

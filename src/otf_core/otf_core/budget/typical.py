@@ -67,19 +67,21 @@ class TypicalSystematic:
     @property
     def warning(self) -> str:
         """One line for the user."""
-        stated, with_them = (1e6 * v for v in self.grid)
-        sizes = [f'grid {stated:.2g} -> {with_them:.2g} um']
-        if self.squareness:
-            name, (one, other) = next(iter(self.squareness.items()))
-            sizes.insert(0, f'{name} {1e6 * one:.2g} -> {1e6 * other:.2g} urad')
+        sizes = [f'{n} {_step(pair)} urad' for n, pair in list(self.squareness.items())[:1]]
+        sizes.append(f'grid {_step(self.grid)} um')
         holds = (
             'noise and misfit only' if self.nothing_declared else 'only a part of what is known'
         )
         return (
             f'u holds {holds}: machine.yaml declares nothing for {", ".join(self.missing)}; '
-            f'with typical values (presets {", ".join(TYPICAL)}) k = 1 would be '
+            f'with typical values (presets {", ".join(TYPICAL)}) it would be (k = 1) '
             f'{", ".join(sizes)}; declare them in the section uncertainty, or name a preset'
         )
+
+
+def _step(pair: tuple[float, float]) -> str:
+    """Before and after, in millionths, two digits."""
+    return ' -> '.join(f'{1e6 * v:.0f}' if v > 99.5e-6 else f'{1e6 * v:.2g}' for v in pair)
 
 
 def typical_runs(runs: Sequence[Run], values: Mapping[str, float]) -> list[Run]:
