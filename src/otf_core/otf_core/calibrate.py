@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget, make_budget, whole_check
+from otf_core.budget.typical import TypicalSystematic, typical_systematic, typical_warnings
 from otf_core.config import CalibrationConfig
+from otf_core.extrapolation import prior_of
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.machine import Machine
@@ -25,6 +27,7 @@ from otf_core.reversal import Reversal, reversal_tables
 from otf_core.reversal_choice import Choice, ReversalSolution, solve_with_reversal
 from otf_core.runs import Recording, Run, prepare_runs
 from otf_core.system import build_system
+from otf_core.table_prior import MotionPrior
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, with_uncertainty
 from otf_core.tabulate import TableCost, mean_grid_uncertainty, tabulate
 from otf_core.threads import one_thread
@@ -158,8 +161,12 @@ class CalibrationResult:
         Nodes of the tables stand ``table_pitch / fraction`` apart.
     table_costs : mapping of fraction to TableCost
         What straight lines between the nodes cost, for 1 and for the fraction taken.
+    prior : mapping of motion or squareness error to MotionPrior
+        What is known of them where no data hold them.
     not_identifiable : tuple of str
         Motions and squareness errors the data cannot see.
+    typical : TypicalSystematic, optional
+        What typical systematic contributions would add; None if all are declared.
     warnings : tuple of str
     failed_gates : tuple of str
         Quality gates that failed; empty for a good calibration.
@@ -175,7 +182,9 @@ class CalibrationResult:
     reversal: Reversal
     fraction: int
     table_costs: Mapping[int, TableCost]
+    prior: Mapping[str, MotionPrior]
     not_identifiable: tuple[str, ...]
+    typical: TypicalSystematic | None
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
     config: CalibrationConfig
@@ -380,6 +389,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
     whole, budget = budget.whole, replace(budget, rows=table.rows)
     covariance = budget.covariance
     tables = with_uncertainty(table.tables, covariance)
+    typical = typical_systematic(runs, done, tables, table.rows, covariance)
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,
@@ -401,8 +411,13 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
         ),
         fraction=table.fraction,
         table_costs=table.costs,
+        prior=prior_of(done, tables, config.unidentifiable_above),
         not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
-        warnings=tuple(_warnings(fit, tables, config.unidentifiable_above)),
+        typical=typical,
+        warnings=(
+            *typical_warnings(typical),
+            *_warnings(fit, tables, config.unidentifiable_above),
+        ),
         failed_gates=_failed_gates(fit),
         config=config,
     )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.machine import AXES, Machine
+from otf_core.tables import ErrorTables
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,12 @@ def covered_grid(machine: Machine, points: Array, count: int) -> Array:
         for k, a in enumerate(AXES)
     }
     return lattice(replace(machine, axes=axes), count)
+
+
+def driven_grid(tables: ErrorTables, count: int = 7) -> Array:
+    """Lattice over the range of the tables, shape (count**3, 3), m."""
+    ends = np.array([tables.motions[f'E{a}{a}'].position[[0, -1]] for a in AXES])
+    return covered_grid(tables.machine, ends.T, count)
 
 
 def rigid_columns(q: Array) -> Array:

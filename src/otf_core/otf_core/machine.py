@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.declared import DeclaredUncertainty, declared_from_fields
+from otf_core.budget.presets import TRACKERS, chosen
 from otf_core.errors import ConfigError
 from otf_core.io.strict_yaml import Fields, read_yaml
 
@@ -34,10 +35,14 @@ class Axis:
 
 @dataclass(frozen=True)
 class TrackerSpec:
-    """Specified standard uncertainties: ``u_range`` in m along the beam, ``u_angle`` in rad."""
+    """Specified standard uncertainties: ``u_range`` in m along the beam, ``u_angle`` in rad.
+
+    ``preset`` names the class of tracker that what is not given comes from.
+    """
 
     u_range: float
     u_angle: float
+    preset: str | None = None
 
 
 @dataclass(frozen=True)
@@ -114,7 +119,10 @@ class Machine:
         return np.array([self.axes[a].max for a in AXES])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the description as plain data, in the layout of machine.yaml."""
+        """Return the description as plain data, in the layout of machine.yaml.
+
+        Values that come from a preset stand beside its name.
+        """
         data: dict[str, Any] = {
             'name': self.name,
             'chain': str(self.chain),
@@ -125,8 +133,12 @@ class Machine:
             'target_offset': [float(v) for v in self.target_offset],
             'tracker': {'u_range': self.tracker.u_range, 'u_angle': self.tracker.u_angle},
         }
+        if self.tracker.preset is not None:
+            data['tracker']['preset'] = self.tracker.preset
         if self.uncertainty is not None:
             data['uncertainty'] = dict(self.uncertainty.values)
+            if self.uncertainty.preset is not None:
+                data['uncertainty']['preset'] = self.uncertainty.preset
         return data
 
 
@@ -161,17 +173,26 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
     offset = np.array(top.vector('target_offset', 3))
     if np.max(np.abs(offset)) > 10:
         top.fail('target_offset', f'{offset.tolist()} m is no length of a tool; unit is m')
-    tracker = top.mapping('tracker')
-    spec = TrackerSpec(
-        tracker.number('u_range', low=0.0, high=1e-2, unit='m'),
-        tracker.number('u_angle', low=0.0, high=1e-2, unit='rad'),
-    )
-    tracker.done()
+    spec = _tracker(top.mapping('tracker'))
     declared = None
     if top.has('uncertainty'):
-        declared = declared_from_fields(top.mapping('uncertainty'))
+        declared = declared_from_fields(top.mapping('uncertainty'), spec.preset)
+    elif spec.preset is not None:
+        declared = declared_from_fields(Fields({}, where), spec.preset)
     top.done()
     return Machine(name, chain, axes, offset, spec, declared)
+
+
+def _tracker(fields: Fields) -> TrackerSpec:
+    preset = fields.text('preset') if fields.has('preset') else None
+    values: dict[str, float] = {}
+    if preset is not None:
+        values.update(chosen(TRACKERS, preset, f'{fields.where}: preset').values)
+    for key, unit in (('u_range', 'm'), ('u_angle', 'rad')):
+        if preset is None or fields.has(key):
+            values[key] = fields.number(key, low=0.0, high=1e-2, unit=unit)
+    fields.done(known=('preset', 'u_range', 'u_angle'))
+    return TrackerSpec(values['u_range'], values['u_angle'], preset)
 
 
 def _axis(fields: Fields) -> Axis:

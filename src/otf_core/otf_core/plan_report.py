@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from otf_core.budget.planned import PlannedSystematic
 from otf_core.forecast import Forecast, Setup
 from otf_core.io.csv_points import write_csv
 from otf_core.io.files import write_text
@@ -63,6 +64,8 @@ class PlanReport:
         Ranked places of the tracker.
     advice : tuple of str
     effects : tuple of EffectForecast
+    systematic : PlannedSystematic, optional
+        The grid with systematic contributions; everything else is noise only.
     """
 
     plan: Plan
@@ -73,6 +76,7 @@ class PlanReport:
     places: tuple[TrackerPlace, ...]
     advice: tuple[str, ...]
     effects: tuple[EffectForecast, ...] = field(default=())
+    systematic: PlannedSystematic | None = None
 
 
 def _margin(report: PlanReport) -> float:
@@ -120,6 +124,7 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
             'pieces': len(found.pieces),
             'unknowns': found.solution.unknowns,
             'rank': found.solution.rank,
+            'holds': 'noise',
             'mean_grid_u': found.mean_grid_u,
             'mean_grid_u_in_gauge': float(np.linalg.norm(found.grid_u, axis=1).mean()),
             'errors': _errors(found),
@@ -129,6 +134,7 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
                 'u_in_gauge': found.grid_u.tolist(),
             },
         },
+        'systematic': report.systematic.to_dict() if report.systematic else None,
         'not_shown': [asdict(f) for f in report.findings],
         'tracker_places': [asdict(p) | {'place': p.place.tolist()} for p in report.places],
         'effects': {e.effect: dict(e.data) for e in report.effects},
@@ -172,6 +178,7 @@ def format_report(report: PlanReport) -> str:
         f'(best rigid motion of the grid taken out)',
         f'in the gauge of the tables {1e6 * gauge.mean():.3f} um, largest '
         f'{1e6 * gauge.max():.3f} um',
+        *(report.systematic.words if report.systematic else ()),
         *_table(found),
         '',
         'What this plan does not show:',

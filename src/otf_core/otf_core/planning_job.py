@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from otf_core.budget.planned import planned_systematic
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.diagnosis.before import forecast_effects
 from otf_core.errors import ConfigError
@@ -154,6 +155,7 @@ def make_plan(
             EffectForecast(e['effect'], e['words'], e)
             for e in forecast_effects(plan, setup, found)
         )
+        systematic = planned_systematic(plan, setup, found)
     return PlanReport(
         plan,
         how,
@@ -163,4 +165,5 @@ def make_plan(
         tuple(places),
         tuple(advice(places, own)),
         effects,
+        systematic,
     )

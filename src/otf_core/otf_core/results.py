@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.report import budget_lines, budget_to_dict, expanded, format_budget
+from otf_core.budget.typical import typical_to_dict
 from otf_core.calibrate import GAUGE, CalibrationResult, RunResult
+from otf_core.driven_volume import driven_volume
 from otf_core.io.csv_points import write_csv
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.reversal_report import format_reversal, reversal_csv, reversal_to_dict
@@ -45,8 +47,14 @@ def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
         'run_id': result.run_id,
         'gauge': GAUGE,
         'spacing': _spacing(result),
+        'prior': {name: asdict(known) for name, known in result.prior.items()},
         'covariance': pack_covariance(result.covariance),
         **budget_to_dict(result.tables, result.budget, lines),
+        'driven': driven_volume(
+            np.concatenate([run.q for run in result.runs]),
+            result.config.corner_exclusion + result.config.piece_length,
+        ).to_dict(),
+        'typical_systematic': typical_to_dict(result.typical),
         'not_identifiable': list(result.not_identifiable),
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),

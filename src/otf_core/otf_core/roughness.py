@@ -98,7 +98,7 @@ def kernel(basis: Basis, logs: Array) -> tuple[Array, list[Array]]:
     return smooth + kinks, [smooth, smooth * apart, kinks]
 
 
-class MotionPrior:
+class CoefficientPrior:
     """Covariance of the free coefficients of one motion, in units of the squared limit."""
 
     def __init__(self, motion: str, basis: Basis) -> None:
@@ -206,11 +206,11 @@ class Search:
         self.use = np.concatenate([np.arange(s.start, s.stop) for s in spans])
         ends = np.cumsum([s.stop - s.start for s in spans]).tolist()
         self.places: dict[str, slice] = {}
-        self.priors: dict[str, MotionPrior] = {}
+        self.priors: dict[str, CoefficientPrior] = {}
         for name, span, end in zip(accepted, spans, ends, strict=True):
             if name in MOTIONS:
                 self.places[name] = slice(end - (span.stop - span.start), end)
-                self.priors[name] = MotionPrior(name, unknowns.bases[name[2]])
+                self.priors[name] = CoefficientPrior(name, unknowns.bases[name[2]])
         self.matrix = normal.matrix[np.ix_(self.use, self.use)] * limit**2
         self.right = normal.right[self.use] * limit
         self.square, self.limit, self.free = normal.square, limit, unknowns.free
@@ -291,6 +291,36 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
     for motion in MOTIONS:
         part = unknowns.free_blocks[motion]
         if part.stop > part.start:
-            covariance = MotionPrior(motion, unknowns.bases[motion[2]]).at(logs)[0]
+            covariance = CoefficientPrior(motion, unknowns.bases[motion[2]]).at(logs)[0]
             precision[part, part] = np.linalg.inv(covariance)
     return np.asarray(precision / limit**2)
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Smoothness of one motion in units of its axis.
+
+    Attributes
+    ----------
+    sd : float
+        Size of the smooth part g, m or rad.
+    length : float
+        Length of its waves, m.
+    intensity : float
+        Of the second derivative of w, m^2/m^3 or rad^2/m^3.
+    """
+
+    sd: float
+    length: float
+    intensity: float
+
+
+def waves_of(logs: Array, knots: Array, limit: float) -> Waves:
+    """Smoothness of a motion over the range of its knots (k,), m, from its logarithms."""
+    span = float(knots[-1] - knots[0])
+    sizes = np.exp(logs)
+    return Waves(
+        float(limit * np.sqrt(sizes[0])),
+        float(sizes[1] * span),
+        float(limit**2 * sizes[2] / max(span, 1e-12) ** 3),
+    )

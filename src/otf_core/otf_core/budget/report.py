@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from otf_core.budget.budget import NAMES, Budget
 from otf_core.budget.freedom import COVERAGE
-from otf_core.evaluation import covered_grid, free_rows
-from otf_core.machine import AXES
+from otf_core.evaluation import driven_grid, free_rows
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, unit_of
 from otf_core.threads import one_thread
 from otf_core.uncertainty import prediction_rows
 
 Array = NDArray[np.float64]
 
-GRID, GRID_POINTS = 'grid', 7
+GRID = 'grid'
 STRONG = 0.5
 """Correlations at least as large are listed."""
 LISTED = 20
@@ -92,8 +91,7 @@ def budget_lines(tables: ErrorTables, budget: Budget) -> list[Line]:
         if variances[:, place].any():
             unit = 'rad' if name in SQUARENESS else unit_of(name)
             lines.append(_line(budget, name, unit, variances[:, place]))
-    ends = np.array([tables.motions[f'E{a}{a}'].position[[0, -1]] for a in AXES])
-    grid = covered_grid(tables.machine, ends.T, GRID_POINTS)
+    grid = driven_grid(tables)
     rows = prediction_rows(tables.machine, {m: tables.motions[m].position for m in MOTIONS}, grid)
     with one_thread():
         free = free_rows(rows.reshape(-1, rows.shape[2]), grid)

@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 PER_KELVIN = 0.93e-6
 PER_PASCAL = 2.7e-9
 """Relative change of a length measured in air, per K and per Pa."""
+NO_EFFECT = 1e-9
+"""Displacement per unit of a parameter, relative to the largest possible, that is rounding."""
 AT_ONCE = 1e-6
 """s; time constant of a warming that is complete when the run starts."""
 
@@ -94,7 +96,10 @@ def _shared_equally(terms: Terms, state: State, offset: float, angle: float) -> 
     size = np.sqrt(np.mean(np.sum(beside**2, axis=1), axis=0))
     is_offset = np.array([unit == 'm' for unit in terms.units])
     wanted = np.where(is_offset, offset, angle * np.sqrt(np.mean(distance**2)))
-    share = np.where(is_offset, is_offset.sum(), (~is_offset).sum())
+    # what displaces nothing on this path, but for rounding, has no share
+    acts = size > NO_EFFECT * np.where(is_offset, 1.0, np.sqrt(np.mean(distance**2)))
+    share = np.where(is_offset, (acts & is_offset).sum(), (acts & ~is_offset).sum())
+    size, share = np.where(acts, size, np.inf), np.maximum(share, 1)
     # in each of the two directions across the beam: hence the factor 2
     return np.asarray(wanted * np.sqrt(2.0 / share) / size)
 

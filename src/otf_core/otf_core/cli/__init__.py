@@ -8,6 +8,7 @@ a quality gate failed.
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -45,6 +46,11 @@ def _seed(text: str) -> int:
 class _Parser(argparse.ArgumentParser):
     """One clear line instead of the usage text in front of every error."""
 
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        # argparse takes -1e-3 for an option
+        self._negative_number_matcher = re.compile(r'-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$')
+
     def error(self, message: str) -> Any:
         """Print what is wrong and leave with exit code 2."""
         self.exit(2, f'{self.prog}: {message} (see {self.prog} --help)\n')
@@ -69,6 +75,19 @@ def _add_plan_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--dialect', choices=('sinumerik', 'fanuc', 'heidenhain', 'linuxcnc'),
         help='write the NC program for this control; there is no generic one',
+    )  # fmt: skip
+
+
+def _add_predict_options(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument('--tables', required=True, help='error_tables.json')
+    sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
+    sub.add_argument(
+        '--out', required=True, help='CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside; m, k = 1'
+    )
+    sub.add_argument(
+        '--target-offset', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
+        help='predict for this target offset, e.g. of a longer tool (m; default: as measured); '
+        'rotations that the data do not see are in u by their prior',
     )  # fmt: skip
 
 
@@ -144,12 +163,9 @@ def _parser() -> argparse.ArgumentParser:
     sub = verb(
         'predict',
         run_predict,
-        'Volumetric errors at points, from error tables: '
-        'the mean of forward and backward travel, with the target offset of their machine.',
+        'Volumetric errors at points, from error tables: the mean of forward and backward travel.',
     )
-    sub.add_argument('--tables', required=True, help='error_tables.json')
-    sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
-    sub.add_argument('--out', required=True, help='CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz; m, k = 1')
+    _add_predict_options(sub)
 
     _add_judging_verbs(verb)
 

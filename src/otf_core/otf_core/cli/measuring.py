@@ -112,12 +112,15 @@ def run_predict(arguments: argparse.Namespace) -> int:
     from otf_core.prediction import predict
 
     points = read_points_csv(arguments.points)
-    prediction = predict(arguments.tables, points)
+    offset = None if arguments.target_offset is None else np.array(arguments.target_offset)
+    prediction = predict(arguments.tables, points, offset, arguments.points)
     ensure_folder(Path(arguments.out).parent)
     columns = np.hstack([points, prediction.error, prediction.u])
-    write_csv(arguments.out, 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz', columns)
-    if not prediction.correlated:
-        note('otf predict: the tables hold no covariance; u takes their nodes as independent')
+    header = 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
+    write_csv(arguments.out, header, columns, prediction.inside)
+    for text in prediction.notes:
+        note(f'otf predict: {text}')
+    say(prediction.summary)
     return 0
 
 

@@ -9,20 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.alignment import Alignment
+from otf_core.budget.planned import planned_solution
 from otf_core.diagnosis.catalogue import Visibility, collect_options, effects_without
 from otf_core.diagnosis.evidence import Option
 from otf_core.diagnosis.rows import Rows, rows_of
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_on_path
-from otf_core.forecast import Forecast, Setup, tracker_pose
-from otf_core.joint import JointSolution, SolvedRun, tables_of
-from otf_core.normal import Whitener
-from otf_core.observation import Samples
+from otf_core.forecast import Forecast, Setup
 from otf_core.planning import Plan
-from otf_core.roughness import Roughness
-from otf_core.runs import Recording, Run
-from otf_core.system import build_system
 
 Array = NDArray[np.float64]
 
@@ -32,25 +26,16 @@ SAME = 0.97
 
 def forecast_rows(plan: Plan, setup: Setup, found: Forecast) -> Rows:
     """Rows of the pieces that a recording of the plan would give, with zero deviations."""
-    pose, pieces = tracker_pose(setup), found.pieces
-    system = build_system(setup.machine, pieces, pose, found.unknowns)
-    whitener = Whitener(system, pieces, setup.noise)
-    still = Samples(np.zeros(0, np.int64), np.zeros((0, 3)))
-    corners = plan.path.points
-    alignment = Alignment(pose, corners, np.zeros(0, np.int64), 1.0, True)
-    run = Run(Recording(still, plan.path, setup.machine), alignment, pieces, pose, setup.noise)
-    solved = SolvedRun(pose, system, whitener, np.zeros_like(system.deviation))
-    nothing = Roughness({}, np.zeros((found.unknowns.free,) * 2), np.zeros((0, 0)), 0.0, 0.0)
-    done = JointSolution(found.unknowns, found.solution, nothing, found.normal, (solved,), 1)
-    tables = tables_of(setup.machine, found.unknowns, found.solution)
+    run, done, tables = planned_solution(plan, setup, found)
+    solved, pieces = done.runs[0], found.pieces
     state = state_on_path(
         setup.machine,
-        corners,
+        plan.path.points,
         pieces.leg,
-        system.q,
+        solved.system.q,
         pieces.speed,
         pieces.time,
-        pose,
+        solved.pose,
         found.unknowns.knots,
         tables,
         found.duration,

@@ -53,7 +53,23 @@ def read_points_csv(path: str | Path) -> NDArray[np.float64]:
     return np.array(points)
 
 
-def write_csv(path: str | Path, header: str, columns: NDArray[np.float64]) -> None:
-    """Write numbers with full precision under a comma-separated header, whole or not at all."""
-    lines = [header] + [','.join(map(repr, row)) for row in columns.tolist()]
-    write_text(path, '\n'.join(lines) + '\n')
+def write_csv(
+    path: str | Path,
+    header: str,
+    columns: NDArray[np.float64],
+    flags: NDArray[np.bool_] | None = None,
+) -> None:
+    """Write numbers with full precision under a comma-separated header, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+    header : str
+    columns : ndarray, shape (n, columns)
+    flags : ndarray of bool, shape (n,), optional
+        A last column of 1 and 0.
+    """
+    rows = [','.join(map(repr, row)) for row in columns.tolist()]
+    if flags is not None:
+        rows = [f'{row},{int(flag)}' for row, flag in zip(rows, flags, strict=True)]
+    write_text(path, '\n'.join([header, *rows]) + '\n')

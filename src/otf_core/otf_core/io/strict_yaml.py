@@ -80,6 +80,11 @@ class Fields:
         self._where = where
         self._taken: list[str] = []
 
+    @property
+    def where(self) -> str:
+        """File and key path, for messages."""
+        return self._where
+
     def fail(self, key: str, problem: str) -> NoReturn:
         """Raise a ConfigError about one key."""
         raise ConfigError(f'{self._where}: {key}: {problem}')

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What typical systematic contributions would make of u, where machine.yaml declares none.
+
+A calibration without declared contributions states the noise of the tracker and the misfit of the
+model, often a tenth of what a repetition with another tracker on another day would show. The
+sensitivities S of the tables to the missing contributions are those of the budget
+(``systematic``); only their sizes are typical ones (``presets.TYPICAL``) instead of declared:
+
+    u_with^2 = u^2 + diag( S S^T )
+
+Nothing of this enters the covariance: what is not declared stays out, but not out of sight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.budget.declared import KEYS, DeclaredUncertainty
+from otf_core.budget.presets import TYPICAL, typical_values
+from otf_core.budget.systematic import SYSTEMATIC, Systematic, systematic_sensitivity
+from otf_core.evaluation import driven_grid, free_rows
+from otf_core.joint import JointSolution
+from otf_core.runs import Run
+from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.threads import one_thread
+from otf_core.uncertainty import prediction_rows
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TypicalSystematic:
+    """u as stated, and with typical values for what nobody declared.
+
+    Attributes
+    ----------
+    missing : tuple of str
+        Contributions of which at least one key is not declared, as the budget calls them.
+    nothing_declared : bool
+    assumed : mapping of key to float
+        Typical standard uncertainty of every missing key.
+    squareness : mapping of name to (float, float), rad
+        u as stated and with them, of those that are identifiable.
+    motions : mapping of name to ndarray, shape (k,), m or rad
+        u with them at every node; zero where not identifiable.
+    grid : tuple of two floats, m
+        Root mean square over a grid of the u of the error vector, rigid motion taken out: as
+        stated and with them.
+    """
+
+    missing: tuple[str, ...]
+    nothing_declared: bool
+    assumed: Mapping[str, float]
+    squareness: Mapping[str, tuple[float, float]]
+    motions: Mapping[str, Array]
+    grid: tuple[float, float]
+
+    @property
+    def warning(self) -> str:
+        """One line for the user."""
+        sizes = [f'{n} {_step(pair)} urad' for n, pair in list(self.squareness.items())[:1]]
+        sizes.append(f'grid {_step(self.grid)} um')
+        holds = (
+            'noise and misfit only' if self.nothing_declared else 'only a part of what is known'
+        )
+        return (
+            f'u holds {holds}: machine.yaml declares nothing for {", ".join(self.missing)}; '
+            f'with typical values (presets {", ".join(TYPICAL)}) it would be (k = 1) '
+            f'{", ".join(sizes)}; declare them in the section uncertainty, or name a preset'
+        )
+
+
+def _step(pair: tuple[float, float]) -> str:
+    """Before and after, in millionths, two digits."""
+    return ' -> '.join(f'{1e6 * v:.0f}' if v > 99.5e-6 else f'{1e6 * v:.2g}' for v in pair)
+
+
+def typical_runs(runs: Sequence[Run], values: Mapping[str, float]) -> list[Run]:
+    """Runs of machines that declare these values and nothing else."""
+    declared, found = DeclaredUncertainty(values), []
+    for run in runs:
+        machine = replace(run.machine, uncertainty=declared)
+        found.append(replace(run, recording=replace(run.recording, machine=machine)))
+    return found
+
+
+def missing_keys(runs: Sequence[Run]) -> dict[str, float]:
+    """Keys that no run declares, with their typical values."""
+    declared = {k for r in runs if r.machine.uncertainty for k in r.machine.uncertainty.values}
+    typical = typical_values()
+    return {k: typical[k] for k in KEYS if k not in declared}
+
+
+def _changes(
+    sources: Sequence[Systematic],
+    runs: Sequence[Run],
+    done: JointSolution,
+    tables: ErrorTables,
+    values: Mapping[str, float],
+    rows: Array,
+) -> Array:
+    """Changes of squareness and nodes per standard uncertainty, shape (m, coefficients)."""
+    assumed = typical_runs(runs, values)
+    parts = [rows @ systematic_sensitivity(s, assumed, done, tables) for s in sources]
+    return np.concatenate(parts, axis=1)
+
+
+def typical_systematic(
+    runs: Sequence[Run],
+    done: JointSolution,
+    tables: ErrorTables,
+    rows: Array,
+    covariance: Array,
+) -> TypicalSystematic | None:
+    """Compute what typical contributions would add.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    done : JointSolution
+        Of the same runs.
+    tables : ErrorTables
+        As solved.
+    rows : ndarray, shape (m, full)
+        Squareness and nodes from all unknowns, see ``tabulate.Tabulation``.
+    covariance : ndarray, shape (m, m)
+        As stated, of squareness and nodes in the order of predictions.
+
+    Returns
+    -------
+    TypicalSystematic or None
+        None if everything is declared.
+    """
+    assumed = missing_keys(runs)
+    sources = [s for s in SYSTEMATIC if set(s.keys) & set(assumed)]
+    if not sources:
+        return None
+    with one_thread():
+        change = _changes(sources, runs, done, tables, assumed, rows)
+        stated = np.maximum(np.diag(covariance), 0.0)
+        u = np.sqrt(stated + np.sum(change**2, axis=1))
+        grid = driven_grid(tables)
+        nodes = {m: tables.motions[m].position for m in MOTIONS}
+        rows = prediction_rows(tables.machine, nodes, grid)
+        free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
+        # three components a point: the u of the vector is the root of their sum
+        before = 3.0 * np.maximum(np.einsum('ij,ij->i', free @ covariance, free), 0.0).mean()
+        after = before + 3.0 * np.mean(np.sum((free @ change) ** 2, axis=1))
+    motions, start = {}, len(SQUARENESS)
+    for name in MOTIONS:
+        stop = start + len(nodes[name])
+        motions[name] = u[start:stop] * float(tables.motions[name].identifiable)
+        start = stop
+    return TypicalSystematic(
+        missing=tuple(s.source for s in sources),
+        nothing_declared=len(assumed) == len(KEYS),
+        assumed=assumed,
+        squareness={
+            n: (float(np.sqrt(stated[k])), float(u[k]))
+            for k, n in enumerate(SQUARENESS)
+            if n in done.solution.accepted
+        },
+        motions=motions,
+        grid=(float(np.sqrt(before)), float(np.sqrt(after))),
+    )
+
+
+def typical_warnings(found: TypicalSystematic | None) -> tuple[str, ...]:
+    """What the user should read above the tables; nothing if everything is declared."""
+    return () if found is None else (found.warning,)
+
+
+def typical_to_dict(found: TypicalSystematic | None) -> dict[str, Any] | None:
+    """Entry ``typical_systematic`` of error_tables.json; None if everything is declared."""
+    if found is None:
+        return None
+    return {
+        'missing': list(found.missing),
+        'presets': list(TYPICAL),
+        'assumed': dict(found.assumed),
+        'squareness': {n: {'u': u} for n, (_, u) in found.squareness.items()},
+        'motions': {n: {'u': u.tolist()} for n, u in found.motions.items()},
+        'grid': {'unit': 'm', 'u_stated': found.grid[0], 'u': found.grid[1]},
+    }

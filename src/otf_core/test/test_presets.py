@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Classes of trackers and workshops, and what u would be with typical contributions."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from core_cells import some_machine
+
+from otf_core.budget.declared import KEYS, DeclaredUncertainty
+from otf_core.budget.planned import planned_systematic
+from otf_core.budget.presets import NOISE, TRACKERS, WORKSHOPS, typical_values
+from otf_core.budget.report import budget_lines
+from otf_core.calibrate import calibrate
+from otf_core.config import ForecastConfig
+from otf_core.errors import ConfigError
+from otf_core.evaluation import lattice
+from otf_core.forecast import Setup, forecast, grid_uncertainty
+from otf_core.machine import machine_from_dict
+from otf_core.plan_report import PlanReport, format_report, report_to_dict
+from otf_core.results import format_result, result_to_dict
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def described(tracker=None, uncertainty=None):
+    """Machine from plain data with these sections."""
+    data = some_machine().to_dict()
+    if tracker is not None:
+        data['tracker'] = tracker
+    if uncertainty is not None:
+        data['uncertainty'] = uncertainty
+    return machine_from_dict(data)
+
+
+# ---------------------------------------------------------------- presets
+
+
+@pytest.mark.parametrize('name', TRACKERS)
+def test_a_tracker_preset_gives_noise_and_declares_the_tracker(name):
+    machine = described({'preset': name})
+    values = TRACKERS[name].values
+    assert (machine.tracker.u_range, machine.tracker.u_angle) == (
+        values['u_range'],
+        values['u_angle'],
+    )
+    assert dict(machine.uncertainty.values) == {
+        k: v for k, v in values.items() if k.startswith('tracker_')
+    }
+
+
+def test_tracker_and_workshop_together_declare_everything():
+    for tracker in TRACKERS:
+        for workshop in WORKSHOPS:
+            machine = described({'preset': tracker}, {'preset': workshop})
+            assert set(machine.uncertainty.values) == set(KEYS)
+    assert set(typical_values()) == set(KEYS)
+
+
+def test_given_keys_win_over_presets():
+    machine = described(
+        {'preset': 'ltd-class', 'u_angle': 7e-6},
+        {'preset': 'hall', 'tracker_scale': 0.0, 'air_temperature': 0.1},
+    )
+    assert machine.tracker.u_angle == 7e-6
+    assert machine.tracker.u_range == TRACKERS['ltd-class'].values['u_range']
+    values = machine.uncertainty.values
+    assert (values['tracker_scale'], values['air_temperature']) == (0.0, 0.1)
+    assert values['tracker_angle'] == TRACKERS['ltd-class'].values['tracker_angle']
+    assert values['machine_temperature'] == WORKSHOPS['hall'].values['machine_temperature']
+
+
+def test_the_echo_names_the_presets_and_stands_on_its_own():
+    machine = described({'preset': 'absolute-distance-meter'}, {'preset': 'workshop'})
+    echo = machine.to_dict()
+    assert echo['tracker'] == {
+        'u_range': 1.0e-6,
+        'u_angle': 3.5e-6,
+        'preset': 'absolute-distance-meter',
+    }
+    assert echo['uncertainty']['preset'] == 'workshop'
+    assert set(echo['uncertainty']) == {*KEYS, 'preset'}
+    assert machine_from_dict(echo).to_dict() == echo
+    plain = json.loads(json.dumps(echo))
+    del plain['tracker']['preset'], plain['uncertainty']['preset']
+    again = machine_from_dict(plain)
+    assert dict(again.uncertainty.values) == dict(machine.uncertainty.values)
+    assert again.tracker.u_range == machine.tracker.u_range
+
+
+@pytest.mark.parametrize(
+    ('tracker', 'uncertainty', 'words'),
+    [
+        (
+            {'preset': 'at960'},
+            None,
+            "tracker: preset: 'at960' is no preset; known here: absolute-",
+        ),
+        (None, {'preset': 'shed'}, "uncertainty: preset: 'shed' is no preset; known here: labor"),
+        ({'preset': 3}, None, 'tracker: preset: expected a text'),
+        ({'preset': 'ltd-class', 'u_rang': 1e-6}, None, 'tracker: u_rang: unknown key'),
+        ({'preset': 'ltd-class', 'u_range': 0}, None, 'tracker: u_range: 0 is out of range'),
+        ({'u_range': 1e-6}, None, 'tracker: u_angle: missing'),
+        ({'preset': 'workshop'}, None, 'is no preset; known here: absolute-interferometer, abs'),
+    ],
+)
+def test_wrong_presets_name_the_key_and_what_is_known(tracker, uncertainty, words):
+    with pytest.raises(ConfigError) as caught:
+        described(tracker, uncertainty)
+    assert words in str(caught.value)
+
+
+def test_harder_conditions_are_not_less_uncertain():
+    for presets in (TRACKERS, WORKSHOPS):
+        best, *others = presets.values()
+        for other in others:
+            for key, value in best.values.items():
+                # a distance meter is better in scale than an interferometer
+                assert other.values[key] >= value or key == 'tracker_scale', (other.what, key)
+    for preset in (*TRACKERS.values(), *WORKSHOPS.values()):
+        assert preset.sources
+        assert set(preset.values) <= {*KEYS, *NOISE}
+
+
+def test_documentation_shows_the_presets_of_the_software(monkeypatch):
+    monkeypatch.setattr(sys, 'path', [*sys.path, str(ROOT / 'tools')])
+    import preset_table
+
+    text = (ROOT / 'docs' / 'uncertainty.md').read_text(encoding='utf-8')
+    assert preset_table.with_table(text) == text, 'run python3 tools/preset_table.py'
+
+
+# ---------------------------------------------------------------- what u would be
+
+
+def with_declared(cell, values):
+    machine = replace(cell.machine, uncertainty=DeclaredUncertainty(values))
+    return calibrate(cell.recording.measured(cell.truth), cell.path, machine)
+
+
+def test_u_with_typical_contributions_is_that_of_a_calibration_that_declares_them(
+    cell, calibrated
+):
+    typical, whole = calibrated.typical, with_declared(cell, typical_values())
+    for name, table in whole.tables.motions.items():
+        np.testing.assert_allclose(typical.motions[name], table.u, rtol=1e-6, atol=1e-15)
+    for name, (stated, with_them) in typical.squareness.items():
+        assert stated == pytest.approx(calibrated.tables.squareness[name].u)
+        assert with_them == pytest.approx(whole.tables.squareness[name].u)
+    lines = [budget_lines(r.tables, r.budget)[-1].u for r in (calibrated, whole)]
+    assert typical.grid == pytest.approx(lines)
+    assert typical.grid[1] > 4 * typical.grid[0]
+    assert whole.typical is None
+    assert not any('typical' in text for text in whole.warnings)
+    assert result_to_dict(whole)['typical_systematic'] is None
+
+
+def test_undeclared_contributions_are_a_warning_above_the_table(calibrated):
+    first = format_result(calibrated).splitlines()[0]
+    assert first == f'WARNING {calibrated.warnings[0]}'
+    assert first.startswith('WARNING u holds noise and misfit only: machine.yaml declares nothing')
+    assert 'tracker scale, air, tracker range offset, tracker angles, machine temp' in first
+    stated, with_them = (f'{1e6 * v:.2g}' for v in calibrated.typical.grid)
+    assert f'grid {stated} -> {with_them} um' in first
+    assert 'C0Y ' in first
+    found = result_to_dict(calibrated)
+    assert found['warnings'][0] == calibrated.warnings[0]
+    entry = found['typical_systematic']
+    assert set(entry['motions']) == set(found['motions'])
+    for name, motion in found['motions'].items():
+        assert np.all(np.array(entry['motions'][name]['u']) >= motion['u'])
+    assert entry['squareness']['C0Y']['u'] > found['squareness']['C0Y']['u']
+    assert entry['assumed'] == typical_values()
+    json.dumps(entry, allow_nan=False)
+
+
+def test_large_sizes_are_written_out(calibrated):
+    large = replace(
+        calibrated.typical, grid=(1.1e-3, 1.2345e-3), squareness={'B0Z': (99.4e-6, 99.6e-6)}
+    )
+    assert 'would be (k = 1) B0Z 99 -> 100 urad, grid 1100 -> 1234 um; ' in large.warning
+    assert '(k = 1) grid ' in replace(large, squareness={}).warning
+
+
+def test_what_is_declared_in_part_is_missing_in_part(cell):
+    some = {
+        k: v for k, v in typical_values().items() if k not in ('tracker_angle', 'air_pressure')
+    }
+    partly, whole = with_declared(cell, some), with_declared(cell, typical_values())
+    typical = partly.typical
+    assert typical.missing == ('air', 'tracker angles')
+    assert set(typical.assumed) == {'tracker_angle', 'air_pressure'}
+    assert partly.warnings[0].startswith('u holds only a part of what is known')
+    for name in ('EXX', 'EYX', 'EAX'):
+        u = whole.tables.motions[name].u
+        np.testing.assert_allclose(typical.motions[name], u, rtol=1e-6, atol=1e-15)
+
+
+def test_zero_declares_that_there_is_nothing(cell, calibrated):
+    nothing = with_declared(cell, dict.fromkeys(KEYS, 0.0))
+    assert nothing.typical is None
+    assert nothing.budget.not_stated == ()
+    np.testing.assert_allclose(
+        nothing.tables.motions['EXX'].u, calibrated.tables.motions['EXX'].u, rtol=1e-9
+    )
+    machine = described(uncertainty=dict.fromkeys(KEYS, 0.0))
+    assert set(machine.uncertainty.values.values()) == {0.0}
+
+
+# ---------------------------------------------------------------- before measuring
+
+
+def planned(machine, plan):
+    """What the forecast says of systematic contributions, and its text."""
+    setup = Setup.of(machine, config=ForecastConfig(rate=100.0))
+    found = forecast(plan, setup)
+    systematic = planned_systematic(plan, setup, found)
+    report = PlanReport(plan, 'given', setup, found, (), (), (), systematic=systematic)
+    return systematic, format_report(report), report_to_dict(report)
+
+
+def test_a_forecast_says_that_it_holds_noise_only_and_what_else_there_is(cell):
+    found, text, data = planned(cell.machine, cell.plan)
+    assert found.declared == ()
+    assert len(found.missing) == 6
+    assert found.with_declared == found.noise
+    assert found.with_typical > 3 * found.noise
+    assert 'Forecast of tracker noise alone' in text
+    assert 'WARNING tracker scale, air, ' in text
+    assert f'{1e6 * found.with_typical:.3f} um' in text
+    assert data['forecast']['holds'] == 'noise'
+    assert data['systematic']['mean_grid_u_with_typical'] == found.with_typical
+
+
+def test_a_forecast_with_declared_contributions_is_what_the_calibration_states(cell):
+    machine = replace(cell.machine, uncertainty=DeclaredUncertainty(typical_values()))
+    rotation, place = np.eye(3), Setup.of(machine).place
+    samples = cell.recording.measured(cell.truth, pose=(rotation, place))
+    result = calibrate(samples, cell.path, machine)
+    found, text, _ = planned(machine, cell.plan)
+    assert found.missing == ()
+    assert 'WARNING' not in text
+    nodes = {a: result.tables.motions[f'E{a}{a}'].position for a in 'XYZ'}
+    free = grid_uncertainty(machine, nodes, result.covariance, lattice(machine, 7))[1]
+    stated = np.linalg.norm(free, axis=1).mean()
+    assert found.with_declared == pytest.approx(stated, rel=0.05)
+    assert 'with the declared contributions (tracker scale, air, ' in text
