@@ -17,7 +17,7 @@ from otf_core.frames import RigidTransform
 from otf_core.machine import Machine
 from otf_core.noise_fit import fit_noise
 from otf_core.normal import NormalEquations, Whitener, normal_equations
-from otf_core.pieces import GROSS, RAYLEIGH_MEDIAN
+from otf_core.pieces import RAYLEIGH_MEDIAN
 from otf_core.roughness import Roughness, Search
 from otf_core.runs import Run, blamed
 from otf_core.solution import Solution, identifiable_blocks, solve
@@ -26,10 +26,15 @@ from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squar
 from otf_core.unknowns import Unknowns, free_values, pose_block
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Progress = Callable[[str, float], None]
 
 MAX_REPETITIONS = 4
 """Repeated solutions; bad pieces bend the tables at first and hide others."""
+LEAST = 2e-6
+"""m; pieces that are off by less are never left out."""
+TRAIL = 0.5
+"""Share of the limit from which a piece beside one that is left out is left out as well."""
 NOISE_SETTLED = 0.1
 """Change of the logarithms of noise and misfit below which they count as settled."""
 FINE = 8
@@ -142,7 +147,10 @@ def solve_robustly(
     for _ in range(MAX_REPETITIONS):
         done = solve_jointly(runs, unknowns, config, progress, start)
         start = done.roughness.logs
-        drop = [_far_pieces(s, config.outlier_limit) for s in done.runs]
+        drop = [
+            _far_pieces(s.residual, r.pieces.leg, config.outlier_limit)
+            for s, r in zip(done.runs, runs, strict=True)
+        ]
         fitted = [fitted_noise(r, s, done) for r, s in zip(runs, done.runs, strict=True)]
         if not any(d.any() for d in drop) and all(
             r.fitted is not None and np.abs(f - r.fitted).max() < NOISE_SETTLED
@@ -168,10 +176,20 @@ def fitted_noise(run: Run, solved: SolvedRun, done: JointSolution) -> Array:
     )
 
 
-def _far_pieces(run: SolvedRun, limit: float) -> NDArray[np.bool_]:
-    distance = np.linalg.norm(run.residual, axis=0)
+def _far_pieces(residual: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
+    """Pieces far from the solution, and what trails off beside them on the same leg.
+
+    A corner that the control rounds fades out along the leg: its last part is no outlier by
+    itself.
+    """
+    distance = np.linalg.norm(residual, axis=0)
     sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
-    return np.asarray(distance > max(limit * sigma, GROSS))
+    far = distance > max(limit * sigma, LEAST)
+    same = leg[1:] == leg[:-1]
+    beside = np.zeros_like(far)
+    beside[1:] |= far[:-1] & same
+    beside[:-1] |= far[1:] & same
+    return np.asarray(far | (beside & (distance > TRAIL * limit * sigma)))
 
 
 def solve_jointly(

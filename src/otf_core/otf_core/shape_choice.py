@@ -82,8 +82,8 @@ def _steps_unexplained(solved: SolvedRun) -> bool:
             step = np.diff(solved.residual[component, low:high]) ** 2
             found.append(np.stack([step - noise, noise]))
     excess, noise = np.concatenate(found, axis=1)
-    if not excess.size:  # stops: no two pieces of one line
-        return False
+    if not excess.size:  # stops: no two pieces of one line that could tell
+        return True
     excess = np.minimum(excess, 20.0 * float(np.mean(np.abs(excess))))
     mean, scatter = float(np.mean(excess)), float(np.std(excess)) / np.sqrt(excess.size)
     return mean > SIGNIFICANT * scatter and mean > NOTABLE * float(np.mean(noise))

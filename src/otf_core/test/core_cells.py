@@ -13,13 +13,14 @@ from otf_core.frames import RigidTransform
 from otf_core.kinematics import displacement, exact_position
 from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
 from otf_core.noise import NoiseModel
-from otf_core.normal import Whitener, normal_equations
+from otf_core.normal import NormalEquations, Whitener, normal_equations
 from otf_core.observation import Samples
 from otf_core.path import NominalPath, sides_of_travel
 from otf_core.pieces import Pieces
 from otf_core.planning import plan_path
 from otf_core.sim.drive import Drive
-from otf_core.solution import Solution, identifiable_blocks, solve
+from otf_core.shape_choice import linear_bases
+from otf_core.solution import TIE_BREAK, Solution, identifiable_blocks, smoothness, solve
 from otf_core.system import System, build_system
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
 from otf_core.unknowns import Unknowns, layout, table_nodes
@@ -234,6 +235,7 @@ class PieceFit:
     solution: Solution
     unknowns: Unknowns
     system: System
+    normal: NormalEquations
 
     @property
     def missing(self):
@@ -246,7 +248,7 @@ def tables_of(machine, unknowns, solution):
     motions = {}
     for name in MOTIONS:
         value = solution.value[unknowns.blocks[name]]
-        motions[name] = MotionTable(unknowns.nodes[name[2]], value, np.zeros_like(value))
+        motions[name] = MotionTable(unknowns.knots[name[2]], value, np.zeros_like(value))
     places = {k: unknowns.blocks[k].start for k in SQUARENESS}
     return ErrorTables(
         machine, motions, {k: Squareness(float(solution.value[i])) for k, i in places.items()}
@@ -259,8 +261,10 @@ def white(machine):
 
 
 def fit_pieces(machine, pieces, pose, iterations=3, limit=1e-4, ranges=None):
-    """Solve for given pieces as ``calibrate`` does; nodes over the given ranges, white noise."""
-    unknowns = layout(table_nodes(machine, *(ranges or (machine.lower, machine.upper))))
+    """Solve for given pieces: straight between nodes, hardly any prior, white noise."""
+    nodes = table_nodes(machine, *(ranges or (machine.lower, machine.upper)))
+    unknowns = layout(linear_bases(nodes))
+    prior = TIE_BREAK * smoothness(unknowns) / limit**2
     first = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
     whitener = Whitener(first, pieces, white(machine))
     accepted = identifiable_blocks(normal_equations(first, unknowns, whitener), unknowns, limit)
@@ -268,10 +272,10 @@ def fit_pieces(machine, pieces, pose, iterations=3, limit=1e-4, ranges=None):
     for _ in range(iterations):
         system = build_system(machine, pieces, pose, unknowns, tables)
         normal = normal_equations(system, unknowns, whitener)
-        solution = solve(normal, unknowns, limit, accepted)
+        solution = solve(normal, unknowns, limit, accepted, prior)
         tables = tables_of(machine, unknowns, solution)
         pose = pose.moved_by(solution.value[:3], solution.value[3:6])
-    return PieceFit(tables, solution, unknowns, system)
+    return PieceFit(tables, solution, unknowns, system, normal)
 
 
 def corner_path(machine, *shares):

@@ -25,6 +25,7 @@ from otf_core.machine import Axis
 from otf_core.pieces import Pieces
 from otf_core.planning import plan_for_path
 from otf_core.sim.cell import random_tables
+from otf_core.solution import determined_by_data
 from otf_core.tables import MOTIONS, SQUARENESS, is_straightness
 
 POSE_SEED = 3
@@ -149,10 +150,13 @@ def test_axis_parallel_lines_show_positioning_only_where_they_cross():
     fit = fitted(machine, axis_parallel(machine), zero_tables(machine), iterations=1)
     # X is seen across lines along Y and Z only, at 3 of its 7 positions
     assert {'EXX', 'EYY', 'EYX', 'EZX', 'EXY', 'EZY'}.isdisjoint(fit.missing)
-    seen = fit.solution.determined[fit.unknowns.blocks['EXX']]
+    known = determined_by_data(
+        fit.normal, fit.unknowns, fit.solution.accepted, 1e-4, np.eye(fit.unknowns.full)
+    )
+    seen = known[fit.unknowns.blocks['EXX']]
     assert len(seen) == 7
     assert seen.sum() == 3
-    assert fit.solution.determined[fit.unknowns.blocks['EYX']].all()
+    assert known[fit.unknowns.blocks['EYX']].all()
 
 
 def test_axis_parallel_lines_leave_no_residual_of_errors_they_see():

@@ -16,7 +16,9 @@ from core_cells import (
     zero_tables,
 )
 
-from otf_core.normal import MODEL_FLOOR, Whitener, normal_equations
+from otf_core.noise import MODEL_FLOOR
+from otf_core.normal import Whitener, normal_equations
+from otf_core.shape_choice import linear_bases, smooth_bases
 from otf_core.sim.cell import random_tables
 from otf_core.system import build_system, nominal_positions
 from otf_core.tables import MOTIONS, MotionTable, Squareness
@@ -25,17 +27,24 @@ from otf_core.unknowns import layout, table_nodes
 ALL_CHAINS = (*CONTRACT_CHAINS, 'w-Z-Y-X-b-t')
 
 
-def system_of(machine, tables, pose=None, seed=0, known=None):
+def coarse_splines(nodes):
+    return smooth_bases(nodes, 5)
+
+
+def system_of(machine, tables, pose=None, seed=0, known=None, bases=linear_bases):
     pose = pose or transform_pose(machine, seed)
     pieces = pieces_of(machine, small_plan(machine).path, tables, pose, size=0.06)
-    unknowns = layout(table_nodes(machine, machine.lower, machine.upper))
+    unknowns = layout(bases(table_nodes(machine, machine.lower, machine.upper)))
     return pieces, unknowns, build_system(machine, pieces, pose, unknowns, known)
 
 
+@pytest.mark.parametrize(
+    ('bases', 'exact'), [(linear_bases, 1e-12), (coarse_splines, 3e-6)], ids=['hats', 'splines']
+)
 @pytest.mark.parametrize('chain', ALL_CHAINS)
-def test_columns_of_errors_are_derivatives_of_the_error_model(chain):
+def test_columns_of_errors_are_derivatives_of_the_error_model(chain, bases, exact):
     machine = some_machine(chain)
-    _, unknowns, system = system_of(machine, zero_tables(machine))
+    _, unknowns, system = system_of(machine, zero_tables(machine), bases=bases)
     design = system.design.toarray().reshape(2, len(system.q), -1)
     rng = np.random.default_rng(1)
     rows = rng.choice(len(system.q), 12, replace=False)
@@ -45,16 +54,18 @@ def test_columns_of_errors_are_derivatives_of_the_error_model(chain):
         for k in range(block.stop - block.start):
             # the model is linear in the unknowns: a difference of any size is the derivative
             if name in MOTIONS:
-                value = np.zeros(block.stop - block.start)
-                value[k] = 1.0
-                table = MotionTable(unknowns.nodes[name[2]], value, 0 * value)
+                basis = unknowns.bases[name[2]]
+                # straight lines between places this close are off a spline by 6 / 8 / 512^2 at most
+                place = basis.finer(1 if exact < 1e-9 else 512)
+                value = basis.matrix(place)[:, k]
+                table = MotionTable(place, value, 0 * value)
                 tables = replace(base, motions={**base.motions, name: table})
             else:
                 tables = replace(base, squareness={**base.squareness, name: Squareness(1.0)})
             for row in rows:
                 expected = system.axes[:, row] @ error_by_hand(tables, system.q[row])
                 found = design[:, row, block.start + k]
-                np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=name)
+                np.testing.assert_allclose(found, expected, atol=exact, err_msg=name)
 
 
 def test_columns_of_the_pose_take_off_a_motion_of_the_tracker():
@@ -127,10 +138,11 @@ def test_normal_equations_of_independent_samples_are_the_weighted_sums_of_the_pa
     assert found.rows == 2 * len(pieces)
 
 
-def test_rows_hold_two_nodes_a_motion_and_no_more():
+@pytest.mark.parametrize(('bases', 'entries'), [(linear_bases, 2), (smooth_bases, 4)])
+def test_rows_hold_a_few_coefficients_of_a_motion_and_no_more(bases, entries):
     machine = some_machine()
-    _, unknowns, system = system_of(machine, zero_tables(machine))
+    _, unknowns, system = system_of(machine, zero_tables(machine), bases=bases)
     filled = np.diff(system.design.indptr)
-    # 6 of the pose, 3 squareness, 2 nodes of 18 motions: independent of the number of nodes
-    assert filled.max() <= 6 + 3 + 2 * 18
+    # 6 of the pose, 3 squareness, and 18 motions: independent of the number of knots
+    assert filled.max() <= 6 + 3 + entries * 18
     assert system.design.shape == (2 * len(system.q), unknowns.full)
