@@ -22,7 +22,8 @@ from typing import Any
 
 from bag_speed import REPEATS, read_with_rosbags
 
-from otf_core.calibrate import CalibrationResult, calibrate
+from otf_core.calibrate import calibrate
+from otf_core.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.io.bag import BagContent, read_bag, write_bag
 from otf_core.io.files import write_text

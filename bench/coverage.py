@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from otf_core.budget.report import budget_lines, expanded
-from otf_core.calibrate import CalibrationResult, calibrate
+from otf_core.calibrate import calibrate
+from otf_core.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.evaluation import lattice, rigid_columns, without_rigid_motion
 from otf_core.forecast import free_rows

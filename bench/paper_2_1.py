@@ -26,7 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from otf_core.calibrate import CalibrationResult, calibrate
+from otf_core.calibrate import calibrate
+from otf_core.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.evaluation import lattice, without_rigid_motion
 from otf_core.forecast import grid_uncertainty

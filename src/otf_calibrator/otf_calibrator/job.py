@@ -12,7 +12,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from otf_calibrator.params import CalibratorConfig
-from otf_core.calibrate import CalibrationResult, calibrate_runs
+from otf_core.calibrate import calibrate_runs
+from otf_core.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.io.bag import BagContent, write_bag

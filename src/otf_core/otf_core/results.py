@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from otf_core.budget.report import budget_lines, budget_to_dict, expanded, format_budget
 from otf_core.budget.typical import typical_to_dict
-from otf_core.calibrate import GAUGE, CalibrationResult, RunResult
+from otf_core.calibration_result import GAUGE, CalibrationResult, RunResult
 from otf_core.driven_volume import driven_volume
 from otf_core.io.csv_points import write_csv
 from otf_core.io.files import ensure_folder, write_text

@@ -18,8 +18,8 @@ from otf_core.observation import Samples
 from otf_core.path import NominalPath, sides_of_travel
 from otf_core.pieces import Pieces
 from otf_core.planning import plan_path
-from otf_core.sim.drive import Drive
 from otf_core.shape_choice import linear_bases
+from otf_core.sim.drive import Drive
 from otf_core.solution import TIE_BREAK, Solution, identifiable_blocks, smoothness, solve
 from otf_core.system import System, build_system
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness

@@ -55,7 +55,7 @@ def test_columns_of_errors_are_derivatives_of_the_error_model(chain, bases, exac
             # the model is linear in the unknowns: a difference of any size is the derivative
             if name in MOTIONS:
                 basis = unknowns.bases[name[2]]
-                # straight lines between places this close are off a spline by 6 / 8 / 512^2 at most
+                # straight lines between such places: off by 6 / 8 / 512^2 at most
                 place = basis.finer(1 if exact < 1e-9 else 512)
                 value = basis.matrix(place)[:, k]
                 table = MotionTable(place, value, 0 * value)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 
-from otf_core.calibrate import CalibrationResult
+from otf_core.calibration_result import CalibrationResult
 from otf_core.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable

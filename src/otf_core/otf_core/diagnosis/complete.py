@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.calibrate import CalibrationResult, calibrate_prepared
+from otf_core.calibrate import calibrate_prepared
+from otf_core.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.answer import DiagnosisData, answer, fitted_causes, run_views
 from otf_core.diagnosis.assess import gap_um

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.calibrate import CalibrationResult, calibrate, calibrate_runs
+from otf_core.calibrate import calibrate, calibrate_runs
+from otf_core.calibration_result import CalibrationResult
 from otf_core.comparison import normalised_error
 from otf_core.config import CalibrationConfig, PlannerConfig
 from otf_core.evaluation import lattice, mean_length, rigid_columns, without_rigid_motion

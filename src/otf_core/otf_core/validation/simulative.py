@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.calibrate import CalibrationResult, calibrate
+from otf_core.calibrate import calibrate
+from otf_core.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig
 from otf_core.evaluation import lattice, mean_length, rigid_columns, without_rigid_motion
 from otf_core.kinematics import displacement
