@@ -84,6 +84,27 @@ class JointSolution:
     iterations: int
 
 
+@dataclass(frozen=True)
+class Start:
+    """What an earlier solution found that a later one of the same blocks starts from.
+
+    Attributes
+    ----------
+    logs : mapping of motion to ndarray
+        See ``roughness.Roughness``.
+    accepted : tuple of str
+        Blocks that the data determine.
+    """
+
+    logs: Mapping[str, Array]
+    accepted: tuple[str, ...]
+
+    @classmethod
+    def after(cls, done: JointSolution) -> Start:
+        """What a solution found."""
+        return cls(done.roughness.logs, done.solution.accepted)
+
+
 def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> ErrorTables:
     """Error tables of a solution, fine enough for linear interpolation to cost nothing.
 
@@ -130,7 +151,7 @@ def solve_robustly(
     unknowns: Unknowns,
     config: CalibrationConfig,
     progress: Progress,
-    start: Mapping[str, Array] | None = None,
+    start: Start | None = None,
 ) -> tuple[list[Run], JointSolution]:
     """Solve, leave out pieces far from the solution, fit the noise, solve again.
 
@@ -146,7 +167,7 @@ def solve_robustly(
     runs = list(runs)
     for _ in range(MAX_REPETITIONS):
         done = solve_jointly(runs, unknowns, config, progress, start)
-        start = done.roughness.logs
+        start = Start.after(done)
         drop = [
             _far_pieces(s.residual, r.pieces.leg, config.outlier_limit)
             for s, r in zip(done.runs, runs, strict=True)
@@ -197,7 +218,7 @@ def solve_jointly(
     unknowns: Unknowns,
     config: CalibrationConfig,
     progress: Progress,
-    start: Mapping[str, Array] | None = None,
+    start: Start | None = None,
 ) -> JointSolution:
     """Solve, move the poses, re-derive the positions on the paths; until nothing changes.
 
@@ -207,8 +228,8 @@ def solve_jointly(
     unknowns : Unknowns
     config : CalibrationConfig
     progress : callable(stage, fraction)
-    start : mapping of motion to ndarray, optional
-        Roughness to start from, see ``roughness.Search.run``.
+    start : Start, optional
+        What an earlier solution of the same blocks found.
 
     Raises
     ------
@@ -217,10 +238,11 @@ def solve_jointly(
     """
     machine, limit = runs[0].machine, config.unidentifiable_above
     poses = [run.pose for run in runs]
-    whiteners, accepted = _weights_and_blocks(runs, unknowns, limit)
     systems = _systems(runs, poses, unknowns, None)
+    whiteners = _whiteners(runs, systems)
+    accepted = start.accepted if start else _seen_blocks(runs, unknowns, whiteners, limit)
     normal = summed(systems, unknowns, whiteners)
-    rough = Search(normal, unknowns, accepted, limit).run(start)
+    rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
     left = _left(systems, solution)
     change = np.inf
@@ -244,19 +266,23 @@ def solve_jointly(
     )
 
 
-def _weights_and_blocks(
-    runs: Sequence[Run], unknowns: Unknowns, limit: float
-) -> tuple[list[Whitener], tuple[str, ...]]:
-    """Weights of the rows of every run, and the blocks that they determine."""
-    first = [
+def _whiteners(runs: Sequence[Run], systems: Sequence[System]) -> list[Whitener]:
+    found = []
+    for system, run in zip(systems, runs, strict=True):
+        with blamed(run.recording):
+            found.append(Whitener(system, run.pieces, *run.noise_and_misfit))
+    return found
+
+
+def _seen_blocks(
+    runs: Sequence[Run], unknowns: Unknowns, whiteners: Sequence[Whitener], limit: float
+) -> tuple[str, ...]:
+    """Blocks of unknowns that the data determine."""
+    judged = [
         build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
         for k, run in enumerate(runs)
     ]
-    whiteners = []
-    for system, run in zip(first, runs, strict=True):
-        with blamed(run.recording):
-            whiteners.append(Whitener(system, run.pieces, *run.noise_and_misfit))
-    return whiteners, identifiable_blocks(summed(first, unknowns, whiteners), unknowns, limit)
+    return identifiable_blocks(summed(judged, unknowns, whiteners), unknowns, limit)
 
 
 def _left(systems: Sequence[System], solution: Solution) -> list[Array]:

@@ -35,7 +35,7 @@ from otf_core.noise import (
     misfit_of,
     scaled,
 )
-from otf_core.normal import leg_bounds, leg_parts
+from otf_core.normal import fill_rows, leg_bounds, leg_parts
 from otf_core.pieces import Pieces
 from otf_core.system import System
 
@@ -45,7 +45,7 @@ PRIOR = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
 """Standard deviation of the logarithms of the four variances and of the correlation time."""
 LOWEST = np.array([-4.0, -6.0, np.log(0.01), np.log(4e-16), np.log(4e-16)])
 HIGHEST = np.array([8.0, 8.0, np.log(60.0), np.log(1e-6), np.log(1e-6)])
-LINES, PIECES = 90, 150
+LINES, PIECES = 48, 100
 """Lines and pieces of each that are looked at: five numbers need no more."""
 STEPS = 6
 LONGEST_STEP = 1.5
@@ -70,10 +70,9 @@ def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -
     count, found = len(pieces), []
     for low, high in (bounds[k] for k in chosen):
         for component in range(len(residual)):
-            rows = system.design[component * count + low : component * count + high]
-            active = np.unique(rows.indices)
-            dense = rows[:, active].toarray()
-            explained = dense @ covariance[np.ix_(active, active)] @ dense.T
+            dense = np.zeros((high - low, system.design.shape[1]))
+            fill_rows(dense, system.design, component * count + low)
+            explained = dense @ covariance @ dense.T
             found.append(_Line(component, low, high, residual[component, low:high], explained))
     return found
 

@@ -210,26 +210,28 @@ def sum_groups(
     width = 0 if extra is None else extra.shape[2]
     size = unknowns.free + width
     groups = max(groups, int(group.max()) + 1)
-    matrix, right = np.zeros((groups, size, size)), np.zeros((groups, size))
-    square, rows = np.zeros(groups), np.zeros(groups, dtype=int)
+    products = np.zeros((groups, size + 1, size + 1))
+    rows = np.zeros(groups, dtype=int)
     for leg, (low, high) in enumerate(whitener.bounds):
         g = int(group[leg])
         for component in range(len(system.deviation)):
-            block = design[component * count + low : component * count + high]
-            active, local = np.unique(block.indices, return_inverse=True)
-            dense = np.zeros((high - low, active.size + width + 1))
-            row = np.repeat(np.arange(high - low), np.diff(block.indptr))
-            np.add.at(dense, (row, local), block.data)
+            dense = np.zeros((high - low, size + 1))
+            fill_rows(dense, design, component * count + low)
             if extra is not None:
-                dense[:, active.size : -1] = extra[component, low:high]
+                dense[:, unknowns.free : -1] = extra[component, low:high]
             dense[:, -1] = system.deviation[component, low:high]
             white = whitener.leg_rows(leg, component, dense)
-            product = white.T @ white
-            place = np.concatenate([active, np.arange(unknowns.free, size)])
-            matrix[g][np.ix_(place, place)] += product[:-1, :-1]
-            right[g][place] += product[:-1, -1]
-            square[g] += product[-1, -1]
+            products[g] += white.T @ white
             rows[g] += high - low
     return [
-        NormalEquations(matrix[g], right[g], float(square[g]), int(rows[g])) for g in range(groups)
+        NormalEquations(p[:-1, :-1].copy(), p[:-1, -1].copy(), float(p[-1, -1]), int(n))
+        for p, n in zip(products, rows, strict=True)
     ]
+
+
+def fill_rows(dense: Array, design: sparse.csr_array, start: int) -> None:
+    """Write successive rows of a sparse matrix, from ``start`` on, into a dense one of zeros."""
+    ends = design.indptr[start : start + len(dense) + 1]
+    row = np.repeat(np.arange(len(dense)), np.diff(ends))
+    part = slice(ends[0], ends[-1])
+    dense[row, design.indices[part]] = design.data[part]

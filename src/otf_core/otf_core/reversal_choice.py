@@ -103,10 +103,8 @@ def solve_with_reversal(
     if choice.model == 'none':
         return ReversalSolution(kept, done, choice)
     unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)
-    start = done.roughness.logs
-    return ReversalSolution(
-        *solve_robustly(shapes.runs, unknowns, config, progress, start), choice
-    )
+    # reversal adds blocks: which of them the data determine is found out anew
+    return ReversalSolution(*solve_robustly(shapes.runs, unknowns, config, progress), choice)
 
 
 def choose(runs: Sequence[Run], done: JointSolution, config: CalibrationConfig) -> Choice:

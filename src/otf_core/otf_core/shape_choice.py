@@ -21,14 +21,19 @@ from numpy.typing import NDArray
 
 from otf_core.basis import Basis, cubic, linear
 from otf_core.config import CalibrationConfig
-from otf_core.joint import JointSolution, Progress, SolvedRun, solve_jointly, summed, tables_of
-from otf_core.normal import NormalEquations
+from otf_core.joint import (
+    JointSolution,
+    Progress,
+    SolvedRun,
+    Start,
+    solve_jointly,
+    summed,
+    tables_of,
+)
 from otf_core.roughness import Roughness, Search
 from otf_core.runs import Run
-from otf_core.solution import identifiable_blocks
 from otf_core.system import build_system
-from otf_core.tables import ErrorTables
-from otf_core.unknowns import Unknowns, layout
+from otf_core.unknowns import layout
 
 Array = NDArray[np.float64]
 Bases = dict[str, Basis]
@@ -37,7 +42,7 @@ INTERVALS = 20
 """Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
 SIGNIFICANT = 4.0
 """Standard deviations of the mean."""
-NOTABLE = 0.02
+NOTABLE = 0.05
 """Share of the variance of a step between pieces."""
 
 
@@ -50,8 +55,7 @@ class ShapeChoice:
     bases : mapping of axis to Basis
     runs : list of Run
         With the poses of the first solution.
-    start : mapping of motion to ndarray
-        Roughness of the motions to start from.
+    start : Start
     evidence : mapping of name to float
         Restricted log likelihood of everything that was tried, less the best; empty if the
         first choice left nothing to explain.
@@ -59,7 +63,7 @@ class ShapeChoice:
 
     bases: Bases
     runs: list[Run]
-    start: Mapping[str, Array]
+    start: Start
     evidence: Mapping[str, float]
 
 
@@ -106,15 +110,16 @@ def choose_shapes(
     done = solve_jointly(runs, layout(bases, len(runs)), config, progress)
     moved = [replace(r, pose=s.pose) for r, s in zip(runs, done.runs, strict=True)]
     if not any(_steps_unexplained(solved) for solved in done.runs):
-        return ShapeChoice(bases, moved, done.roughness.logs, {})
+        return ShapeChoice(bases, moved, Start.after(done), {})
     tried: dict[str, tuple[float, Bases, Roughness]] = {}
     for name, make in _CHOICES.items():
         trial = make(nodes)
-        rough, rows = _tried(moved, trial, done, config)
-        tried[name] = (_likelihood(rough, rows), trial, rough)
+        rough = _tried(moved, trial, done, config)
+        tried[name] = (_likelihood(rough, done.normal.rows), trial, rough)
     best = max(tried.values(), key=lambda entry: entry[0])
     evidence = {name: score - best[0] for name, (score, _, _) in tried.items()}
-    return ShapeChoice(best[1], moved, best[2].logs, evidence)
+    start = Start(best[2].logs, done.solution.accepted)
+    return ShapeChoice(best[1], moved, start, evidence)
 
 
 _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
@@ -126,30 +131,17 @@ _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
 
 def _tried(
     runs: Sequence[Run], bases: Bases, done: JointSolution, config: CalibrationConfig
-) -> tuple[Roughness, int]:
-    """Roughness and number of rows of one linear solution at given poses and positions."""
+) -> Roughness:
+    """Roughness of one linear solution at given poses and positions."""
     unknowns = layout(bases, len(runs))
     tables = tables_of(runs[0].machine, done.unknowns, done.solution)
-    normal = _normal(runs, unknowns, done, tables)
-    limit = config.unidentifiable_above
-    accepted = identifiable_blocks(
-        _normal(runs, unknowns, done, tables, nodal=True), unknowns, limit
-    )
-    return Search(normal, unknowns, accepted, limit).run(done.roughness.logs), normal.rows
-
-
-def _normal(
-    runs: Sequence[Run],
-    unknowns: Unknowns,
-    done: JointSolution,
-    tables: ErrorTables,
-    nodal: bool = False,
-) -> NormalEquations:
     systems = [
-        build_system(r.machine, r.pieces, r.pose, unknowns, tables, run=k, nodal_lever=nodal)
+        build_system(r.machine, r.pieces, r.pose, unknowns, tables, run=k)
         for k, r in enumerate(runs)
     ]
-    return summed(systems, unknowns, [s.whitener for s in done.runs])
+    normal = summed(systems, unknowns, [s.whitener for s in done.runs])
+    search = Search(normal, unknowns, done.solution.accepted, config.unidentifiable_above)
+    return search.run(done.roughness.logs)
 
 
 def _likelihood(rough: Roughness, rows: int) -> float:

@@ -18,13 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve
 
 from otf_core.effects import State
 from otf_core.effects.beam import beam_of
 from otf_core.joint import JointSolution, SolvedRun
 from otf_core.noise import MISFIT_TIME
-from otf_core.normal import leg_parts
+from otf_core.normal import fill_rows, leg_parts
 from otf_core.runs import Run
 
 Array = NDArray[np.float64]
@@ -66,46 +66,32 @@ def _smoothed(duration: Array, time: float) -> Array:
     return np.asarray(np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x))[:, None]
 
 
-def _leg_weighted(solved: SolvedRun, leg: int) -> tuple[NDArray[np.int64], Array]:
-    """Columns that a leg touches, and W A of its rows, shape (c, m, active)."""
-    low, high = solved.whitener.bounds[leg]
-    design, count = solved.system.design, solved.system.deviation.shape[1]
-    blocks = [design[c * count + low : c * count + high] for c in range(len(solved.system.axes))]
-    active = np.unique(np.concatenate([b.indices for b in blocks]))
-    place = np.zeros(design.shape[1], dtype=np.int64)
-    place[active] = np.arange(active.size)
-    result = []
-    for block, factor in zip(blocks, solved.whitener.factors[leg], strict=True):
-        dense = np.zeros((high - low, active.size))
-        np.add.at(dense, (np.repeat(np.arange(high - low), np.diff(block.indptr)),
-                          place[block.indices]), block.data)  # fmt: skip
-        white = solve_triangular(factor, dense, lower=True, check_finite=False)
-        result.append(solve_triangular(factor, white, lower=True, trans=1, check_finite=False))
-    return active, np.stack(result)
-
-
 class _Chain:
-    """Sum over pairs of legs of tail and head vectors, decaying with the time between."""
+    """Sum over pairs of lines of tail and head vectors, decaying with the time between."""
 
     def __init__(self, size: int, correlation_time: float) -> None:
-        self.total = np.zeros((size, size))
         self._tail = np.zeros((size, 3))
         self._end = -np.inf
         self._tau = correlation_time
+        self._pairs: list[tuple[Array, Array]] = []
 
-    def add(self, active: NDArray[np.int64], rows: Array, slow: Array, time: Array) -> None:
-        """Add a leg: W A (c, m, active), slow amplitudes (c, m, 3), times (m,)."""
-        flat = rows.reshape(-1, len(active)).T
+    def add(self, rows: Array, slow: Array, time: Array) -> None:
+        """Add a line: W A (c, m, size), slow amplitudes (c, m, 3), times (m,)."""
+        flat = rows.reshape(-1, rows.shape[2]).T
         early = np.exp((time[0] - time) / self._tau)[:, None]
         late = np.exp((time - time[-1]) / self._tau)[:, None]
         head, tail = flat @ (slow * early).reshape(-1, 3), flat @ (slow * late).reshape(-1, 3)
         gap = np.exp(min(0.0, (self._end - time[0]) / self._tau))
-        cross = gap * self._tail @ head.T
-        self.total[:, active] += cross
-        self.total[active] += cross.T
-        self._tail *= np.exp(min(0.0, (self._end - time[-1]) / self._tau))
-        self._tail[active] += tail
+        self._pairs.append((gap * self._tail, head))
+        self._tail = self._tail * np.exp(min(0.0, (self._end - time[-1]) / self._tau)) + tail
         self._end = float(time[-1])
+
+    @property
+    def total(self) -> Array:
+        """The sum, shape (size, size)."""
+        tails, heads = (np.concatenate(part, axis=1) for part in zip(*self._pairs, strict=True))
+        half = tails @ heads.T
+        return np.asarray(half + half.T)
 
 
 def noise_parts(runs: Sequence[Run], done: JointSolution, states: Sequence[State]) -> NoiseParts:
@@ -127,13 +113,16 @@ def noise_parts(runs: Sequence[Run], done: JointSolution, states: Sequence[State
         shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, MISFIT_TIME)
         chains = _Chain(size, noise.correlation_time), _Chain(size, MISFIT_TIME)
         for leg, (low, high) in enumerate(solved.whitener.bounds):
-            active, rows = _leg_weighted(solved, leg)
-            for component, part in enumerate(rows):
+            rows = np.zeros((len(solved.system.axes), high - low, size))
+            for component, factor in enumerate(solved.whitener.factors[leg]):
+                fill_rows(rows[component], solved.system.design, component * len(run.pieces) + low)
                 parts = leg_parts(solved.system, run.pieces, noise, misfit, component, low, high)
-                within[np.ix_(active, active)] += part.T @ (parts[2] + parts[3]) @ part
+                part = cho_solve((factor, True), rows[component], check_finite=False)
+                within += part.T @ ((parts[2] + parts[3]) @ part)
+                rows[component] = part
             time = run.pieces.time[low:high]
-            chains[0].add(active, rows, slow[:, low:high], time)
-            chains[1].add(active, rows, shared[:, low:high], time)
+            chains[0].add(rows, slow[:, low:high], time)
+            chains[1].add(rows, shared[:, low:high], time)
         corners += chains[0].total
         lasting += chains[1].total
     return NoiseParts(within, corners, lasting)
