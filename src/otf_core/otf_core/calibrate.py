@@ -21,6 +21,7 @@ from otf_core.noise import NoiseModel, sample_variance
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
 from otf_core.pieces import Pieces
+from otf_core.provenance import Origin, origins
 from otf_core.reversal import Reversal, reversal_tables
 from otf_core.reversal_choice import Choice, ReversalSolution, solve_with_reversal
 from otf_core.runs import Recording, Run, prepare_runs
@@ -157,6 +158,8 @@ class CalibrationResult:
     failed_gates : tuple of str
         Quality gates that failed; empty for a good calibration.
     config : CalibrationConfig
+    origin : tuple of Origin
+        The recordings.
     """
 
     run_id: str
@@ -170,6 +173,7 @@ class CalibrationResult:
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
     config: CalibrationConfig
+    origin: tuple[Origin, ...] = ()
 
     @property
     def T_machine_tracker(self) -> RigidTransform:
@@ -387,4 +391,5 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
         warnings=tuple(_warnings(fit, unknowns, solution, tables, config.unidentifiable_above)),
         failed_gates=_failed_gates(fit),
         config=config,
+        origin=origins(r.recording for r in runs),
     )

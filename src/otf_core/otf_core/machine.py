@@ -7,9 +7,10 @@ carry the table, axes between ``b`` and ``t`` carry the target.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from otf_core.budget.declared import DeclaredUncertainty, declared_from_fields
 from otf_core.errors import ConfigError
-from otf_core.io.strict_yaml import Fields, read_yaml
+from otf_core.io.strict_yaml import Fields, parse_yaml, read_yaml_bytes
 
 AXES = ('X', 'Y', 'Z')
 
@@ -94,6 +95,8 @@ class Machine:
     tracker : TrackerSpec
     uncertainty : DeclaredUncertainty, optional
         Standard uncertainties that no run shows.
+    file_sha256 : str
+        SHA-256 of the file it was read from; empty if there is none.
     """
 
     name: str
@@ -102,6 +105,7 @@ class Machine:
     target_offset: NDArray[np.float64]
     tracker: TrackerSpec
     uncertainty: DeclaredUncertainty | None = None
+    file_sha256: str = field(default='', repr=False, compare=False)
 
     @property
     def lower(self) -> NDArray[np.float64]:
@@ -187,4 +191,11 @@ def _axis(fields: Fields) -> Axis:
 
 def load_machine(path: str | Path) -> Machine:
     """Read a machine.yaml; ConfigError names the file and the key that is wrong."""
-    return machine_from_dict(read_yaml(path), str(path))
+    if Path(path).is_dir() or Path(path).suffix in ('.mcap', '.db3'):
+        what = 'a folder' if Path(path).is_dir() else 'a recording'
+        raise ConfigError(
+            f'{path}: cannot be read as machine.yaml, it is {what}; are bag and --machine swapped?'
+        )
+    data = read_yaml_bytes(path)
+    machine = machine_from_dict(parse_yaml(data, path), str(path))
+    return replace(machine, file_sha256=hashlib.sha256(data).hexdigest())
