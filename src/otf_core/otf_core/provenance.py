@@ -96,8 +96,10 @@ class Recorded(Protocol):
 
 
 def origins(recordings: Iterable[Recorded]) -> tuple[Origin, ...]:
-    """Say what recordings are."""
-    return tuple(origin_of(r.name, r.samples, r.path, r.machine) for r in recordings)
+    """Say what recordings are; they go by the last part of their names."""
+    return tuple(
+        origin_of(Path(r.name).name or r.name, r.samples, r.path, r.machine) for r in recordings
+    )
 
 
 def moment(stamp_ns: int) -> str | None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands of the README, as printed and in their order, in an empty folder."""
 
+import hashlib
 import json
 import re
 import shlex
@@ -10,10 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import otf_core
 from otf_core import cli
 from otf_core.tables import load_tables
 
 README = Path(__file__).resolve().parents[4] / 'README.md'
+MACHINES = ('machine.yaml', 'longer.yaml')
 
 
 def blocks():
@@ -92,3 +95,57 @@ def test_all_other_commands_of_the_section_are_parsed_and_know_their_files(folde
         machine = getattr(arguments, 'machine', None) or []
         for name in [machine] if isinstance(machine, str) else machine:
             assert name in known or (README.parent / name).exists(), statement
+
+
+JSON = {
+    'plan/plan.json': 'plan',
+    'run2/truth_tables.json': 'simulate',
+    'run2/simulation.json': 'simulate',
+    'noise/noise.json': 'noise',
+    'both/error_tables.json': 'calibrate',
+    'comparison/comparison.json': 'compare',
+    'diagnosis/gap.json': 'diagnose',
+    'diagnosis/calibration_with_effects/error_tables.json': 'diagnose',
+}
+
+
+@pytest.mark.parametrize('name', JSON)
+def test_every_json_of_the_block_says_where_it_comes_from(folder, name):
+    block = json.loads((folder / name).read_text())['provenance']
+    assert block['verb'] == JSON[name]
+    assert block['software']['version'] == otf_core.__version__
+    assert block['written'].startswith('20')
+    assert 'actual minus nominal' in block['convention']
+    assert all(len(run['sha256']) == 64 for run in block.get('runs', ()))
+    files = {hashlib.sha256((folder / m).read_bytes()).hexdigest() for m in MACHINES}
+    assert {m['sha256'] for m in block.get('machines', ())} <= files
+
+
+def test_runs_and_machines_of_the_block_are_told_apart(folder):
+    block = json.loads((folder / 'both' / 'error_tables.json').read_text())['provenance']
+    assert len(block['machines']) == len({run['sha256'] for run in block['runs']}) == 2
+    assert [run['name'] for run in block['runs']] == ['run1', 'run3']
+    noise = json.loads((folder / 'noise' / 'noise.json').read_text())['provenance']
+    assert noise['measured'] == block['runs'][0]['measured']
+    files = json.loads((folder / 'comparison' / 'comparison.json').read_text())['provenance']
+    tables = (folder / 'results' / 'error_tables.json').read_bytes()
+    assert files['files']['a']['sha256'] == hashlib.sha256(tables).hexdigest()
+
+
+def test_positions_in_the_files_of_the_plan_are_tidy(folder):
+    for file, longest in (('path.csv', 12), ('otf_path.ngc', 3)):
+        numbers = re.findall(r'-?\d+\.\d+', (folder / 'plan' / file).read_text())
+        assert len(numbers) > 50
+        assert max(len(n.partition('.')[2]) for n in numbers) <= longest
+        assert not [n for n in numbers if n.startswith('-') and float(n) == 0]
+
+
+def test_results_of_another_verb_are_replaced_whole_and_only_if_asked(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    again = ['calibrate', 'run1', '--machine', 'machine.yaml', '--out', 'diagnosis']
+    before = (folder / 'diagnosis' / 'gap.json').read_bytes()
+    assert cli.main(again) == 2
+    assert (folder / 'diagnosis' / 'gap.json').read_bytes() == before
+    assert cli.main([*again, '--overwrite']) == 0
+    names = {p.name for p in (folder / 'diagnosis').iterdir()}
+    assert names == {p.name for p in (folder / 'results').iterdir()}
