@@ -164,7 +164,7 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
     axes_fields.done()
     offset = np.array(top.vector('target_offset', 3))
     if np.max(np.abs(offset)) > 10:
-        top.fail('target_offset', f'{offset.tolist()} m is no length of a tool; unit is m')
+        top.fail('target_offset', f'{offset.tolist()} m is no length of a tool; unit is m, not mm')
     tracker = top.mapping('tracker')
     spec = TrackerSpec(
         tracker.number('u_range', low=0.0, high=1e-2, unit='m'),
@@ -185,7 +185,8 @@ def _axis(fields: Fields) -> Axis:
         fields.fail('max', f'{high} m is not above min = {low} m; the range is empty')
     pitch = fields.number('table_pitch', low=0.0, high=100.0, unit='m')
     if pitch > high - low or math.ceil((high - low) / pitch) > 1000:
-        fields.fail('table_pitch', f'{pitch} m does not suit a range of {high - low} m')
+        asked = '; is it in mm?' if low + 1e-3 * pitch <= high < low + pitch else ''
+        fields.fail('table_pitch', f'{pitch} m does not suit a range of {high - low} m{asked}')
     return Axis(low, high, pitch)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from otf_core.errors import ConfigError
 from otf_core.io.files import unreadable
+from otf_core.io.strict_yaml import number_words
 
 
 def read_json(path: str | Path) -> Any:
@@ -28,4 +29,4 @@ def read_json(path: str | Path) -> Any:
     except RecursionError:
         raise ConfigError(f'{path}: not usable JSON (nested too deeply)') from None
     except ValueError as error:
-        raise ConfigError(f'{path}: not valid JSON ({error})') from None
+        raise ConfigError(f'{path}: not valid JSON ({number_words(error)})') from None

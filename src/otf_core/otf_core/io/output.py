@@ -109,8 +109,8 @@ class OutputFolder:
     ) -> None:
         self.path, self._overwrite, self._occupied = Path(path), overwrite, occupied
         self._final = _resolved(self.path)
-        _check_inputs(self.path, self._final, inputs)
         self._check_content()
+        _check_inputs(self.path, self._final, inputs)
         if self._inside:
             _probe(self._final, self.path)
         else:
@@ -241,8 +241,8 @@ class OutputFile:
     ) -> None:
         self.path, self._overwrite, self._is_ours = Path(path), overwrite, is_ours
         self._final = _resolved(self.path)
-        _check_inputs(self.path, self._final, inputs)
         self._check_content()
+        _check_inputs(self.path, self._final, inputs)
         _check_parent(self.path, self._final)
 
     def _check_content(self) -> None:

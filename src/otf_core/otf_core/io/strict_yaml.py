@@ -41,14 +41,22 @@ _Loader.add_implicit_resolver(
 _WORDS = reprlib.Repr()
 _WORDS.maxlevel, _WORDS.maxlist, _WORDS.maxdict, _WORDS.maxtuple = 2, 4, 4, 4
 _WORDS.maxstring = _WORDS.maxother = _WORDS.maxlong = 60
+_LONGEST = 250
 
 
 def shown(value: Any) -> str:
     """A value as text of bounded length, however large or nested it is."""
     try:
-        return _WORDS.repr(value)
+        text = _WORDS.repr(value)
     except ValueError:  # Python refuses to write integers of thousands of digits
         return 'a number of thousands of digits'
+    return text if len(text) <= _LONGEST else f'{text[:_LONGEST]} ...'
+
+
+def number_words(error: Exception) -> str:
+    """First line of what a parser says, in words of ours where Python refuses a number."""
+    text = str(error).partition('\n')[0]
+    return 'a number of thousands of digits' if 'integer string conversion' in text else text
 
 
 def read_yaml_bytes(path: str | Path) -> bytes:
@@ -76,7 +84,7 @@ def parse_yaml(data: bytes, path: str | Path) -> Any:
     except RecursionError:
         raise ConfigError(f'{path}: not usable YAML: nested too deeply') from None
     except (TypeError, ValueError) as error:
-        raise ConfigError(f'{path}: not usable YAML: {str(error).splitlines()[0]}') from None
+        raise ConfigError(f'{path}: not usable YAML: {number_words(error)}') from None
     except yaml.YAMLError as error:
         mark = getattr(error, 'problem_mark', None)
         place = f' at line {mark.line + 1}, column {mark.column + 1}' if mark else ''
