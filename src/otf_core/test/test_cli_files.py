@@ -310,7 +310,11 @@ PLAN = '{"schema": "otf-plan/1", "path": [[0, 0, NUMBER], [1, 1, 1]]}'
     [
         ('--effects', EFFECT.replace('NUMBER', HUGE), 'B_X: the number is too large'),
         ('--effects', EFFECT.replace('NUMBER', ENDLESS), 'thousands of digits'),
-        ('--effects', EFFECT.replace('NUMBER', '.inf'), 'B_X: inf is not finite'),
+        (
+            '--effects',
+            EFFECT.replace('NUMBER', '.inf'),
+            'a plain number in SI units, got inf',
+        ),
         ('--effects', '[' * 5000, 'nested too deeply'),
         ('--path', PLAN.replace('NUMBER', HUGE), 'path: expected n x 3 numbers'),
         ('--path', PLAN.replace('NUMBER', ENDLESS), 'thousands of digits'),

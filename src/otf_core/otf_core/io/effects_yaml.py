@@ -31,7 +31,7 @@ def _number(value: Any, where: str) -> float:
     except OverflowError:
         raise ConfigError(f'{where}: the number is too large') from None
     if not math.isfinite(number):
-        raise ConfigError(f'{where}: {number} is not finite')
+        raise ConfigError(f'{where}: expected a plain number in SI units, got {number}')
     return number
 
 
