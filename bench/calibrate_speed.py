@@ -64,6 +64,7 @@ def bag_to_tables(bag: Path, machine_file: Path, out: Path) -> CalibrationResult
 def command(bag: Path, machine_file: Path, out: Path) -> None:
     """Run the command itself."""
     words = ['calibrate', str(bag), '--machine', str(machine_file), '--out', str(out)]
+    words += ['--overwrite']
     subprocess.run([sys.executable, '-m', 'otf_core.cli', *words], check=True, capture_output=True)
 
 
@@ -79,7 +80,7 @@ def main(laps: int = 4) -> None:
         *rosbags, count = timed(lambda: read_with_rosbags(bag))
         *reading, _ = timed(lambda: read_bag(bag))
         *whole, result = timed(lambda: bag_to_tables(bag, machine_file, out))
-        *started, _ = timed(lambda: command(bag, machine_file, out))
+        *started, _ = timed(lambda: command(bag, machine_file, folder / 'command'))
     assert count == len(run.samples)
     fit = result.fit
     print(f'{fit.samples} samples, {fit.pieces} pieces, {fit.unknowns} unknowns, '

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from cells import share_left
-from graph import offline
+from graph import offline, without_date
 
 from otf_core.io.bag import read_bag
 
@@ -29,7 +29,7 @@ def test_replayed_bag_gives_the_true_errors_and_the_same_bits_as_offline(graph, 
     live = Path(result.output_directory) / 'error_tables.json'
     assert share_left(live, folder / 'truth.json') < 0.02
     again = offline(bag, machine_file, tmp_path / 'offline')
-    assert live.read_bytes() == again.replace(b'"name": "bag"', b'"name": "samples"')
+    assert without_date(live.read_bytes()) == again.replace(b'"name": "bag"', b'"name": "samples"')
 
 
 def test_the_bags_of_all_chains_are_small():

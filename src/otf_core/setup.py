@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
+import re
+from pathlib import Path
+
 from setuptools import find_packages, setup
+
+INIT = Path(__file__).resolve().parent / 'otf_core' / '__init__.py'
+VERSION = re.search(r"__version__ = '(.+)'", INIT.read_text(encoding='utf-8'))[1]
 
 setup(
     name='otf_core',
-    version='0.1.0',
+    version=VERSION,
     packages=find_packages(exclude=['test']),
     package_data={'': ['py.typed', '*.yaml', '*.json', '*.html', '*.css', '*.js']},
     data_files=[

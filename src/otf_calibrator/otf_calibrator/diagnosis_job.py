@@ -17,6 +17,8 @@ from otf_calibrator.diagnosis_task import Failure, Task
 from otf_calibrator.job import Outcome
 
 MODULE = 'otf_calibrator.diagnosis_process'
+OF_A_CAUSE = ('effects*.yaml', 'calibration_plain', 'calibration_with_effects')
+"""What a diagnosis writes only if it names a cause."""
 Answer = dict[str, Any] | Failure
 
 
@@ -95,12 +97,12 @@ class DiagnosisJob:
     def _put_in_place(self, answer: Answer) -> Answer:
         """Give the files their final names, gap.json last."""
         written = sorted(Path(self._partial.name).iterdir(), key=lambda p: p.name == 'gap.json')
+        earlier = [p for pattern in OF_A_CAUSE for p in self._folder.glob(pattern)]
         try:
+            for path in earlier:  # of an earlier diagnosis of this run
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
             for path in written:
-                target = self._folder / path.name
-                if path.is_dir() and target.exists():  # of an earlier diagnosis of this run
-                    shutil.rmtree(target)
-                os.replace(path, target)
+                os.replace(path, self._folder / path.name)
         except OSError as error:
             return Failure(2, f'{self._folder}: cannot be written ({error.strerror})')
         return answer

@@ -17,6 +17,7 @@ from otf_core.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.io.bag import BagContent, write_bag
+from otf_core.io.output import OutputFolder
 from otf_core.io.sample_order import in_time_order
 from otf_core.machine import load_machine
 from otf_core.observation import Samples
@@ -109,13 +110,21 @@ class Worker:
         prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[request.files.method]
         result = calibrate_runs([recording], request.config, self._progress, prepare)
         base = Path(request.files.output_directory).expanduser().absolute()
-        folder = base / f'{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}-{result.run_id}'
+        folder = free_folder(base, result.run_id)
         try:
-            write_calibration(result, folder)
+            with OutputFolder(folder).filled('calibrator') as partial:
+                write_calibration(result, partial)
             point_latest(base / 'latest', folder.name)
         except OtfError as error:
             return Outcome(request, recording, result, None, f'files not written: {error}')
         return Outcome(request, recording, result, folder)
+
+
+def free_folder(base: Path, run_id: str) -> Path:
+    """Name of a folder for a calibration that is done now; of this second there may be more."""
+    name = f'{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}-{run_id}'
+    names = (name, *(f'{name}-{k}' for k in range(2, 1000)))
+    return next(base / n for n in names if not os.path.lexists(base / n))
 
 
 def point_latest(link: Path, target: str) -> None:

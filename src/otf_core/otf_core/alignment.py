@@ -150,11 +150,8 @@ def _complaint(samples: Samples, track: Track, corners: Array, tolerance: float)
     ratio = np.ptp(track.points, axis=0).max() / np.ptp(corners, axis=0).max()
     if not 0.3 < ratio < 3:
         factor = 1000.0 if ratio > 1 else 0.001
-        unit = (
-            f'; are the points in {"mm" if ratio > 1 else "km"}?'
-            if 0.5 < ratio / factor < 2
-            else ''
-        )
+        what = 'the points seem' if ratio > 1 else 'the path seems'
+        unit = f'; {what} to be in mm, expected m' if 0.5 < ratio / factor < 2 else ''
         return f'the measured track is {ratio:.3g} times as large as the path{unit}'
     mirrored = Track(
         track.hops, track.points * [-1.0, 1.0, 1.0], track.start, track.stop, track.joined

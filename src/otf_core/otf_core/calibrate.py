@@ -22,6 +22,7 @@ from otf_core.machine import Machine
 from otf_core.noise import NoiseModel, sample_variance
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
+from otf_core.provenance import origins
 from otf_core.reversal import Reversal, reversal_tables
 from otf_core.reversal_choice import Choice, ReversalSolution, solve_with_reversal
 from otf_core.runs import Recording, Run, prepare_runs
@@ -270,4 +271,5 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
         ),
         failed_gates=_failed_gates(fit),
         config=config,
+        origin=origins(r.recording for r in runs),
     )

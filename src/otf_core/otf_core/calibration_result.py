@@ -15,6 +15,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.frames import RigidTransform
 from otf_core.noise import Misfit, NoiseModel
 from otf_core.pieces import Pieces
+from otf_core.provenance import Origin
 from otf_core.reversal import Reversal
 from otf_core.table_prior import MotionPrior
 from otf_core.tables import ErrorTables
@@ -148,6 +149,8 @@ class CalibrationResult:
     failed_gates : tuple of str
         Quality gates that failed; empty for a good calibration.
     config : CalibrationConfig
+    origin : tuple of Origin
+        The recordings.
     """
 
     run_id: str
@@ -165,6 +168,7 @@ class CalibrationResult:
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
     config: CalibrationConfig
+    origin: tuple[Origin, ...] = ()
 
     @property
     def T_machine_tracker(self) -> RigidTransform:

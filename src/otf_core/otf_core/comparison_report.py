@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from otf_core.evaluation import mean_length
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.machine import AXES
 from otf_core.plots.comparison import draw_motions, draw_volume
+from otf_core.provenance import provenance
 from otf_core.tables import unit_of
 
 Array = NDArray[np.float64]
@@ -119,12 +121,27 @@ def format_comparison(result: Comparison) -> str:
     return '\n'.join(lines)
 
 
-def write_comparison(result: Comparison, folder: str | Path) -> list[Path]:
-    """Write motions.svg, volume.svg, comparison.txt and, last, comparison.json."""
+def write_comparison(
+    result: Comparison, folder: str | Path, about: Mapping[str, Any] | None = None
+) -> list[Path]:
+    """Write motions.svg, volume.svg, comparison.txt and, last, comparison.json.
+
+    Parameters
+    ----------
+    result : Comparison
+    folder : str or Path
+    about : mapping, optional
+        Block ``provenance`` of the JSON file; what is known without it if not given.
+
+    Returns
+    -------
+    list of Path
+    """
     folder = ensure_folder(folder)
+    data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}
     files = [draw_motions(result, folder), draw_volume(result, folder)]
     files += [folder / 'comparison.txt', folder / 'comparison.json']
     write_text(files[2], format_comparison(result) + '\n')
-    content = json.dumps(comparison_to_dict(result), indent=1, allow_nan=False)
+    content = json.dumps(data, indent=1, allow_nan=False)
     write_text(files[3], content + '\n')
     return files

@@ -7,9 +7,10 @@ carry the table, axes between ``b`` and ``t`` carry the target.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from otf_core.budget.declared import DeclaredUncertainty, declared_from_fields
 from otf_core.budget.presets import TRACKERS, chosen
 from otf_core.errors import ConfigError
-from otf_core.io.strict_yaml import Fields, read_yaml
+from otf_core.io.strict_yaml import Fields, parse_yaml, read_yaml_bytes
 
 AXES = ('X', 'Y', 'Z')
 
@@ -99,6 +100,8 @@ class Machine:
     tracker : TrackerSpec
     uncertainty : DeclaredUncertainty, optional
         Standard uncertainties that no run shows.
+    file_sha256 : str
+        SHA-256 of the file it was read from; empty if there is none.
     """
 
     name: str
@@ -107,6 +110,7 @@ class Machine:
     target_offset: NDArray[np.float64]
     tracker: TrackerSpec
     uncertainty: DeclaredUncertainty | None = None
+    file_sha256: str = field(default='', repr=False, compare=False)
 
     @property
     def lower(self) -> NDArray[np.float64]:
@@ -172,7 +176,7 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
     axes_fields.done()
     offset = np.array(top.vector('target_offset', 3))
     if np.max(np.abs(offset)) > 10:
-        top.fail('target_offset', f'{offset.tolist()} m is no length of a tool; unit is m')
+        top.fail('target_offset', f'{offset.tolist()} m is no length of a tool; unit is m, not mm')
     spec = _tracker(top.mapping('tracker'))
     declared = None
     if top.has('uncertainty'):
@@ -202,10 +206,18 @@ def _axis(fields: Fields) -> Axis:
         fields.fail('max', f'{high} m is not above min = {low} m; the range is empty')
     pitch = fields.number('table_pitch', low=0.0, high=100.0, unit='m')
     if pitch > high - low or math.ceil((high - low) / pitch) > 1000:
-        fields.fail('table_pitch', f'{pitch} m does not suit a range of {high - low} m')
+        asked = '; is it in mm?' if low + 1e-3 * pitch <= high < low + pitch else ''
+        fields.fail('table_pitch', f'{pitch} m does not suit a range of {high - low} m{asked}')
     return Axis(low, high, pitch)
 
 
 def load_machine(path: str | Path) -> Machine:
     """Read a machine.yaml; ConfigError names the file and the key that is wrong."""
-    return machine_from_dict(read_yaml(path), str(path))
+    if Path(path).is_dir() or Path(path).suffix in ('.mcap', '.db3'):
+        what = 'a folder' if Path(path).is_dir() else 'a recording'
+        raise ConfigError(
+            f'{path}: cannot be read as machine.yaml, it is {what}; are bag and --machine swapped?'
+        )
+    data = read_yaml_bytes(path)
+    machine = machine_from_dict(parse_yaml(data, path), str(path))
+    return replace(machine, file_sha256=hashlib.sha256(data).hexdigest())

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.noise_report import QUANTITIES, NoiseReport
 from otf_core.plots.noise import draw_noise
+from otf_core.provenance import provenance
 
 Array = NDArray[np.float64]
 
@@ -133,11 +135,26 @@ def format_noise(report: NoiseReport) -> str:
     return '\n'.join(lines)
 
 
-def write_noise(report: NoiseReport, folder: str | Path) -> list[Path]:
-    """Write noise.svg, noise.txt and, last, noise.json; returns the files."""
+def write_noise(
+    report: NoiseReport, folder: str | Path, about: Mapping[str, Any] | None = None
+) -> list[Path]:
+    """Write noise.svg, noise.txt and, last, noise.json.
+
+    Parameters
+    ----------
+    report : NoiseReport
+    folder : str or Path
+    about : mapping, optional
+        Block ``provenance`` of the JSON file; what is known without it if not given.
+
+    Returns
+    -------
+    list of Path
+    """
     folder = ensure_folder(folder)
+    data = noise_to_dict(report) | {'provenance': about or provenance('noise')}
     files = [draw_noise(report, folder), folder / 'noise.txt', folder / 'noise.json']
     write_text(files[1], format_noise(report) + '\n')
-    content = json.dumps(noise_to_dict(report), indent=1, allow_nan=False)
+    content = json.dumps(data, indent=1, allow_nan=False)
     write_text(files[2], content + '\n')
     return files

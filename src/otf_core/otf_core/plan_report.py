@@ -18,13 +18,14 @@ import numpy as np
 
 from otf_core.budget.planned import PlannedSystematic
 from otf_core.forecast import Forecast, Setup
-from otf_core.io.csv_points import write_csv
+from otf_core.io.csv_points import tidy, write_csv
 from otf_core.io.files import write_text
 from otf_core.io.plan_json import SCHEMA
 from otf_core.machine import AXES
 from otf_core.nc import Dialect, program
 from otf_core.observability import Finding
 from otf_core.planning import Plan
+from otf_core.provenance import provenance
 from otf_core.tables import MOTIONS, SQUARENESS, unit_of
 from otf_core.tracker_places import TrackerPlace
 
@@ -198,13 +199,15 @@ def format_report(report: PlanReport) -> str:
     return '\n'.join(lines) + '\n'
 
 
+def _mm(value: float) -> str:
+    return f'{round(1e3 * float(value), 3) + 0.0:.3f}'
+
+
 def program_header(report: PlanReport) -> list[str]:
     """Comment lines at the head of a program."""
     plan = report.plan
     low, high = plan.path.points.min(axis=0), plan.path.points.max(axis=0)
-    spans = [
-        f'{a} {1e3 * lo:.3f} TO {1e3 * hi:.3f}' for a, lo, hi in zip(AXES, low, high, strict=True)
-    ]
+    spans = [f'{a} {_mm(lo)} TO {_mm(hi)}' for a, lo, hi in zip(AXES, low, high, strict=True)]
     return [
         'OTF PATH FOR A LASER TRACKER CALIBRATION',
         f'MACHINE {report.setup.machine.name}',
@@ -215,8 +218,21 @@ def program_header(report: PlanReport) -> list[str]:
     ]
 
 
-def write_report(report: PlanReport, folder: Path, dialect: Dialect | None) -> list[Path]:
+def write_report(
+    report: PlanReport,
+    folder: Path,
+    dialect: Dialect | None,
+    about: Mapping[str, Any] | None = None,
+) -> list[Path]:
     """Write all files of a plan, the program only for a dialect; plan.json last.
+
+    Parameters
+    ----------
+    report : PlanReport
+    folder : Path
+    dialect : Dialect, optional
+    about : mapping, optional
+        Block ``provenance`` of plan.json; of the machine alone if not given.
 
     Raises
     ------
@@ -229,9 +245,11 @@ def write_report(report: PlanReport, folder: Path, dialect: Dialect | None) -> l
         files.append(folder / dialect.file_name)
         write_text(files[-1], text)
     files.append(folder / 'path.csv')
-    write_csv(files[-1], 'x,y,z', report.plan.path.points)
+    write_csv(files[-1], 'x,y,z', np.vectorize(tidy)(report.plan.path.points))
     files.append(folder / 'forecast.txt')
     write_text(files[-1], format_report(report))
     files.append(folder / 'plan.json')
-    write_text(files[-1], json.dumps(report_to_dict(report)) + '\n')
+    block = about or provenance('plan', machines=[report.setup.machine])
+    content = report_to_dict(report) | {'provenance': block}
+    write_text(files[-1], json.dumps(content) + '\n')
     return files

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +13,8 @@ from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.diagnosis.before import forecast_effects
 from otf_core.errors import ConfigError
 from otf_core.forecast import Forecast, Setup, forecast
+from otf_core.io.json_file import read_json
+from otf_core.io.strict_yaml import shown
 from otf_core.machine import Machine
 from otf_core.nc import on_increment
 from otf_core.noise import NoiseModel
@@ -82,17 +83,15 @@ def read_place(text: str) -> tuple[float, float, float]:
 def read_noise(path: str | Path) -> NoiseModel:
     """Read a noise.json of ``otf noise``; ConfigError if it is none."""
     try:
-        data = json.loads(Path(path).read_text(encoding='utf-8'))
+        data = read_json(path)
         u_range, u_angle = float(data['u_range']), np.array(data['u_angle'], dtype=float)
         white_range, white_angle = float(data['white_range']), np.array(data['white_angle'])
         time = float(data['correlation_time'])
         level = float(np.sqrt(np.mean(u_angle**2)))
         share = float(np.mean(white_angle.astype(float) ** 2)) / level**2
         model = NoiseModel(u_range, level, (white_range / u_range) ** 2, share, time)
-    except OSError as error:
-        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
-    except (ValueError, TypeError, KeyError, ZeroDivisionError) as error:
-        raise ConfigError(f'{path}: not a noise.json ({error!r})') from None
+    except (ValueError, TypeError, KeyError, ZeroDivisionError, OverflowError) as error:
+        raise ConfigError(f'{path}: not a noise.json ({shown(error)})') from None
     if not (u_range > 0 and level > 0 and time > 0):
         raise ConfigError(f'{path}: levels and correlation_time must be above 0')
     return replace(

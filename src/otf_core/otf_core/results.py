@@ -22,15 +22,22 @@ from otf_core.budget.report import budget_lines, budget_to_dict, expanded, forma
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration_result import GAUGE, CalibrationResult, RunResult
 from otf_core.driven_volume import driven_volume
-from otf_core.io.csv_points import write_csv
+from otf_core.io.csv_points import tidy, write_csv
 from otf_core.io.files import ensure_folder, write_text
+from otf_core.provenance import COVERAGE, provenance
+from otf_core.result_words import (
+    convention_lines,
+    squareness_words,
+    volumetric_error,
+    volumetric_line,
+)
 from otf_core.reversal_report import format_reversal, reversal_csv, reversal_to_dict
 from otf_core.tables import MOTIONS, SQUARENESS, tables_to_dict, unit_of
 
 TABLES_FILE = 'error_tables.json'
 
 
-def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
+def result_to_dict(result: CalibrationResult, verb: str = 'calibrate') -> dict[str, Any]:
     """Return a calibration as plain data in the layout of error_tables.json."""
     data = tables_to_dict(result.tables)
     pose, lines = result.T_machine_tracker, budget_lines(result.tables, result.budget)
@@ -59,6 +66,13 @@ def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
         'config': asdict(result.config),
+        'volumetric_error': volumetric_error(result.tables),
+        'provenance': provenance(
+            verb,
+            method='standstill' if result.runs[0].pieces.standstill else 'otf',
+            runs=result.origin,
+            coverage=f'{COVERAGE}; U: expanded uncertainty for 95 %, k beside it',
+        ),
     }
     return data
 
@@ -95,22 +109,32 @@ def _spacing(result: CalibrationResult) -> dict[str, Any]:
 
 
 def _tidy_rows(result: CalibrationResult) -> str:
-    lines = ['motion,axis,position,value,unit,u,identifiable']
+    lines = ['motion,axis,position,value,unit,u,identifiable,U,k']
+    wide = expanded(result.tables, budget_lines(result.tables, result.budget))
     for name in MOTIONS:
         table = result.tables.motions[name]
         known = table.node_identifiable
         flags = np.ones(len(table.position)) if known is None else known
-        for row in zip(table.position, table.value, table.u, flags, strict=True):
-            position, value, u, seen = row
+        k = wide[name]['k']
+        rows = zip(table.position, table.value, table.u, flags, wide[name]['U'], strict=True)
+        for position, value, u, seen, wide_u in rows:
             lines.append(
-                f'{name},{name[2]},{float(position)!r},{float(value)!r},{unit_of(name)},'
-                f'{float(u)!r},{str(bool(seen)).lower()}'
+                f'{name},{name[2]},{tidy(position)!r},{float(value) + 0.0!r},{unit_of(name)},'
+                f'{float(u)!r},{str(bool(seen)).lower()},{wide_u!r},{_factor(k)}'
             )
     for name in SQUARENESS:
         entry = result.tables.squareness[name]
         seen = name not in result.not_identifiable
-        lines.append(f'{name},,,{entry.value!r},rad,{entry.u!r},{str(seen).lower()}')
+        lines.append(
+            f'{name},,,{entry.value + 0.0!r},rad,{entry.u!r},{str(seen).lower()},'
+            f'{wide[name]["U"]!r},{_factor(wide[name]["k"])}'
+        )
     return '\n'.join(lines) + '\n'
+
+
+def _factor(k: float | None) -> str:
+    """Coverage factor in a CSV cell; empty where nothing is uncertain."""
+    return '' if k is None else repr(float(k))
 
 
 _MOVING, _STANDING = ('2', '3'), ('1', '2', '3')
@@ -146,7 +170,9 @@ def _residual_header(run: RunResult) -> str:
     return ','.join(columns)
 
 
-def write_calibration(result: CalibrationResult, folder: str | Path) -> list[Path]:
+def write_calibration(
+    result: CalibrationResult, folder: str | Path, verb: str = 'calibrate'
+) -> list[Path]:
     """Write all files of a calibration; error_tables.json last.
 
     Parameters
@@ -154,6 +180,8 @@ def write_calibration(result: CalibrationResult, folder: str | Path) -> list[Pat
     result : CalibrationResult
     folder : str or Path
         Made if missing; files of the same names are replaced.
+    verb : str
+        Command that the files come from.
 
     Returns
     -------
@@ -170,7 +198,7 @@ def write_calibration(result: CalibrationResult, folder: str | Path) -> list[Pat
     rows = [_residual_columns(k, run) for k, run in enumerate(result.runs)]
     write_csv(folder / 'residuals.csv', _residual_header(result.runs[0]), np.concatenate(rows))
     write_text(folder / 'summary.txt', format_result(result) + '\n')
-    write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result), indent=1) + '\n')
+    write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result, verb), indent=1) + '\n')
     names = (TABLES_FILE, 'error_tables.csv', 'reversal.csv', 'residuals.csv', 'summary.txt')
     return [folder / name for name in names]
 
@@ -213,7 +241,9 @@ def format_result(result: CalibrationResult) -> str:
         f'{fit.unknowns} unknowns, rank {fit.rank}; path driven {100 * fit.coverage:.1f} %',
         f'mean distance from the path {1e6 * fit.path_mae_before:.2f} um, compensated '
         f'{1e6 * fit.path_mae_after:.2f} um; residual rms {1e6 * fit.residual_rms:.2f} um',
+        volumetric_line(result.tables),
         *(_run_line(number, run) for number, run in enumerate(result.runs, start=1)),
+        *convention_lines(result),
         '',
         format_tables(result),
         '',
@@ -242,7 +272,8 @@ def format_tables(result: CalibrationResult) -> str:
         entry = result.tables.squareness[name]
         known = name not in result.not_identifiable
         lines.append(
-            f'{name:<10}{1e6 * entry.value:>14.2f}{1e6 * entry.u:>17.2f}'
+            f'{name:<10}{1e6 * entry.value:>14.2f}{1e6 * entry.u:>17.2f}  '
+            f'{squareness_words(name, entry.value)}'
             if known
             else f'{name:<10}  not identifiable in these data'
         )

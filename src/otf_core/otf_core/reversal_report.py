@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.io.csv_points import tidy
 from otf_core.reversal import MODELS, Reversal
 from otf_core.tables import ErrorTables, unit_of
 
@@ -63,7 +64,7 @@ def reversal_csv(reversal: Reversal, tables: ErrorTables) -> str:
         for row in zip(table.position, forward, backward, table.value, table.u, strict=True):
             position, ahead, back, value, u = map(float, row)
             lines.append(
-                f'{name},{name[2]},{position!r},{ahead!r},{back!r},{value!r},{unit_of(name)},'
+                f'{name},{name[2]},{tidy(position)!r},{ahead!r},{back!r},{value!r},{unit_of(name)},'
                 f'{u!r},{str(seen).lower()}'
             )
     return '\n'.join(lines) + '\n'

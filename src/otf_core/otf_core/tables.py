@@ -6,7 +6,6 @@ A table is linear between its nodes and constant outside them.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
+from otf_core.io.json_file import read_json
+from otf_core.io.strict_yaml import shown
 from otf_core.machine import AXES, Machine, machine_from_dict
 
 DIRECTIONS = ('X', 'Y', 'Z', 'A', 'B', 'C')
@@ -180,7 +181,7 @@ def _motion(entry: Any, name: str, where: str) -> MotionTable:
         raise ConfigError(f'{where}: u: must not be negative')
     for key, right in (('unit', unit_of(name)), ('axis', name[2])):
         if entry.get(key, right) != right:
-            raise ConfigError(f"{where}: {key}: must be '{right}', got {entry[key]!r}")
+            raise ConfigError(f"{where}: {key}: must be '{right}', got {shown(entry[key])}")
     if np.any(np.diff(position) <= 0):
         raise ConfigError(f'{where}: position: must ascend strictly')
     return MotionTable(position, value, u, bool(entry.get('identifiable', True)))
@@ -231,10 +232,4 @@ def tables_from_dict(data: Any, where: str) -> TablesFile:
 
 def load_tables(path: str | Path) -> TablesFile:
     """Read an error_tables.json; ConfigError says what is wrong and where."""
-    try:
-        data = json.loads(Path(path).read_text(encoding='utf-8'))
-    except OSError as error:
-        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
-    except ValueError as error:
-        raise ConfigError(f'{path}: not valid JSON ({error})') from None
-    return tables_from_dict(data, str(path))
+    return tables_from_dict(read_json(path), str(path))

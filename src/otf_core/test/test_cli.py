@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +34,12 @@ def run(*arguments):
         return cli.main([str(a) for a in arguments])
     except SystemExit as leaving:
         return leaving.code
+
+
+def without_date(file):
+    """Bytes of a result but for the moment of writing."""
+    content = file.read_bytes()
+    return re.sub(rb'"written": "[^"]*"', b'', content)
 
 
 def read_csv(file):
@@ -129,10 +136,10 @@ def test_repetition_gives_the_same_bits(done, tmp_path):
     assert run('calibrate', *arguments, '--out', tmp_path / 'again') == 0
     files = sorted(f.name for f in done.tables.parent.iterdir())
     assert files == sorted(f.name for f in (tmp_path / 'again').iterdir())
+    files.remove('manifest.json')  # holds the hash of a file with a date in it
     for name in files:
-        assert (tmp_path / 'again' / name).read_bytes() == (
-            done.tables.parent / name
-        ).read_bytes(), name
+        again, first = (folder / name for folder in (tmp_path / 'again', done.tables.parent))
+        assert without_date(again) == without_date(first), name
 
 
 @one_chain
@@ -346,7 +353,7 @@ def one(done, tmp_path):
     def predict(content):
         (tmp_path / 'edited.json').write_text(json.dumps(content))
         code = run('predict', '--tables', tmp_path / 'edited.json', '--points', points,
-                   '--out', tmp_path / 'errors.csv')  # fmt: skip
+                   '--out', tmp_path / 'errors.csv', '--overwrite')  # fmt: skip
         return code, read_csv(tmp_path / 'errors.csv')[1] if code == 0 else None
 
     return SimpleNamespace(data=data, predict=predict, folder=tmp_path, points=points)
@@ -558,5 +565,5 @@ def test_tables_do_not_depend_on_the_number_of_threads(done, tmp_path):
                  'PYTHONPATH': str(Path(next(iter(otf_core.__path__))).parent)},
             check=True, capture_output=True,
         )  # fmt: skip
-        written.append((out / 'error_tables.json').read_bytes())
+        written.append(without_date(out / 'error_tables.json'))
     assert written[0] == written[1]

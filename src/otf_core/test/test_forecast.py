@@ -276,7 +276,8 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
                  '--levels', '2', '--grid', '2', '--tracker-place', '-0.3,0.1,-0.1']  # fmt: skip
     assert main(arguments) == 0
     said = capsys.readouterr().out
-    assert sorted(f.name for f in out.iterdir()) == ['forecast.txt', 'path.csv', 'plan.json']
+    names = ['forecast.txt', 'manifest.json', 'path.csv', 'plan.json']
+    assert sorted(f.name for f in out.iterdir()) == names
     assert 'no NC program: give --dialect' in said.splitlines()[-1]
     text = (out / 'forecast.txt').read_text()
     assert text in said

@@ -251,6 +251,8 @@ def test_command_writes_noise_json_of_the_contract(tmp_path, capsys):
     assert list(data)[:8] == ['schema', *keys, 'standstills', 'samples']
     assert data['schema'] == 'otf-noise/1'
     assert len(data['u_angle']) == len(data['white_angle']) == 2
+    block = data.pop('provenance')
+    assert (block['verb'], block['runs'][0]['samples']) == ('noise', len(samples))
     assert data == json.loads(json.dumps(noise_to_dict(noise_report(samples, SPEED))))
     assert (data['standstills'], data['windows']) == (3, 3)
     assert (tmp_path / 'out' / 'noise.svg').stat().st_size > 1000

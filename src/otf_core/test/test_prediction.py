@@ -101,7 +101,7 @@ def test_without_a_prior_nothing_grows_and_the_note_says_so(tmp_path):
     ('prior', 'words'),
     [
         ([1.0], 'prior: expected motions'),
-        ({'EXX': 1.0}, 'prior: EXX: expected slope, intensity and sd, got 1.0'),
+        ({'EXX': 1.0}, 'prior: EXX: expected slope, intensity, sd, length, got 1.0'),
         ({'EXX': {'slope': '1'}}, "prior: EXX: slope: expected a number from 0 on, got '1'"),
         ({'EXX': {'slope': True}}, 'prior: EXX: slope: expected a number'),
         ({'ECZ': {'sd': -1e-5}}, 'prior: ECZ: sd: expected a number from 0 on, got -1e-05'),

@@ -22,6 +22,8 @@ from otf_core.effects import REGISTRY
 from otf_core.errors import InputError
 from otf_core.io.bag import BagContent, write_bag
 from otf_core.io.files import ensure_folder, write_text
+from otf_core.io.manifest import MANIFEST
+from otf_core.provenance import provenance
 
 KEY, SEAL = 'key.json', 'key.sha256'
 SCHEMA = 'otf-blind-key/1'
@@ -121,11 +123,21 @@ def seal(wanted: Sequence[Order], folder: Path, jobs: int, progress: Callable[[s
         for entry in pool.map(write_cell, wanted, [folder] * len(wanted)):
             entries.append(entry)
             progress(f'cell {entry["cell"]} drawn')
-    text = json.dumps({'schema': SCHEMA, 'cells': entries}, indent=1)
+    content = {'schema': SCHEMA, 'cells': entries, 'provenance': provenance('blind')}
+    text = json.dumps(content, indent=1)
     write_text(folder / KEY, text)
     digest = hashlib.sha256(text.encode()).hexdigest()
     write_text(folder / SEAL, digest + '\n')
     return digest
+
+
+def holds_trial(folder: str | Path) -> bool:
+    """Tell whether a trial was begun in a folder, so that it goes on there."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        return False
+    names = {p.name for p in folder.iterdir()}
+    return SEAL in names or (bool(names) and names <= {'cells', KEY, MANIFEST})
 
 
 def open_key(folder: Path) -> list[Entry]:

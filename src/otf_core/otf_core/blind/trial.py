@@ -12,9 +12,11 @@ from otf_core.blind.answers import Answer, Question, ask_all
 from otf_core.blind.outcome import Outcome, outcome
 from otf_core.blind.recovery import Recovery, recover, ruler_of
 from otf_core.blind.score import leave_one_out_report, report, score_to_dict
-from otf_core.blind.seal import SEAL, Entry, Order, open_key, orders, seal
+from otf_core.blind.seal import KEY, SEAL, Entry, Order, open_key, orders, seal
 from otf_core.errors import ConfigError
 from otf_core.io.files import ensure_folder, write_text
+from otf_core.io.manifest import MANIFEST, write_manifest, written_files
+from otf_core.provenance import provenance
 
 Progress = Callable[[str], None]
 
@@ -54,8 +56,9 @@ def _score(
     with ProcessPoolExecutor(jobs) as pool:
         results = pool.map(_recover, sized, [answers[WHOLE, e['cell']] for e in sized])
         recovered = [r for r in results if r is not None]
-    data = json.dumps(score_to_dict(outcomes, recovered, alone), indent=1)
-    write_text(folder / 'score.json', data)
+    data = score_to_dict(outcomes, recovered, alone)
+    data |= {'provenance': provenance('blind', files={'key': folder / KEY})}
+    write_text(folder / 'score.json', json.dumps(data, indent=1))
     return report(outcomes, recovered, f'{len(outcomes)} cells', alone)
 
 
@@ -68,6 +71,14 @@ def _draw(wanted: Sequence[Order], folder: Path, jobs: int, progress: Progress) 
         return
     digest = seal(wanted, folder, jobs, progress)
     progress(f'key sealed, SHA-256 {digest}')
+
+
+def list_files(folder: Path) -> None:
+    """Write the manifest of a trial, whole or interrupted: of what it writes, nothing else."""
+    parts = ('cells', WHOLE, FIRST, WITHOUT, KEY, SEAL, 'score.json', 'score.txt')
+    files = [f for f in written_files(folder) if f.relative_to(folder).parts[0] in parts]
+    if files:
+        write_manifest(folder / MANIFEST, files, 'blind')
 
 
 def run_trial(

@@ -8,11 +8,10 @@ a quality gate failed.
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
 
+from otf_core import __version__
 from otf_core.cli.measuring import (
     DIAGNOSIS_PARAMETERS,
     run_calibrate,
@@ -21,8 +20,9 @@ from otf_core.cli.measuring import (
     run_noise,
     run_predict,
 )
-from otf_core.cli.options import add_parameters
-from otf_core.cli.output import note
+from otf_core.cli.options import add_out, add_parameters
+from otf_core.cli.output import OutputFull, bounded, note
+from otf_core.cli.parser import Parser, asked
 from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
 from otf_core.config import (
     CalibrationConfig,
@@ -41,19 +41,6 @@ def _seed(text: str) -> int:
     if not 0 <= value <= LARGEST_SEED:
         raise argparse.ArgumentTypeError(f'{value} is out of range [0, {LARGEST_SEED}]')
     return value
-
-
-class _Parser(argparse.ArgumentParser):
-    """One clear line instead of the usage text in front of every error."""
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        # argparse takes -1e-3 for an option
-        self._negative_number_matcher = re.compile(r'-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$')
-
-    def error(self, message: str) -> Any:
-        """Print what is wrong and leave with exit code 2."""
-        self.exit(2, f'{self.prog}: {message} (see {self.prog} --help)\n')
 
 
 def _add_plan_options(sub: argparse.ArgumentParser) -> None:
@@ -81,9 +68,7 @@ def _add_plan_options(sub: argparse.ArgumentParser) -> None:
 def _add_predict_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument('--tables', required=True, help='error_tables.json')
     sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
-    sub.add_argument(
-        '--out', required=True, help='CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside; m, k = 1'
-    )
+    add_out(sub, 'CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside; m, k = 1')
     sub.add_argument(
         '--target-offset', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
         help='predict for this target offset, e.g. of a longer tool (m; default: as measured); '
@@ -107,7 +92,7 @@ def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPars
     """Verbs that judge a tracker, a calibration or this program."""
     sub = verb('noise', run_noise, 'Tracker noise in the standstills of a bag.')
     sub.add_argument('bag', help='rosbag2 folder or .mcap file; /tracker/point suffices')
-    sub.add_argument('--out', required=True, help='folder for the results')
+    add_out(sub, 'folder for the results')
     add_parameters(sub, CalibrationConfig, ('standstill_speed',))
 
     sub = verb('compare', run_compare, 'Error tables or direct measurements, motion by motion.')
@@ -115,10 +100,10 @@ def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPars
     sub.add_argument('b', help='the same')
     sub.add_argument('--machine', help='machine.yaml, for direct measurements')
     sub.add_argument('--points', help='CSV with the header x,y,z; a grid if not given')
-    sub.add_argument('--out', required=True, help='folder for the results')
+    add_out(sub, 'folder for the results')
 
     sub = verb('validate', run_validate, "The paper's comparisons on simulated cells.")
-    sub.add_argument('--out', required=True, help='folder for table and figures')
+    add_out(sub, 'folder for table and figures')
     sub.add_argument('--quick', action='store_true', help='two cells instead of eight')
     sub.add_argument(
         '--seed', dest='first_cell', type=_seed, default=2001, metavar='N',
@@ -128,7 +113,7 @@ def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPars
     sub = verb('blind', run_blind, 'Blind trial: draw and seal cells, diagnose them, score.')
     sub.add_argument('--trials', type=int, required=True, help='cells to draw')
     sub.add_argument('--seed', type=int, required=True, help='all random numbers hang on it')
-    sub.add_argument('--out', required=True, help='folder; an interrupted trial goes on there')
+    add_out(sub, 'folder; an interrupted trial goes on there')
     sub.add_argument('--jobs', type=int, default=2, help='processes at once (default 2)')
     sub.add_argument(
         '--leave-one-out',
@@ -137,8 +122,9 @@ def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPars
     )
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog='otf', description='On-the-fly machine-tool calibration, offline verbs.')
+def _parser() -> Parser:
+    parser = Parser(prog='otf', description='On-the-fly machine-tool calibration, offline verbs.')
+    parser.add_argument('--version', action='version', version=f'otf {__version__}')
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
 
     def verb(name: str, handler: Handler, text: str) -> argparse.ArgumentParser:
@@ -148,13 +134,16 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = verb('calibrate', run_calibrate, 'Error tables from recorded bags.')
     _add_runs(sub)
-    sub.add_argument('--out', required=True, help='folder for the results')
-    sub.add_argument('--method', choices=('otf', 'standstill'), default='otf')
+    add_out(sub, 'folder for the results')
+    sub.add_argument(
+        '--method', choices=('otf', 'standstill'), default='otf',
+        help='on the fly, or from the stops at the corner points alone (default otf)',
+    )  # fmt: skip
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('diagnose', run_diagnose, 'Where and why a real run departs from its simulation.')
     _add_runs(sub)
-    sub.add_argument('--out', required=True, help='folder for gap.json and report.html')
+    add_out(sub, 'folder for gap.json and report.html')
     sub.add_argument(
         '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
     )
@@ -168,10 +157,15 @@ def _parser() -> argparse.ArgumentParser:
     _add_predict_options(sub)
 
     _add_judging_verbs(verb)
+    _add_planning_verbs(verb)
+    return parser
 
+
+def _add_planning_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentParser]) -> None:
+    """Verbs that come before a measurement, or stand for one."""
     sub = verb('plan', run_plan, 'Path for a machine, forecast of what it can see, NC program.')
     sub.add_argument('--machine', required=True, help='machine.yaml')
-    sub.add_argument('--out', required=True, help='folder for path, forecast and program')
+    add_out(sub, 'folder for path, forecast and program')
     sub.add_argument(
         '--path', help='CSV with the header x,y,z, or a plan.json: take this path instead'
     )
@@ -181,7 +175,7 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = verb('simulate', run_simulate, 'Bag of a simulated run.')
     sub.add_argument('--machine', required=True, help='machine.yaml')
-    sub.add_argument('--out', required=True, help='bag folder to write')
+    add_out(sub, 'bag folder to write, or .mcap file; its truth lies in or beside it')
     sub.add_argument('--tables', help='error_tables.json of the truth; drawn if not given')
     sub.add_argument(
         '--path',
@@ -191,7 +185,6 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument('--effects', help='effects.yaml: what to add to the cell')
     add_parameters(sub, SimulationConfig)
     add_parameters(sub, PlannerConfig)
-    return parser
 
 
 def _joined(argv: Sequence[str]) -> list[str]:
@@ -207,11 +200,14 @@ def _joined(argv: Sequence[str]) -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
-    arguments = _parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
+    arguments = asked(_parser(), _joined(sys.argv[1:] if argv is None else argv))
     try:
         return int(arguments.handler(arguments))
-    except OtfError as error:
+    except OutputFull as error:
         note(f'otf {arguments.verb}: {error}')
+        return error.exit_code
+    except OtfError as error:
+        note(f'otf {arguments.verb}: {bounded(str(error))}')
         return error.exit_code
     except KeyboardInterrupt:
         note(f'otf {arguments.verb}: interrupted')

@@ -1,9 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """``python -m otf_core.cli VERB ...``."""
 
-import sys
+from __future__ import annotations
 
-from otf_core.cli import main
+import os
+import signal
+import sys
+from typing import Any
+
+
+class _Terminated(BaseException):
+    """SIGTERM, so that what lies aside is removed before the end."""
+
+
+def _terminate(*_: Any) -> None:
+    raise _Terminated
+
 
 if __name__ == '__main__':
-    sys.exit(main())
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        from otf_core.cli import main
+
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except _Terminated:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGTERM)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from otf_core.cli.options import parameters
+from otf_core.cli.options import output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
@@ -49,15 +49,16 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     """Error tables from recorded bags."""
     config = parameters(CalibrationConfig, arguments)
     from otf_core.calibrate import calibrate_runs
-    from otf_core.io.files import ensure_folder
     from otf_core.results import format_result, write_calibration
     from otf_core.runs import prepare_runs
     from otf_core.standstill_method import prepare_stops
 
+    out = output_folder(arguments, *arguments.bag, *arguments.machine)
     prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[arguments.method]
     recordings = read_recordings(arguments)
     result = calibrate_runs(recordings, config, prepare=prepare)
-    files = write_calibration(result, ensure_folder(arguments.out))
+    with out.filled('calibrate') as folder:
+        files = write_calibration(result, folder)
     say(format_result(result) + '\n' + listed(files, arguments.out))
     for gate in result.failed_gates:
         note(f'otf: quality gate failed: {gate}')
@@ -70,18 +71,18 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.diagnosis.complete import diagnose, write_diagnosis
     from otf_core.diagnosis.result import format_diagnosis
     from otf_core.effects import REGISTRY
-    from otf_core.io.files import ensure_folder
     from otf_core.sim.twin import twin_recording
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
     if unknown:
         raise ConfigError(f'--exclude: {unknown[0]}: no effect; known: {", ".join(REGISTRY)}')
+    out = output_folder(arguments, *arguments.bag, *arguments.machine)
     recordings = read_recordings(arguments)
-    ensure_folder(arguments.out)
     diagnosis, data = diagnose(
         recordings, arguments.bag, twin_recording, arguments.exclude, config
     )
-    files = write_diagnosis(diagnosis, data, arguments.out, config)
+    with out.filled('diagnose') as folder:
+        files = write_diagnosis(diagnosis, data, folder, config)
     say(format_diagnosis(diagnosis) + listed(files, arguments.out))
     return 0
 
@@ -91,14 +92,18 @@ def run_noise(arguments: argparse.Namespace) -> int:
     from otf_core.io.bag import read_points
     from otf_core.noise_files import format_noise, write_noise
     from otf_core.noise_report import noise_report
+    from otf_core.provenance import origin_of, provenance
 
+    out = output_folder(arguments, arguments.bag)
     speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
     samples = read_points(arguments.bag)
     try:
         report = noise_report(samples, speed)
     except OtfError as error:
         raise type(error)(f'{arguments.bag}: {error}') from None
-    files = write_noise(report, arguments.out)
+    origin = origin_of(Path(arguments.bag).name, samples)
+    with out.filled('noise') as folder:
+        files = write_noise(report, folder, provenance('noise', runs=[origin]))
     say(format_noise(report) + '\n' + listed(files, arguments.out))
     return 0
 
@@ -107,17 +112,23 @@ def run_predict(arguments: argparse.Namespace) -> int:
     """Volumetric errors at points, from error tables."""
     import numpy as np
 
-    from otf_core.io.csv_points import read_points_csv, write_csv
-    from otf_core.io.files import ensure_folder
+    from otf_core.io.csv_points import begins_with, read_points_csv, write_csv
+    from otf_core.io.output import OutputFile
     from otf_core.prediction import predict
 
+    header = 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
+    out = OutputFile(
+        arguments.out,
+        lambda path: begins_with(path, header),
+        overwrite=arguments.overwrite,
+        inputs=(arguments.tables, arguments.points),
+    )
     points = read_points_csv(arguments.points)
     offset = None if arguments.target_offset is None else np.array(arguments.target_offset)
     prediction = predict(arguments.tables, points, offset, arguments.points)
-    ensure_folder(Path(arguments.out).parent)
     columns = np.hstack([points, prediction.error, prediction.u])
-    header = 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
-    write_csv(arguments.out, header, columns, prediction.inside)
+    with out.filled() as partial:
+        write_csv(partial, header, columns, prediction.inside)
     for text in prediction.notes:
         note(f'otf predict: {text}')
     say(prediction.summary)
@@ -130,11 +141,21 @@ def run_compare(arguments: argparse.Namespace) -> int:
     from otf_core.comparison_report import format_comparison, write_comparison
     from otf_core.io.csv_points import read_points_csv
     from otf_core.machine import load_machine
+    from otf_core.provenance import COVERAGE, provenance
 
+    given = [arguments.a, arguments.b, arguments.machine, arguments.points]
+    out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine) if arguments.machine else None
     points = read_points_csv(arguments.points) if arguments.points else None
     a, b = load_source(arguments.a, machine), load_source(arguments.b, machine)
     result = compare(a, b, points)
-    files = write_comparison(result, arguments.out)
+    about = provenance(
+        'compare',
+        machines=[machine] if machine else [],
+        files={'a': arguments.a, 'b': arguments.b, 'points': arguments.points},
+        coverage=f'{COVERAGE}; normalised errors with U = 2 u (k = 2)',
+    )
+    with out.filled('compare') as folder:
+        files = write_comparison(result, folder, about)
     say(format_comparison(result) + '\n' + listed(files, arguments.out))
     return 0

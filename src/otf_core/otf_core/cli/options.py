@@ -9,6 +9,7 @@ from typing import Any
 
 from otf_core.config import ParameterInfo, Parameters
 from otf_core.errors import ConfigError
+from otf_core.io.output import OutputFolder
 
 CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
 """Options stated in another unit than the parameter, as machine users do: name, factor."""
@@ -32,9 +33,24 @@ def _add_parameter(group: Any, info: ParameterInfo) -> None:
         dest=info.name,
         type=kind,
         choices=info.choices or None,
-        metavar=unit,
+        metavar=None if info.choices else unit,
         help=text.replace('%', '%%'),
     )
+
+
+def add_out(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add --out and --overwrite."""
+    parser.add_argument('--out', required=True, help=text)
+    parser.add_argument(
+        '--overwrite',
+        action='store_true',
+        help='replace results that are there; other files are never deleted',
+    )
+
+
+def output_folder(arguments: argparse.Namespace, *inputs: str, **words: str) -> OutputFolder:
+    """Check --out before any work; ``inputs`` are files and folders that the verb reads."""
+    return OutputFolder(arguments.out, overwrite=arguments.overwrite, inputs=inputs, **words)
 
 
 def add_parameters(
@@ -45,6 +61,20 @@ def add_parameters(
     for info in kind.infos():
         if not only or info.name in only:
             _add_parameter(group, info)
+
+
+def _scaled(info: ParameterInfo, value: float, scale: float) -> Any:
+    """Value of an option in its own unit; ConfigError in that unit too."""
+    try:
+        return info.check(value / scale)
+    except ConfigError:
+        if info.low is None or info.high is None:
+            raise
+        unit = CLI_UNITS[info.name][0].lower().replace('_per_', '/')
+        raise ConfigError(
+            f'{info.name}: {value:g} is out of range, {info.low * scale:g} to '
+            f'{info.high * scale:g} {unit} are possible'
+        ) from None
 
 
 def parameters(kind: type[Any], arguments: argparse.Namespace, only: Sequence[str] = ()) -> Any:
@@ -58,7 +88,7 @@ def parameters(kind: type[Any], arguments: argparse.Namespace, only: Sequence[st
             continue
         try:
             scale = CLI_UNITS.get(info.name, ('', 1))[1]
-            given[info.name] = info.check(value if scale == 1 else value / scale)
+            given[info.name] = info.check(value) if scale == 1 else _scaled(info, value, scale)
         except ConfigError as error:
             raise ConfigError(f'{_option(info.name)}{str(error)[len(info.name) :]}') from None
     return kind(**given)

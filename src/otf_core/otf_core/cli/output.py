@@ -3,16 +3,43 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from otf_core.errors import OtfError
+
 QUALITY_GATE_FAILED = 4
+
+
+LONGEST_MESSAGE = 1000
+
+
+class OutputFull(OtfError):
+    """Standard output takes no more."""
 
 
 def say(text: str) -> None:
     """Print a line of the result."""
-    print(text, flush=True)
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # what is still buffered would fail once more at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise OutputFull(
+            f'standard output cannot be written ({error.strerror}); all files are in place'
+        ) from None
+
+
+def bounded(text: str) -> str:
+    """Cut the middle out of a message that nobody would read."""
+    if len(text) <= LONGEST_MESSAGE:
+        return text
+    half = LONGEST_MESSAGE // 2
+    return f'{text[:half]} ... {text[-half:]}'
 
 
 def note(text: str) -> None:

@@ -8,7 +8,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from otf_core.cli.options import parameters
+from otf_core.cli.options import output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, OtfError
@@ -60,13 +60,15 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     """Bag of a simulated run."""
     config = parameters(SimulationConfig, arguments)
     planning = parameters(PlannerConfig, arguments)
-    from otf_core.io.bag import BagContent, write_bag
     from otf_core.io.effects_yaml import read_effects
-    from otf_core.io.files import ensure_folder
     from otf_core.machine import load_machine
+    from otf_core.sim.bag_files import SimulatedBag
     from otf_core.sim.cell import simulate
     from otf_core.tables import load_tables
 
+    read = {w: getattr(arguments, w) for w in ('machine', 'tables', 'path', 'effects')}
+    inputs = [name for name in read.values() if name]
+    out = SimulatedBag(arguments.out, overwrite=arguments.overwrite, inputs=inputs)
     machine = load_machine(arguments.machine)
     effects = read_effects(arguments.effects, machine) if arguments.effects else ()
     tables = load_tables(arguments.tables).tables if arguments.tables else None
@@ -74,8 +76,8 @@ def run_simulate(arguments: argparse.Namespace) -> int:
         tables = dataclasses.replace(tables, machine=machine)
     file = _plan_of(arguments, planning, machine)
     run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)
-    ensure_folder(Path(arguments.out).parent)
-    write_bag(arguments.out, BagContent(run.samples, file.plan.path))
+    del read['machine']  # the description has a place of its own in the block provenance
+    out.write(run, file.plan, config, effects, read)
     place = ', '.join(f'{v:.3f}' for v in run.place)
     say(
         f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}, '
@@ -88,14 +90,15 @@ def run_plan(arguments: argparse.Namespace) -> int:
     """Path for a machine, forecast of what it can see, NC program."""
     config = parameters(PlannerConfig, arguments)
     judged = parameters(ForecastConfig, arguments)
-    from otf_core.io.files import check_folder, ensure_folder
     from otf_core.machine import load_machine
     from otf_core.nc import DIALECTS
     from otf_core.plan_report import format_report, write_report
     from otf_core.planning_job import PlanRequest, make_plan, read_noise, read_place
+    from otf_core.provenance import provenance
 
+    given = (arguments.machine, arguments.path, arguments.noise)
+    out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine)
-    check_folder(arguments.out)
     place, wanted = arguments.tracker_place, arguments.wanted_uncertainty
     request = PlanRequest(
         given=None if arguments.path is None else _plan_of(arguments, config, machine).plan,
@@ -106,7 +109,11 @@ def run_plan(arguments: argparse.Namespace) -> int:
     )
     report = make_plan(machine, request, config, judged)
     dialect = None if arguments.dialect is None else DIALECTS[arguments.dialect]
-    files = write_report(report, ensure_folder(arguments.out), dialect)
+    about = provenance(
+        'plan', machines=[machine], files={'path': arguments.path, 'noise': arguments.noise}
+    )
+    with out.filled('plan') as folder:
+        files = write_report(report, folder, dialect, about)
     say(format_report(report))
     say(f'written: {", ".join(f.name for f in files)} in {arguments.out}')
     if dialect is None:
@@ -116,19 +123,19 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 def run_validate(arguments: argparse.Namespace) -> int:
     """The paper's comparisons on simulated cells."""
-    from otf_core.io.files import ensure_folder
     from otf_core.sim.laboratory import SimulatedLaboratory
     from otf_core.validation.files import write_validation
     from otf_core.validation.laboratory import scale
     from otf_core.validation.run import validate
     from otf_core.validation.table import format_rows
 
-    ensure_folder(arguments.out)
+    out = output_folder(arguments)
     laboratory, cells = SimulatedLaboratory(), scale(arguments.quick, arguments.first_cell)
     found = validate(laboratory, cells, note)
     truth = found.cells[0].reference.truth
     direct = laboratory.measure_directly(truth, found.seeds[0])
-    files = write_validation(found, direct, arguments.out)
+    with out.filled('validate') as folder:
+        files = write_validation(found, direct, folder)
     say(format_rows(found.rows) + '\n' + listed(files, arguments.out))
     failed = [row.quantity for row in found.rows if row.passed is False]
     for quantity in failed:
@@ -138,8 +145,14 @@ def run_validate(arguments: argparse.Namespace) -> int:
 
 def run_blind(arguments: argparse.Namespace) -> int:
     """Blind trial: draw and seal cells, diagnose them, score."""
-    from otf_core.blind.trial import run_leave_one_out, run_trial
+    from otf_core.blind.seal import holds_trial
+    from otf_core.blind.trial import list_files, run_leave_one_out, run_trial
 
+    if arguments.overwrite or not holds_trial(arguments.out):
+        output_folder(arguments).clear()
     run = run_leave_one_out if arguments.leave_one_out else run_trial
-    say(run(arguments.trials, arguments.seed, arguments.out, arguments.jobs, note))
+    try:
+        say(run(arguments.trials, arguments.seed, arguments.out, arguments.jobs, note))
+    finally:
+        list_files(Path(arguments.out))
     return 0

@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from otf_core.io.effects_yaml import write_effects
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.joint import Progress
 from otf_core.kinematics import displacement
+from otf_core.provenance import COVERAGE, origin_of, provenance
 from otf_core.results import write_calibration
 from otf_core.runs import Recording
 from otf_core.threads import in_one_thread
@@ -137,6 +139,17 @@ def diagnose(
     return diagnosis, data
 
 
+def _provenance(diagnosis: Diagnosis, rows: Rows) -> dict[str, Any]:
+    recordings = [run.recording for run in rows.runs]
+    named = zip(diagnosis.runs, recordings, strict=True)
+    return provenance(
+        'diagnose',
+        method='otf',
+        runs=[origin_of(name, r.samples, r.path, r.machine) for name, r in named],
+        coverage=f'{COVERAGE}; intervals: 95 %',
+    )
+
+
 def effects_file(run: int) -> str:
     """File of the effects in one run; further runs have one where theirs differ."""
     return f'effects_run_{run + 1}.yaml' if run else 'effects.yaml'
@@ -170,9 +183,10 @@ def write_diagnosis(
         plain = calibrate_prepared(rows.runs, rows.done.unknowns, config)
         better = _with_causes(rows, data.applied, config)
         diagnosis = replace(diagnosis, table_change_um=_table_change_um(plain, better))
-        write_calibration(plain, folder / 'calibration_plain')
-        write_calibration(better, folder / 'calibration_with_effects')
+        write_calibration(plain, folder / 'calibration_plain', 'diagnose')
+        write_calibration(better, folder / 'calibration_with_effects', 'diagnose')
         written.append(folder / 'calibration_with_effects')
     write_report(diagnosis, data, folder / 'report.html')
-    write_text(folder / 'gap.json', json.dumps(diagnosis.to_dict(), indent=1) + '\n')
+    content = diagnosis.to_dict() | {'provenance': _provenance(diagnosis, rows)}
+    write_text(folder / 'gap.json', json.dumps(content, indent=1) + '\n')
     return [*written, folder / 'report.html', folder / 'gap.json']

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.io.files import write_text
+from otf_core.io.files import unreadable, write_text
 
 
 def read_points_csv(path: str | Path) -> NDArray[np.float64]:
@@ -29,7 +29,7 @@ def read_points_csv(path: str | Path) -> NDArray[np.float64]:
         with open(path, newline='', encoding='utf-8-sig') as file:
             rows = list(csv.reader(file))
     except OSError as error:
-        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
+        raise unreadable(path, error) from None
     except (UnicodeDecodeError, csv.Error):
         raise ConfigError(f'{path}: not a CSV text file') from None
     header = [h.strip() for h in rows[0]] if rows else []
@@ -51,6 +51,20 @@ def read_points_csv(path: str | Path) -> NDArray[np.float64]:
     if not points:
         raise ConfigError(f'{path}: holds no points')
     return np.array(points)
+
+
+def begins_with(path: str | Path, header: str) -> bool:
+    """Tell whether the first line of a file is this header."""
+    try:
+        with open(path, 'rb') as file:
+            return file.read(len(header) + 1) == f'{header}\n'.encode()
+    except OSError:
+        return False
+
+
+def tidy(value: float) -> float:
+    """A length as it is written: to 1e-12 m, without the noise of sums and without -0.0."""
+    return round(float(value), 12) + 0.0
 
 
 def write_csv(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from otf_core.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.errors import ConfigError
-from otf_core.io.files import write_text
+from otf_core.io.files import unreadable, write_text
 from otf_core.machine import AXES, Machine
 from otf_core.tables import DIRECTIONS
 
@@ -120,7 +120,7 @@ def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
     try:
         lines = Path(path).read_text(encoding='utf-8-sig').splitlines()
     except OSError as error:
-        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
+        raise unreadable(path, error) from None
     except UnicodeDecodeError:
         raise ConfigError(f'{path}: not a CSV text file') from None
     header: list[str] = []

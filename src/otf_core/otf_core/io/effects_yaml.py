@@ -19,19 +19,25 @@ from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.state import probe_state
 from otf_core.errors import ConfigError
 from otf_core.io.files import write_text
-from otf_core.io.strict_yaml import Fields, read_yaml
+from otf_core.io.strict_yaml import Fields, read_yaml, shown
 from otf_core.machine import Machine
 
 
 def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigError(f'{where}: expected a plain number in SI units, got {value!r}')
-    return float(value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ConfigError(f'{where}: expected a plain number in SI units, got {shown(value)}')
+    try:
+        number = float(value)
+    except OverflowError:
+        raise ConfigError(f'{where}: the number is too large') from None
+    if not math.isfinite(number):
+        raise ConfigError(f'{where}: expected a plain number in SI units, got {number}')
+    return number
 
 
 def _mapping(value: Any, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ConfigError(f'{where}: expected names and values, got {value!r}')
+        raise ConfigError(f'{where}: expected names and values, got {shown(value)}')
     return {str(k): v for k, v in value.items()}
 
 
@@ -53,7 +59,7 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
         if key not in units:
             raise ConfigError(f'{where}: units: {key}: not among the parameters')
         if unit != units[key]:
-            raise ConfigError(f"{where}: units: {key}: '{unit}'; its unit is '{units[key]}'")
+            raise ConfigError(f"{where}: units: {key}: {shown(unit)}; its unit is '{units[key]}'")
     return AppliedEffect(effect, parameters)
 
 

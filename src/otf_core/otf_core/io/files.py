@@ -7,9 +7,21 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 
 from otf_core.errors import ConfigError
+
+
+def unreadable(path: str | Path, error: OSError) -> ConfigError:
+    """Error about a file that cannot be read; names one of nearly the same name, if there is."""
+    path, hint = Path(path), ''
+    if isinstance(error, FileNotFoundError) and path.parent.is_dir():
+        near = get_close_matches(path.name, (p.name for p in path.parent.iterdir()), 1)
+        hint = f'; did you mean {path.parent / near[0]}?' if near else ''
+    elif isinstance(error, IsADirectoryError):
+        hint = '; name the file in it'
+    return ConfigError(f'{path}: cannot be read ({error.strerror}){hint}')
 
 
 def ensure_folder(folder: str | Path) -> Path:
@@ -20,15 +32,6 @@ def ensure_folder(folder: str | Path) -> Path:
     except OSError as error:
         raise ConfigError(f'{folder}: cannot be made a folder ({error.strerror})') from None
     return folder
-
-
-def check_folder(folder: str | Path) -> None:
-    """Refuse a folder that cannot be made, before any work; makes nothing itself."""
-    nearest = Path(folder).absolute()
-    while not nearest.exists() and nearest != nearest.parent:
-        nearest = nearest.parent
-    if not nearest.is_dir():
-        raise ConfigError(f'{folder}: cannot be made a folder ({nearest} is a file)')
 
 
 @contextmanager

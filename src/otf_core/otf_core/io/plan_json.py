@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError, InputError
+from otf_core.io.json_file import read_json
 from otf_core.path import NominalPath
 from otf_core.planning import Plan
 
@@ -50,7 +50,7 @@ def _numbers(data: Mapping[str, Any], key: str, shape: tuple[int, ...], where: s
     words = ' x '.join('n' if n < 0 else str(n) for n in shape)
     try:
         values = np.array(data[key], dtype=float)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise ConfigError(f'{where}: {key}: expected {words} numbers') from None
     fits = values.ndim == len(shape) and all(
         wanted in (-1, n) for wanted, n in zip(shape, values.shape, strict=True)
@@ -68,12 +68,7 @@ def read_plan(path: str | Path) -> PlanFile:
     ConfigError
         Names the file and what is wrong with it.
     """
-    try:
-        data = json.loads(Path(path).read_text(encoding='utf-8-sig'))
-    except OSError as error:
-        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
-    except ValueError as error:
-        raise ConfigError(f'{path}: not valid JSON ({error})') from None
+    data = read_json(path)
     where = str(path)
     if not isinstance(data, Mapping) or data.get('schema') != SCHEMA:
         raise ConfigError(f"{where}: no plan; expected the schema '{SCHEMA}' of otf plan")

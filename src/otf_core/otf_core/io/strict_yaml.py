@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+import reprlib
 from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
@@ -12,6 +13,7 @@ from typing import Any, NoReturn
 import yaml
 
 from otf_core.errors import ConfigError
+from otf_core.io.files import unreadable
 
 
 class _Loader(yaml.SafeLoader):
@@ -36,29 +38,74 @@ _Loader.add_implicit_resolver(
 )
 
 
-def read_yaml(path: str | Path) -> Any:
-    """Return the content of one YAML file.
+_WORDS = reprlib.Repr()
+_WORDS.maxlevel, _WORDS.maxlist, _WORDS.maxdict, _WORDS.maxtuple = 2, 4, 4, 4
+_WORDS.maxstring = _WORDS.maxother = _WORDS.maxlong = 60
+_LONGEST = 250
+
+
+def shown(value: Any) -> str:
+    """A value as text of bounded length, however large or nested it is."""
+    try:
+        text = _WORDS.repr(value)
+    except ValueError:  # Python refuses to write integers of thousands of digits
+        return 'a number of thousands of digits'
+    return text if len(text) <= _LONGEST else f'{text[:_LONGEST]} ...'
+
+
+def number_words(error: Exception) -> str:
+    """First line of what a parser says, in words of ours where Python refuses a number."""
+    text = str(error).partition('\n')[0]
+    return 'a number of thousands of digits' if 'integer string conversion' in text else text
+
+
+def read_yaml_bytes(path: str | Path) -> bytes:
+    """Return the bytes of a file; ConfigError if it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise unreadable(path, error) from None
+
+
+def parse_yaml(data: bytes, path: str | Path) -> Any:
+    """Return the content of a YAML file whose bytes were read.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, is no text or no YAML; says line and column.
+        If it is no text or no YAML; says line and column.
     """
     try:
-        text = Path(path).read_text(encoding='utf-8')
+        text = data.decode('utf-8')
     except UnicodeDecodeError:
         raise ConfigError(f'{path}: not a text file; expected YAML in UTF-8') from None
-    except OSError as error:
-        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from None
     try:
         return yaml.load(text, Loader=_Loader)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise ConfigError(f'{path}: not usable YAML: {str(error).splitlines()[0]}') from None
+    except RecursionError:
+        raise ConfigError(f'{path}: not usable YAML: nested too deeply') from None
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f'{path}: not usable YAML: {number_words(error)}') from None
     except yaml.YAMLError as error:
         mark = getattr(error, 'problem_mark', None)
         place = f' at line {mark.line + 1}, column {mark.column + 1}' if mark else ''
         problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
         raise ConfigError(f'{path}: not valid YAML{place}: {problem}') from None
+
+
+def read_yaml(path: str | Path) -> Any:
+    """Return the content of one YAML file; raises as ``parse_yaml``, or if it is unreadable."""
+    return parse_yaml(read_yaml_bytes(path), path)
+
+
+def _other_unit(value: float, low: float, high: float, unit: str) -> str:
+    """Ask for the unit that would make sense of a number, if there is one."""
+    for asked, factor in {'m': {'mm': 1e-3, 'um': 1e-6}, 'rad': {'urad': 1e-6}}.get(
+        unit, {}
+    ).items():
+        plausible = high if asked == 'mm' else 1e-2 * high
+        if low < factor * value <= plausible and not (asked == 'mm' and high < 1):
+            return f'; is it in {asked}? Write {factor * value:g} {unit}'
+    return ''
 
 
 class Fields:
@@ -104,7 +151,7 @@ class Fields:
         """Return a text that is not empty."""
         value = self.take(key)
         if not isinstance(value, str) or not value.strip():
-            self.fail(key, f'expected a text, got {value!r}')
+            self.fail(key, f'expected a text, got {shown(value)}')
         return value
 
     def mapping(self, key: str) -> Fields:
@@ -119,14 +166,14 @@ class Fields:
         if not (low <= value if closed else low < value) or value > high:
             bound = 'at least' if closed else 'above'
             self.fail(key, f'{value:g} is out of range; must be {bound} {low:g} and at most '
-                           f'{high:g} {unit}')  # fmt: skip
+                           f'{high:g} {unit}{_other_unit(value, low, high, unit)}')  # fmt: skip
         return value
 
     def vector(self, key: str, size: int) -> list[float]:
         """Return a list of numbers of the given size."""
         value = self.take(key)
         if not isinstance(value, list) or len(value) != size:
-            self.fail(key, f'expected a list of {size} numbers, got {value!r}')
+            self.fail(key, f'expected a list of {size} numbers, got {shown(value)}')
         return [self._finite(key, v) for v in value]
 
     def done(self, known: Iterable[str] = ()) -> None:
@@ -137,7 +184,7 @@ class Fields:
 
     def _finite(self, key: str, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            self.fail(key, f'expected a plain number in SI units, got {value!r}')
+            self.fail(key, f'expected a plain number in SI units, got {shown(value)}')
         try:
             number = float(value)
         except OverflowError:

@@ -86,7 +86,7 @@ class Dialect(ABC):
 def words(axes: str, point: Array, sign: bool = False) -> str:
     """Axis words in mm with three decimals: ``X10.000 Y20.000``; ``sign`` writes a plus too."""
     style = '+.3f' if sign else '.3f'
-    return ' '.join(f'{a}{point["XYZ".index(a)] + 0.0:{style}}' for a in axes)
+    return ' '.join(f'{a}{round(float(point["XYZ".index(a)]), 3) + 0.0:{style}}' for a in axes)
 
 
 def plain(text: str, limit: int = _WIDTH) -> str:

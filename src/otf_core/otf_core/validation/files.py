@@ -9,10 +9,12 @@ from pathlib import Path
 from otf_core.direct_measurement import DirectMeasurement
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.plots.validation import draw_validation
+from otf_core.provenance import provenance
 from otf_core.validation.run import Validation
 from otf_core.validation.table import format_rows, rows_to_dict
 
 SCHEMA = 'otf-validation/1'
+WORDS = 'agreement is judged with expanded uncertainties, k = 2'
 
 
 def write_validation(
@@ -33,7 +35,12 @@ def write_validation(
     """
     folder = ensure_folder(folder)
     files = draw_validation(found, measurement, folder)
-    data = {'schema': SCHEMA, 'cells': list(found.seeds), 'rows': rows_to_dict(found.rows)}
+    data = {
+        'schema': SCHEMA,
+        'cells': list(found.seeds),
+        'rows': rows_to_dict(found.rows),
+        'provenance': provenance('validate', coverage=WORDS),
+    }
     files += [folder / 'validation.txt', folder / 'validation.json']
     write_text(files[-2], format_rows(found.rows) + '\n')
     write_text(files[-1], json.dumps(data, indent=1, allow_nan=False) + '\n')

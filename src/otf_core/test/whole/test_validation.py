@@ -73,6 +73,7 @@ def test_table_and_figures_are_written(found, laboratory, tmp_path):
     assert all(f.stat().st_size > 500 for f in files)
     data = json.loads((tmp_path / 'validation.json').read_text())
     assert data['cells'] == [5]
+    assert data['provenance']['verb'] == 'validate'
     assert len(data['rows']) == len(found.rows)
 
 

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parser of the command line: one clear line for every mistake, with what was meant."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return '; did you mean X?' for the known word nearest to one, or nothing."""
+    near = get_close_matches(word, list(known), 1)
+    return f'; did you mean {near[0]}?' if near else ''
+
+
+class Parser(argparse.ArgumentParser):
+    """One clear line instead of the usage text in front of every error."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        # argparse takes -1e-3 for an option
+        self._negative_number_matcher = re.compile(r'-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$')
+
+    def error(self, message: str) -> Any:
+        """Print what is wrong and leave with exit code 2."""
+        self.exit(2, f'{self.prog}: {message} (see {self.prog} --help)\n')
+
+    @property
+    def verbs(self) -> dict[str, argparse.ArgumentParser]:
+        """Parsers of the verbs."""
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                return dict(action.choices)
+        return {}
+
+    @property
+    def options(self) -> list[str]:
+        """Long options."""
+        return [o for o in self._option_string_actions if o.startswith('--')]
+
+
+def asked(parser: Parser, argv: Sequence[str]) -> argparse.Namespace:
+    """Parse a command line; mistakes point to the help of the verb they were made in."""
+    verbs = parser.verbs
+    word = next(iter(argv), '')
+    if word and not word.startswith('-') and word not in verbs:
+        hint = did_you_mean(word, verbs)
+        parser.error(f'{word!r} is no VERB{hint} Possible: {", ".join(verbs)}')
+    arguments, left = parser.parse_known_args(argv)
+    if left:
+        verb = verbs[arguments.verb]
+        assert isinstance(verb, Parser)
+        name = left[0].split('=')[0]
+        known = did_you_mean(name, verb.options) if name.startswith('-') else ''
+        verb.error(f'unknown {"option" if name.startswith("-") else "argument"} {name}{known}')
+    return arguments

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Folders of the calibrator node: each calibration its own, whole; diagnoses leave no mixture."""
+
+import json
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+from cells import MACHINE
+
+from otf_calibrator.diagnosis_job import DiagnosisJob
+from otf_calibrator.job import Request, Worker, free_folder
+from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
+from otf_core.machine import load_machine
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.planning import plan_path
+from otf_core.runs import Recording
+from otf_core.sim.cell import simulate
+
+
+def test_calibrations_of_one_run_get_folders_of_their_own(tmp_path):
+    machine_file = tmp_path / 'machine.yaml'
+    machine_file.write_text(yaml.safe_dump(MACHINE))
+    machine = load_machine(machine_file)
+    plan = plan_path(machine, PlannerConfig(passes=1, levels=2))
+    samples = simulate(machine, plan, SimulationConfig(rate=50.0)).samples
+    files = SimpleNamespace(
+        machine_file=str(machine_file), output_directory=str(tmp_path / 'out'), method='otf',
+        save_bag=True,
+    )  # fmt: skip
+    worker = Worker(print)
+    request = Request(samples, plan.path, files, CalibrationConfig(), 0)
+    outcomes = [worker.start(request).result() for _ in range(2)]
+    worker.save(outcomes[1])
+    worker.close()
+    assert [o.problem for o in outcomes] == ['', '']
+    assert outcomes[0].folder != outcomes[1].folder
+    assert (tmp_path / 'out' / 'latest').resolve() == outcomes[1].folder
+    for outcome in outcomes:
+        assert (outcome.folder / 'manifest.json').exists()
+        block = json.loads((outcome.folder / 'error_tables.json').read_text())['provenance']
+        assert (block['method'], block['runs'][0]['samples']) == ('otf', len(samples))
+    assert (outcomes[1].folder / 'samples' / 'metadata.yaml').exists()
+    names = {o.folder.name for o in outcomes}
+    assert set(os.listdir(tmp_path / 'out')) == {*names, 'latest'}
+
+
+def test_name_that_is_taken_gets_a_number(tmp_path):
+    taken = set()
+    for _ in range(50):
+        folder = free_folder(tmp_path, 'abc')
+        assert not folder.exists()
+        folder.mkdir()
+        taken.add(folder.name)
+    assert len(taken) == 50
+
+
+@pytest.fixture
+def job(tmp_path):
+    """Diagnosis whose process is ended at once."""
+    (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(MACHINE))
+    samples = Samples(np.arange(500) * 2_000_000, np.ones((500, 3)))
+    path = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0, 0.0]]))
+    recording = Recording(samples, path, load_machine(tmp_path / 'machine.yaml'))
+    folder = tmp_path / 'run'
+    folder.mkdir()
+    request = SimpleNamespace(config=CalibrationConfig())
+    job = DiagnosisJob(SimpleNamespace(recording=recording, request=request, folder=folder))
+    job._process.kill()
+    job._process.wait()
+    yield job
+    job.close()
+
+
+def test_diagnosis_without_a_cause_leaves_none_of_an_earlier_one(job, tmp_path):
+    folder = tmp_path / 'run'
+    (folder / 'effects.yaml').write_text('of the diagnosis before')
+    (folder / 'calibration_plain').mkdir()
+    (folder / 'error_tables.json').write_text('of the calibration')
+    Path(job._partial.name, 'gap.json').write_text('{}')
+    assert job._put_in_place({}) == {}
+    shown = {p.name for p in folder.iterdir() if not p.name.startswith('.')}
+    assert shown == {'error_tables.json', 'gap.json'}
