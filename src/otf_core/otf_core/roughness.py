@@ -32,10 +32,10 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from otf_core.basis import Basis
 from otf_core.normal import NormalEquations
+from otf_core.positive import Positive
 from otf_core.tables import MOTIONS, is_straightness, unit_of
 from otf_core.unknowns import Unknowns, reference_position
 
@@ -139,17 +139,16 @@ class _Point:
         prior, log_prior = search.ridge.copy(), 0.0
         for motion, place in search.places.items():
             own, self.changes[motion] = search.priors[motion].at(logs[motion])
-            factor = linalg.cho_factor(own, lower=True, check_finite=False)
-            log_prior += 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
+            factor = Positive(own)
+            log_prior += factor.log_determinant
             self.covariance[motion] = own
-            self.inverse[motion] = linalg.cho_solve(factor, np.eye(len(own)), check_finite=False)
+            self.inverse[motion] = factor.inverse
             prior[place, place] += self.inverse[motion]
         self.prior = prior
-        self.factor = linalg.cho_factor(search.matrix + prior, lower=True, check_finite=False)
-        self.value = linalg.cho_solve(self.factor, search.right, check_finite=False)
+        self.factor = Positive(search.matrix + prior)
+        self.value = self.factor.solve(search.right)
         self.square = search.square - float(search.right @ self.value)
-        log_data = 2.0 * float(np.sum(np.log(np.diag(self.factor[0]))))
-        self.likelihood = -0.5 * (self.square + log_data + log_prior)
+        self.likelihood = -0.5 * (self.square + self.factor.log_determinant + log_prior)
 
     def penalised(self, centres: Mapping[str, Array]) -> float:
         """Log likelihood less the price of logarithms away from the others."""
@@ -159,7 +158,7 @@ class _Point:
     def slopes(self, centres: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """Score (j,), information (j, j), and moves V E c (use, j) of all logarithms."""
         places = self._search.places
-        V = linalg.cho_solve(self.factor, np.eye(len(self.value)), check_finite=False)
+        V = self.factor.inverse
         keys, weighted, score, moves = [], [], [], []
         for motion, place in places.items():
             inverse, own = self.inverse[motion], self.value[place]
@@ -292,7 +291,7 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
         part = unknowns.free_blocks[motion]
         if part.stop > part.start:
             covariance = CoefficientPrior(motion, unknowns.bases[motion[2]]).at(logs)[0]
-            precision[part, part] = np.linalg.inv(covariance)
+            precision[part, part] = Positive(covariance).inverse
     return np.asarray(precision / limit**2)
 
 

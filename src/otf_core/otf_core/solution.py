@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from otf_core.normal import NormalEquations
+from otf_core.positive import Positive
 from otf_core.tables import MOTIONS
 from otf_core.unknowns import Unknowns, is_reversal
 
@@ -163,11 +164,11 @@ def solve(
     use = free_columns(unknowns, accepted)
     data = normal.matrix[np.ix_(use, use)] * limit**2
     weight = data + prior[np.ix_(use, use)] * limit**2
-    factor = linalg.cho_factor(weight, lower=True)
+    factor = Positive(weight)
     free = np.zeros(unknowns.free)
-    free[use] = linalg.cho_solve(factor, normal.right[use] * limit)
+    free[use] = factor.solve(normal.right[use] * limit)
     cover = np.zeros((unknowns.free, unknowns.free))
-    cover[np.ix_(use, use)] = linalg.cho_solve(factor, np.eye(use.size))
+    cover[np.ix_(use, use)] = factor.inverse
     gauge = unknowns.gauge
     covariance = gauge @ (gauge @ cover).T
     rank = int(np.sum(linalg.eigvalsh(data) > 1.0))
@@ -201,5 +202,4 @@ def determined_by_data(
     place = np.ix_(use, use)
     weight = normal.matrix[place] * limit**2 + TIE_BREAK * smoothness(unknowns)[place]
     own = (rows @ unknowns.gauge)[:, use]
-    cover = linalg.cho_solve(linalg.cho_factor(weight, lower=True), own.T)
-    return np.asarray(np.einsum('ij,ji->i', own, cover) <= 1.0)
+    return np.asarray(np.einsum('ij,ji->i', own, Positive(weight).solve(own.T)) <= 1.0)

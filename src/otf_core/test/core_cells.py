@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from otf_core.config import PlannerConfig
@@ -56,6 +57,16 @@ def constant_tables(machine, **errors):
         else:
             motions[name] = replace(motions[name], value=np.full(2, value))
     return replace(tables, motions=motions, squareness=squareness)
+
+
+def smooth(tables, nodes=121):
+    """Tables of cubic splines through the nodes, fine enough to pass for smooth curves."""
+    motions = {}
+    for name, table in tables.motions.items():
+        position = np.linspace(table.position[0], table.position[-1], nodes)
+        value = CubicSpline(table.position, table.value)(position)
+        motions[name] = MotionTable(position, value, np.zeros(nodes))
+    return replace(tables, motions=motions)
 
 
 @dataclass

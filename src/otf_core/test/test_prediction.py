@@ -117,7 +117,7 @@ def test_a_wrong_prior_is_named(prior, words):
 
 def test_a_prior_may_be_absent_or_hold_more():
     assert prior_from_dict(None, 'tables.json') == {}
-    more = {'law': 'integrated random walk', 'EXX': {'slope': 1, 'length': 0.1}}
+    more = {'law': 'integrated random walk', 'EXX': {'slope': 1, 'seen': True}}
     assert prior_from_dict(more, 'tables.json') == {'EXX': MotionPrior(slope=1.0)}
 
 

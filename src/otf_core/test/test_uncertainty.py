@@ -78,7 +78,7 @@ def test_single_nodes_scatter_as_their_uncertainty_says(runs):
 def test_predictions_scatter_as_their_uncertainty_says(runs):
     machine, fits = runs
     q = lattice(machine, 4)
-    nodes = {n: fits[0].unknowns.nodes[n[2]] for n in MOTIONS}
+    nodes = {n: fits[0].unknowns.knots[n[2]] for n in MOTIONS}
     u = prediction_uncertainty(machine, nodes, parts(fits[0])[1], q)
     predicted = np.array([displacement(fit.tables, q) for fit in fits])
     known = u > 1e-9  # zero where the gauge fixes all

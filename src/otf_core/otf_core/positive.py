@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Symmetric positive definite matrices, scaled to a diagonal of ones before they are factored."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+Array = NDArray[np.float64]
+
+RIDGES = (0.0, 1e-14, 1e-12, 1e-10)
+"""Added to the diagonal of ones, the next one where rounding has made the matrix indefinite."""
+
+
+class Positive:
+    """Cholesky factor of a matrix.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If it is not positive definite by more than rounding.
+    """
+
+    def __init__(self, matrix: Array) -> None:
+        self._scale = 1.0 / np.sqrt(np.diag(matrix))
+        unit = matrix * self._scale[:, None] * self._scale
+        for ridge in RIDGES:
+            unit[np.diag_indices_from(unit)] += ridge
+            try:
+                self._factor = linalg.cholesky(unit, lower=True, check_finite=False)
+            except linalg.LinAlgError:
+                continue
+            return
+        raise linalg.LinAlgError('matrix is not positive definite')
+
+    def solve(self, right: Array) -> Array:
+        """Solve for right sides of shape (n,) or (n, k)."""
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        inner = linalg.cho_solve((self._factor, True), right * scale, check_finite=False)
+        return np.asarray(inner * scale)
+
+    @property
+    def inverse(self) -> Array:
+        """Inverse matrix, shape (n, n)."""
+        return self.solve(np.eye(len(self._scale)))
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant."""
+        return 2.0 * float(np.sum(np.log(np.diag(self._factor)) - np.log(self._scale)))
