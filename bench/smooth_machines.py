@@ -129,8 +129,7 @@ def rate_ratios(cases):
     by_machine = defaultdict(dict)
     for c in cases:
         by_machine[c.machine][c.group[1]] = c.left(OURS)
-    found = [(r[max(r)] / r[min(r)]) for r in by_machine.values() if len(r) > 1]
-    return found or [np.nan]
+    return [r[max(r)] / r[min(r)] for r in by_machine.values() if len(r) > 1]
 
 
 def summary(cases):
@@ -145,9 +144,12 @@ def summary(cases):
         f'within 2 u: {np.mean(within):.1f} % on average, {min(within):.1f} % at worst',
         f'over ordinary least squares: {np.median(ols):.2f} in the median, {ols.max():.2f} at '
         f'worst, more than {WORSE_THAN_OLS} in {np.sum(ols > WORSE_THAN_OLS)}',
-        f'highest over lowest rate: {np.median(rates):.2f} in the median, {rates.max():.2f} at '
-        f'worst, more than {WORSE_WITH_RATE} in {np.sum(rates > WORSE_WITH_RATE)}',
     ]
+    if rates.size:
+        lines.append(
+            f'highest over lowest rate: {np.median(rates):.2f} in the median, {rates.max():.2f} '
+            f'at worst, more than {WORSE_WITH_RATE} in {np.sum(rates > WORSE_WITH_RATE)}'
+        )
     for limit in LIMITS:
         over = np.array([c.left(OURS) / c.left(limit) for c in cases if limit in c.judged])
         if over.size:
