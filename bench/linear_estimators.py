@@ -8,8 +8,11 @@ from INTERFACES section 1. Dense algebra throughout.
 - 'ols': pseudo-inverse, all rows alike; uncertainty by Eq. 12 (independent samples).
 - 'white': weights by range and angle variance of the samples of a piece.
 - 'gls': the true covariance of the noise of every leg, colour and tracker axes included.
-- 'oracle': Gaussian process that knows the covariance over the ensemble of error motions and the
-  true noise of every leg: what an estimator that knew roughness and noise could reach.
+- 'rough': Gaussian process (Matern 5/2) of every motion with the length and the size that are most
+  likely for its true curve, and the true noise of every leg: the limit of an estimator that knows
+  roughness and noise.
+- 'oracle': the same with the covariance over the ensemble of the form. It knows more than the
+  roughness (of 'legendre', that the curves are polynomials of degree 7): nothing linear is better.
 
 The first three have hat functions at ``table_pitch``, fixed in a gauge; rotations that act like
 a translation of their own axis whatever is driven have no column.
@@ -31,7 +34,8 @@ from nature import LETTERS, NAMES, SQUARE, Judgement, hat, influences, judge_fie
 from nature_forms import draw_curve, matern, nodes_of
 from nature_tracker import beam_frame
 
-KINDS = ('ols', 'white', 'gls', 'oracle')
+KINDS = ('ols', 'white', 'gls', 'rough', 'oracle')
+LIMITS = ('rough', 'oracle')
 FINE = 120
 """Intervals of the range on which the oracle's curves stand."""
 DRAWS = 2000
@@ -41,6 +45,10 @@ SMALL = 1e-8
 QUADRATURE = 6
 """Points of time in a piece over which the coloured noise is averaged."""
 ITERATIONS = 2
+LENGTHS = np.geomspace(0.04, 2.0, 24)
+"""Shares of the range among which the length of a true curve is sought."""
+JITTER = 1e-6
+"""Share of the variance that is not smooth, for the likelihood of a length."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +114,33 @@ def prior_bases(cell):
             nodes, root = ensemble_root(cell.form, axis.min, axis.max, axis.table_pitch)
             size = cell.translation if name[1] in LETTERS else cell.rotational
             bases[name] = Basis(nodes, size * root)
+    return bases
+
+
+def most_likely(curve, low, high):
+    """Length (m) and standard deviation of the Matern process most likely for a true curve."""
+    q = np.linspace(low, high, 41)
+    value, best = curve(q) - np.mean(curve(q)), (-np.inf, 0.0, 0.0)
+    for length in LENGTHS * (high - low):
+        # any constant is allowed: it is no roughness
+        shape = matern(q[:, None] - q, length) + JITTER * np.eye(len(q))
+        root = cholesky(shape + 1.0, lower=True)
+        white = solve_triangular(root, value, lower=True)
+        variance = float(np.mean(white**2))
+        likelihood = -0.5 * len(q) * np.log(variance) - np.sum(np.log(np.diag(root)))
+        best = max(best, (likelihood, length, np.sqrt(variance)))
+    return best[1:]
+
+
+def rough_bases(cell):
+    """Error motions as Matern processes with the most likely length and size of each."""
+    bases = {}
+    for name in NAMES:
+        axis = cell.machine.axes[name[2]]
+        length, deviation = most_likely(cell.curves[name], axis.min, axis.max)
+        nodes = nodes_of(axis.min, axis.max, (axis.max - axis.min) / FINE)
+        covariance = matern(nodes[:, None] - nodes, length) + 1.0
+        bases[name] = Basis(nodes, deviation * principal(covariance))
     return bases
 
 
@@ -249,10 +284,11 @@ def _solve(kind, rows, place, pieces, noise, precision):
 def estimate(cell, run, noise, kind):
     """Estimate the error motions from the pieces of a run of a ``CalibrationResult``."""
     pieces = run.pieces
-    bases = prior_bases(cell) if kind == 'oracle' else table_bases(cell)
+    make = {'rough': rough_bases, 'oracle': prior_bases}.get(kind, table_bases)
+    bases = make(cell)
     count = sum(b.root.shape[1] for b in bases.values())
     precision = np.zeros(6 + 3 + count)
-    if kind == 'oracle':
+    if kind in LIMITS:
         precision[6:9] = 1.0 / (0.5 * cell.rotational) ** 2
         precision[9:] = 1.0
     rotation, origin = run.T_machine_tracker.rotation, run.T_machine_tracker.translation

@@ -136,15 +136,7 @@ def main(given):
     print(
         f'{given.seeds} seeds from {given.first_seed}, chains {", ".join(given.chains)} in turn.\n'
     )
-    titles = [
-        'form, condition',
-        'within 2 u, %',
-        'worst',
-        'median |error|/u',
-        'left, % (worst)',
-        '',
-    ]
-    print(heading(titles))
+    print(heading(TITLES))
     begin, total, off = time.perf_counter(), 0, 0
     for form in given.forms:
         for condition in conditions():

@@ -90,8 +90,8 @@ def target_on_table(chain, offset, curves, square, q):
 
 
 def tour(low, high):
-    """Corner points of a lap of outlines, face and space diagonals that ends where it starts."""
-    square = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0), (1, 1), (1, 0), (0, 1), (0, 0)]
+    """Corner points of a closed lap of outlines, diagonals and oblique lines."""
+    square = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0), (1, 1), (0.5, 0), (0, 1), (1, 0.5), (0, 0)]
     points = []
     for normal in range(3):
         for level in (0.0, 0.5, 1.0):
@@ -166,8 +166,8 @@ class Cell:
 
     Sizes in m; ``pitch`` of the nodes for all axes or for each of three; ``translation`` (m) and
     ``rotation`` (rad) are peaks of the error motions, about. ``path``: 'default' and 'short'
-    (fewer planes) of the project's planner, 'tour' (own: outlines and diagonals of nine planes,
-    space diagonals), or the corner points of a lap, (n, 3), m.
+    (fewer planes) of the project's planner, 'tour' (own: outlines, diagonals and oblique lines
+    of nine planes, space diagonals), or the corner points of a lap, (n, 3), m.
     """
 
     def __init__(

@@ -42,12 +42,16 @@ def matern(distance, length):
     return (1.0 + r + r * r / 3.0) * np.exp(-r)
 
 
-def _waves(rng, s):
+def _waves(rng, s, shortest=1.4):
     curve = rng.normal() * 0.5 * (s - 0.5)
     for k in range(1, 5):
-        waves = 0.5 * k * rng.uniform(0.8, 1.4)
+        waves = 0.5 * k * rng.uniform(shortest - 0.6, shortest)
         curve = curve + 0.55 / k * np.sin(2 * np.pi * (waves * s + rng.uniform()))
     return curve
+
+
+def _swell(rng, s):
+    return _waves(rng, s, shortest=1.0)
 
 
 def _bumps(rng, s):
@@ -84,6 +88,7 @@ def _legendre(rng, s):
 
 SMOOTH_FORMS = {
     'waves': _waves,
+    'swell': _swell,
     'bumps': _bumps,
     'chirp': _chirp,
     'kinked': _kinked,
