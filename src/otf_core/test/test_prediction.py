@@ -360,7 +360,7 @@ def test_points_in_millimetres_are_refused(command, capsys):
 
 def test_target_offset_is_an_option_and_may_be_negative(command, capsys):
     assert command.run([(0.1, 0.1, -0.1)], '--target-offset', '-1e-2', '-.5', '-0.25') == 0
-    assert command.run([(0.1, 0.1, -0.1)], '--target-offset', '0', '0', '-150') == 2
+    assert command.run([(0.1, 0.1, -0.1)], '--overwrite', '--target-offset', '0', '0', '-150') == 2
     assert 'target_offset: ' in capsys.readouterr().err
 
 
