@@ -258,8 +258,8 @@ def test_wishes_that_exclude_each_other_are_refused():
 
 def test_noise_given_counts_in_the_forecast():
     machine = some_machine()
-    given = plan_for_path(corner_path(machine, (0, 0, 0), (1, 1, 1), (1, 0, 0)), PlannerConfig())
-    config, judged = PlannerConfig(), ForecastConfig(grid=2, error_size=1e-2)
+    given = small_plan(machine)
+    config, judged = PlannerConfig(), ForecastConfig(grid=2)
     loud, quiet = (
         make_plan(machine, PlanRequest(given=given, noise=noise), config, judged).forecast
         for noise in (NoiseModel(1e-6, 8e-6), None)
