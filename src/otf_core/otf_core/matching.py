@@ -32,6 +32,8 @@ LEAST = 0.3
 """Share of the measured length that must follow the path."""
 DOUBTFUL = 0.5
 """Share of the measured length; if less follows the path, corners may have deceived."""
+ALL = 0.99
+"""Share of the measured length; no better place of the tracker is looked for on curves."""
 ENOUGH = 0.97
 """Share of the measured length; if so much follows the path as planned, nothing else is tried."""
 
@@ -153,12 +155,21 @@ def best_match(
     """Follow the path under every pose; as planned if that explains nearly all, else freely."""
     if not poses:
         return None
-    tracks = [cut_track(track, p, cuts, 2 * tolerance) for p in poses]
-    pairs = list(zip(poses, tracks, strict=True))
-    best = min((follow(p, t, corners, tolerance, False) for p, t in pairs), key=_cost)
-    if best.explained > ENOUGH:
-        return best
-    return min((follow(p, t, corners, tolerance) for p, t in pairs), key=_cost)
+    planned: list[Match] = []
+    for pose in poses:
+        whole = cut_track(track, pose, cuts, 2 * tolerance)
+        planned.append(follow(pose, whole, corners, tolerance, False))
+        if len(cuts) and planned[-1].explained > ALL:
+            break
+    planned.sort(key=_cost)
+    if planned[0].explained > ENOUGH:
+        return planned[0]
+    free: list[Match] = []
+    for match in planned:
+        free.append(follow(match.pose, match.track, corners, tolerance))
+        if free[-1].explained > ENOUGH:
+            break
+    return min(free, key=_cost)
 
 
 def _by_length(track: Track, corners: Array, tolerance: float) -> list[RigidTransform]:

@@ -8,6 +8,7 @@ driven again, a restart from an earlier corner), a change of the sense in which 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,8 @@ SKIP_COST, EDGE_COST = 1.0, 0.3
 JUMP_COST = 13.0
 """More than two measured legs off the path: a leg met by chance is not worth going there and
 back."""
+BLOCK = 1_000_000
+"""Pairs of measured and nominal legs that are compared at a time."""
 
 
 @dataclass(frozen=True)
@@ -62,31 +65,35 @@ class Match:
         return float(lengths[self.leg != OFF_PATH].sum() / lengths.sum())
 
 
-def segment_distance(points: Array, corners: Array) -> tuple[Array, Array]:
-    """Distance of points to every leg of a polyline and position along it.
+@dataclass(frozen=True)
+class _Legs:
+    """Legs of the path, ready to compare many points with."""
 
-    Parameters
-    ----------
-    points : ndarray, shape (k, 3), m
-    corners : ndarray, shape (n, 3), m
+    corners: Array
+    length: Array
+    unit: Array
 
-    Returns
-    -------
-    distance : ndarray, shape (k, n - 1), m
-    along : ndarray, shape (k, n - 1), m
-        From the start of the leg, not clipped.
-    """
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = step / length[:, None]
-    along = points @ unit.T - np.einsum('ij,ij->i', corners[:-1], unit)
-    foot = corners[:-1] + np.clip(along, 0, length)[:, :, None] * unit
-    return np.linalg.norm(points[:, None, :] - foot, axis=2), along
+    @classmethod
+    def of(cls, corners: Array) -> _Legs:
+        step = np.diff(corners, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        return cls(corners[:-1], length, step / length[:, None])
+
+    def nearest(self, points: Array) -> tuple[Array, Array]:
+        """Squared distance of points from every leg and position along it, both (k, n)."""
+        origin = self.corners.mean(axis=0)  # small numbers: their squares are subtracted
+        points, corners = points - origin, self.corners - origin
+        along = points @ self.unit.T - np.einsum('ij,ij->i', corners, self.unit)
+        square = np.einsum('ij,ij->i', points, points)[:, None] - 2.0 * points @ corners.T
+        square += np.einsum('ij,ij->i', corners, corners)
+        beyond = along - np.clip(along, 0.0, self.length)
+        square += beyond**2 - along**2
+        return np.maximum(square, 0.0, out=square), along
 
 
 @dataclass(frozen=True)
 class _Emission:
-    """Cost of every measured leg (rows) on every nominal leg (columns); inf if impossible.
+    """Cost of measured legs (rows) on every nominal leg (columns); inf if impossible.
 
     ``anew`` is the cost of going on with the leg that the one before was on: it must begin where
     that one ended, or the leg is driven anew.
@@ -98,23 +105,41 @@ class _Emission:
     anew_back: Array
 
 
-def _emission(pose: RigidTransform, track: Track, corners: Array, tolerance: float) -> _Emission:
-    first, from_along = segment_distance(pose.apply(track.starts), corners)
-    last, to_along = segment_distance(pose.apply(track.ends), corners)
+def _emission(
+    starts: Array, ends: Array, lengths: Array, legs: _Legs, tolerance: float, first: int
+) -> _Emission:
+    """Emission of some measured legs; ``first`` is 1 if one before them comes along, else 0."""
+    square, from_along = legs.nearest(starts)
+    square_end, to_along = legs.nearest(ends)
     advance = to_along - from_along
-    cost = (first**2 + last**2) / (2 * tolerance**2)
-    near = np.maximum(first, last) < 4 * tolerance
-    least = np.maximum(0.9 * track.lengths[:, None] - 4 * tolerance, 0.0)
+    cost = (square + square_end) / (2 * tolerance**2)
+    near = np.maximum(square, square_end) < (4 * tolerance) ** 2
+    least = np.maximum(0.9 * lengths[:, None] - 4 * tolerance, 0.0)
     anew, anew_back = np.zeros_like(cost), np.zeros_like(cost)
     slack = 4 * tolerance
     anew[1:] = np.where(from_along[1:] < to_along[:-1] - slack, OFF_COST, 0.0)
     anew_back[1:] = np.where(from_along[1:] > to_along[:-1] + slack, OFF_COST, 0.0)
     return _Emission(
-        np.where(near & (advance > least), cost, np.inf),
-        np.where(near & (-advance > least), cost, np.inf),
-        anew,
-        anew_back,
+        np.where(near & (advance > least), cost, np.inf)[first:],
+        np.where(near & (-advance > least), cost, np.inf)[first:],
+        anew[first:],
+        anew_back[first:],
     )
+
+
+def _emissions(
+    pose: RigidTransform, track: Track, corners: Array, tolerance: float
+) -> Iterator[tuple[int, _Emission]]:
+    """Emission of all measured legs by blocks, with the number of the first of each."""
+    legs, starts, ends = _Legs.of(corners), pose.apply(track.starts), pose.apply(track.ends)
+    size = max(1, BLOCK // len(legs.length))
+    for low in range(0, len(starts), size):
+        before = min(low, 1)
+        part = slice(low - before, low + size)
+        yield (
+            low,
+            _emission(starts[part], ends[part], track.lengths[part], legs, tolerance, before),
+        )
 
 
 class _Chain:
@@ -126,7 +151,7 @@ class _Chain:
     def __init__(self, count: int, legs: int, offset: int) -> None:
         self.number = np.arange(legs)
         self.score = np.full(legs, np.inf)
-        self.came = np.zeros((count, legs), dtype=np.int64)
+        self.came = np.zeros((count, legs), dtype=np.int32)
         self.on_path = np.zeros((count, legs), dtype=bool)
         self._offset = offset  # of the first leg among all states
 
@@ -168,8 +193,7 @@ def follow(
     free : bool
         Allow jumps and the other sense; without, legs only advance, which takes half the time.
     """
-    emission = _emission(pose, track, corners, tolerance)
-    count, legs = emission.forward.shape
+    count, legs = len(track.start), len(corners) - 1
     number = np.arange(legs)
     # states: 0 before the path, then the legs driven forward, then those driven backward
     ahead, back = _Chain(count, legs, 1), _Chain(count, legs, legs + 1)
@@ -177,18 +201,22 @@ def follow(
     entry = np.minimum(EDGE_COST * number, cap)
     off_cost = OFF_COST * np.minimum(1.0, track.lengths / (20 * tolerance))
     start = 0.0
-    for k in range(count):
-        off, jump, at = float(off_cost[k]), np.inf, 0
-        if free:
-            best = (start, ahead.score.min(), back.score.min())
-            choice = int(np.argmin(best))
-            at = (0, 1 + int(ahead.score.argmin()), 1 + legs + int(back.score.argmin()))[choice]
-            jump = float(best[choice]) + JUMP_COST
-        ahead.step(k, emission.forward[k], emission.anew[k], off, start + entry, jump, at)
-        if free:
-            reverse = (emission.backward[k, ::-1], emission.anew_back[k, ::-1])
-            back.step(k, *reverse, off, start + JUMP_COST + entry, jump, at)
-        start += off
+    for low, emission in _emissions(pose, track, corners, tolerance):
+        for row in range(len(emission.forward)):
+            off, jump, at = float(off_cost[low + row]), np.inf, 0
+            if free:
+                best = (start, ahead.score.min(), back.score.min())
+                choice = int(np.argmin(best))
+                at = (0, 1 + int(ahead.score.argmin()), 1 + legs + int(back.score.argmin()))[
+                    choice
+                ]
+                jump = float(best[choice]) + JUMP_COST
+            here = (emission.forward[row], emission.anew[row])
+            ahead.step(low + row, *here, off, start + entry, jump, at)
+            if free:
+                here = (emission.backward[row, ::-1], emission.anew_back[row, ::-1])
+                back.step(low + row, *here, off, start + JUMP_COST + entry, jump, at)
+            start += off
     left = np.minimum(EDGE_COST * (legs - 1 - number), cap)
     final = np.concatenate([[np.inf], ahead.score + left, back.score + left])
     state = int(np.argmin(final))
