@@ -9,11 +9,12 @@ in three or four steps instead of hundreds (docs/formulation.md).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arcs import Bulge, bulge_of, with_arcs
 from otf_core.config import CalibrationConfig
 from otf_core.curves import Lines, Shape, straight_shape
 from otf_core.driven import Driven, as_planned, driven_path, sample_chords, visits
@@ -61,6 +62,8 @@ class Alignment:
         numbers without it.
     rounded : ndarray, shape (m, 2), optional
         Length at the start and the end of every leg that the machine rounds, m.
+    bulge : Bulge, optional
+        Whether curves were driven along chords or arcs; None if that makes no difference.
     """
 
     T_machine_tracker: RigidTransform
@@ -71,11 +74,17 @@ class Alignment:
     curves: Shape | None = None
     published: NDArray[np.int64] | None = None
     rounded: Array | None = None
+    bulge: Bulge | None = None
 
     @property
     def shape(self) -> Shape:
         """Corner points and curves."""
         return self.curves or straight_shape(self.corners)
+
+    @property
+    def remark(self) -> str:
+        """What the reader of a result should know of the driven path; empty if nothing."""
+        return '' if self.bulge is None else self.bulge.remark
 
 
 def line_step(
@@ -243,7 +252,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
         rounded = _rounded(match, driven, config)
     pose = _refine(match, driven, rounded, config)
     points = pose.apply(samples.xyz)
-    return Alignment(
+    found = Alignment(
         pose,
         driven.shape.corners,
         sample_chords(match, driven, points, config.corner_exclusion, 4 * tolerance),
@@ -252,6 +261,31 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
         driven.shape,
         driven.published,
         rounded,
+    )
+    return found if driven.shape.straight else _on_arcs(found, points)
+
+
+def _on_arcs(found: Alignment, points: Array) -> Alignment:
+    """Take the arcs through the joints of curves for the path, if they were driven."""
+    lines = Lines.of(found.shape)
+    on = np.flatnonzero(found.leg != OFF_PATH)
+    on = on[lines.shape.curved[found.leg[on]]]
+    bulge = bulge_of(points[on], found.leg[on], lines)
+    if bulge is None or not bulge.arcs:
+        return replace(found, bulge=bulge)
+    shape, start, parent = with_arcs(lines)
+    leg = np.where(found.leg == OFF_PATH, OFF_PATH, start[found.leg])
+    on = np.flatnonzero(leg != OFF_PATH)
+    leg[on] = Lines.of(shape).settled(points[on], leg[on])
+    assert found.published is not None and found.rounded is not None
+    return replace(
+        found,
+        corners=shape.corners,
+        leg=leg,
+        curves=shape,
+        published=found.published[parent],
+        rounded=found.rounded[parent],
+        bulge=bulge,
     )
 
 

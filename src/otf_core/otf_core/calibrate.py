@@ -384,7 +384,10 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
             solved.choice.held,
         ),
         not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
-        warnings=tuple(_warnings(fit, unknowns, solution, tables, config.unidentifiable_above)),
+        warnings=(
+            *_warnings(fit, unknowns, solution, tables, config.unidentifiable_above),
+            *(r.alignment.remark for r in runs if r.alignment.remark),
+        ),
         failed_gates=_failed_gates(fit),
         config=config,
     )

@@ -53,6 +53,6 @@ class Guide:
         on = np.concatenate([curved[:1], curved]) | np.concatenate([curved, curved[-1:]])
         return np.asarray(self.shape.corners[self.vertex[on[self.vertex]]])
 
-    def find(self, track: Track, tolerance: float) -> Match | None:
-        """Match a track without any prior knowledge."""
-        return find_match(track, self.vertices, tolerance, self.cuts)
+    def find(self, track: Track, tolerance: float, by_length: bool = True) -> Match | None:
+        """Match a track without any prior knowledge, see ``find_match``."""
+        return find_match(track, self.vertices, tolerance, self.cuts, by_length)

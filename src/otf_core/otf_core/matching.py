@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from otf_core.arc_windows import dense_points, propose
 from otf_core.frames import RigidTransform, rigid_fit
 from otf_core.order import OFF_PATH as OFF_PATH
-from otf_core.order import Match, follow
+from otf_core.order import Match as Match
+from otf_core.order import follow as follow
 from otf_core.track import Track
 
 Array = NDArray[np.float64]
@@ -27,7 +28,7 @@ Index = NDArray[np.int64]
 _MAX_WINDOWS = 60
 _MAX_HYPOTHESES = 4000
 _MAX_FULL = 24
-_MAX_ARCS, _PROBES = 8, 500
+_MAX_ARCS, _MAX_FREE, _PROBES = 8, 6, 150
 LEAST = 0.3
 """Share of the measured length that must follow the path."""
 DOUBTFUL = 0.5
@@ -165,7 +166,7 @@ def best_match(
     if planned[0].explained > ENOUGH:
         return planned[0]
     free: list[Match] = []
-    for match in planned:
+    for match in planned[:_MAX_FREE]:
         free.append(follow(match.pose, match.track, corners, tolerance))
         if free[-1].explained > ENOUGH:
             break
@@ -192,7 +193,11 @@ def _cost(match: Match) -> float:
 
 
 def find_match(
-    track: Track, corners: Array, tolerance: float, cuts: Array | None = None
+    track: Track,
+    corners: Array,
+    tolerance: float,
+    cuts: Array | None = None,
+    by_length: bool = True,
 ) -> Match | None:
     """Find pose and assignment without any prior knowledge.
 
@@ -205,6 +210,8 @@ def find_match(
         m; allowed distance of measured from nominal corners.
     cuts : ndarray, shape (c, 3), m, optional
         Those of them that lie on curves, where the track has no corner.
+    by_length : bool
+        Try lengths along the path where corners do not tell.
 
     Returns
     -------
@@ -222,6 +229,8 @@ def find_match(
         distinct = distinct_poses(poses, quick, track.points, 10 * tolerance, _MAX_FULL)
         best = best_match(distinct, track, corners, cuts, 2 * tolerance)
     if best is not None and best.explained > (ENOUGH if len(cuts) else DOUBTFUL):
+        return best
+    if not by_length:
         return best
     distinct = _by_length(track, corners, tolerance)
     other = best_match(distinct, track, corners, cuts, 2 * tolerance)

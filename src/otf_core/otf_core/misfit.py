@@ -19,7 +19,7 @@ def _wider(samples: Samples, path: NominalPath, tolerance: float) -> float | Non
     """Tolerance within which the track would fit the path, m; None if none of ``WIDER`` does."""
     for factor in WIDER:
         track = measured_track(samples, factor * tolerance)
-        match = Guide.of(path, factor * tolerance).find(track, factor * tolerance)
+        match = Guide.of(path, factor * tolerance).find(track, factor * tolerance, by_length=False)
         if match is not None and match.explained > 0.8:
             return factor * tolerance
     return None

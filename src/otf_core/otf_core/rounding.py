@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.track import Track
+from otf_core.track import HOP, Track
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -67,12 +67,15 @@ def sharpened(track: Track, tolerance: float) -> Track | None:
     tolerance : float
         m; corners that are rounded less stay.
     """
-    long = np.flatnonzero(track.lengths >= LINE)
+    lengths = track.lengths
+    long = np.flatnonzero(lengths >= LINE)
     points, gone = track.points.copy(), np.zeros(len(track.start), dtype=bool)
     start, stop = track.start.copy(), track.stop.copy()
     for i, j in pairwise(long.tolist()):
-        if not track.joined[i + 1 : j + 1].all() or track.lengths[i + 1 : j].sum() > 2 * REACH:
+        if not track.joined[i + 1 : j + 1].all() or lengths[i + 1 : j].sum() > 2 * REACH:
             continue
+        if max(lengths[[i, j]] / (track.stop[[i, j]] - track.start[[i, j]])) > 10 * HOP:
+            continue  # no track but jumps
         before = track.points[track.start[i] : track.stop[i] + 1]
         after = track.points[track.start[j] : track.stop[j] + 1]
         corner = _meeting(before, after, tolerance)
