@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from otf_core.arcs import Bulge, bulge_of, with_arcs
 from otf_core.config import CalibrationConfig
-from otf_core.curves import Lines, Shape, straight_shape
+from otf_core.curves import SHORT_CURVE, Lines, Shape, straight_shape
 from otf_core.driven import Driven, as_planned, driven_path, sample_chords, visits
 from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
@@ -262,15 +262,17 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
         driven.published,
         rounded,
     )
-    return found if driven.shape.straight else _on_arcs(found, points)
+    if driven.shape.straight:
+        return found
+    return _on_arcs(found, points, SHORT_CURVE * config.corner_exclusion)
 
 
-def _on_arcs(found: Alignment, points: Array) -> Alignment:
+def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
     """Take the arcs through the joints of curves for the path, if they were driven."""
     lines = Lines.of(found.shape)
     on = np.flatnonzero(found.leg != OFF_PATH)
     on = on[lines.shape.curved[found.leg[on]]]
-    bulge = bulge_of(points[on], found.leg[on], lines)
+    bulge = bulge_of(points[on], found.leg[on], lines, least)
     if bulge is None or not bulge.arcs:
         return replace(found, bulge=bulge)
     shape, start, parent = with_arcs(lines)

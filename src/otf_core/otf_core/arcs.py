@@ -26,7 +26,7 @@ FINE = 5e-8
 """m; sagitta of the chords that stand for an arc."""
 BLOCKS = 20
 """Parts of the run whose scatter gives the uncertainty."""
-MATTERS = 1e-6
+MATTERS = 2e-6
 """m; what is left of the sagitta is worth a remark."""
 UNCLEAR = 0.2
 """Uncertainty of the share above which the samples do not tell."""
@@ -111,7 +111,7 @@ def _freed(values: Array, width: int) -> Array:
     return np.asarray(values - (total[high] - total[low]) / (high - low))
 
 
-def bulge_of(points: Array, chord: Index, lines: Lines) -> Bulge | None:
+def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge | None:
     """Tell how much of the arcs was driven; None if there is no curve or it cannot matter.
 
     Parameters
@@ -120,11 +120,13 @@ def bulge_of(points: Array, chord: Index, lines: Lines) -> Bulge | None:
         Samples on curves in order of time, machine frame.
     chord : ndarray of int64, shape (n,)
     lines : Lines
+    least : float
+        m; shorter curves do not count.
     """
     bend = curvature(lines)
     size = np.linalg.norm(bend, axis=2).mean(axis=1)
     sagitta = size * lines.length**2 / 8.0
-    seen = (sagitta[chord] > VISIBLE) & (size[chord] > 0)
+    seen = (sagitta[chord] > VISIBLE) & (lines.total[chord] >= least)
     points, chord = points[seen], chord[seen]
     if not len(points):
         return None

@@ -26,6 +26,8 @@ GENTLE = np.radians(30.0)
 """A sharper turn is a corner."""
 LEAST = 3
 """Chords that make a curve; fewer are legs."""
+SHORT_CURVE = 4.0
+"""A curve shorter than this many corner exclusions is left out: it is a rounded corner."""
 GROUP_TURN, GROUP_LENGTH = 1.0, 0.5
 """rad and m; groups turn no more and are no longer."""
 

@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from otf_core.alignment import Alignment
 from otf_core.config import CalibrationConfig
 from otf_core.curve_pieces import curve_boundaries, near_joints
-from otf_core.curves import Lines
+from otf_core.curves import SHORT_CURVE, Lines
 from otf_core.errors import InputError
 from otf_core.matching import OFF_PATH
 from otf_core.observation import Samples
@@ -30,8 +30,6 @@ Index = NDArray[np.int64]
 SPEED_WINDOW = 0.04
 """s; the speed of a sample is taken over this time."""
 
-SHORT_CURVE = 4.0
-"""A curve shorter than this many corner exclusions is left out: it is a rounded corner."""
 MEDIAN_HALF = 5
 """samples on either side that a sample is compared with to tell an outlier."""
 GROSS = 3e-5
