@@ -18,6 +18,41 @@ from otf_core.runs import Recording
 
 STOP_ANGLE = np.radians(35.0)
 ACCELERATION = 1.5
+AWAY = np.array([0.02, -0.03, 0.07])
+
+
+def programs(corners):
+    """Ways to drive a path of corner points otherwise: name to points."""
+
+    def aborted(stop, back):  # leg 14 is driven to a share of it, back to another, and on
+        part = [(1 - s) * corners[14] + s * corners[15] for s in (stop, back)]
+        return np.concatenate([corners[:15], part, corners[15:]])
+
+    middle = 0.5 * (corners[24] + corners[25])
+    return {
+        'twice': np.concatenate([corners, corners[1:]]),
+        'three times': np.concatenate([corners, corners[1:], corners[1:]]),
+        'twice with a retract': np.concatenate(
+            [corners, [corners[-1] + AWAY, corners[0] + 2 * AWAY], corners]
+        ),
+        'a part again': np.concatenate([corners[:25], corners[10:]]),
+        'restarted from an earlier corner': np.concatenate(
+            [corners[:25], [middle, middle + AWAY, corners[10] + AWAY], corners[10:]]
+        ),
+        'forth and back': np.concatenate([corners, corners[::-1][1:]]),
+        'only backward': corners[::-1],
+        'the last third backward once more': np.concatenate(
+            [corners, corners[::-1][1 : len(corners) // 3]]
+        ),
+        'a corner skipped': np.delete(corners, [12], axis=0),
+        'four corners skipped': np.delete(corners, [8, 16, 17, 30], axis=0),
+        'legs left out': np.concatenate([corners[:10], corners[16:]]),
+        'a leg aborted, driven back and again': aborted(0.6, 0.0),
+        'a leg aborted, half driven back': aborted(0.6, 0.3),
+        'approach and retract': np.concatenate(
+            [[corners[0] + 2 * AWAY, corners[0] + AWAY], corners, corners[-1:] + AWAY]
+        ),
+    }
 
 
 def arc(centre, first, second, radius, begin, end, chord=1e-3):
@@ -82,9 +117,7 @@ def drive(points, feed=0.15, dwell=0.15, rate=200.0):
         way = np.where(
             t < ramp,
             0.5 * ACCELERATION * t**2,
-            np.where(
-                left < ramp, done[-1] - 0.5 * ACCELERATION * left**2, top * (t - 0.5 * ramp)
-            ),
+            np.where(left < ramp, done[-1] - 0.5 * ACCELERATION * left**2, top * (t - 0.5 * ramp)),
         )
         parts.append(np.stack([np.interp(way, done, block[:, k]) for k in range(3)], axis=1))
         parts.append(np.repeat(block[-1:], max(1, int(dwell * rate)), axis=0))

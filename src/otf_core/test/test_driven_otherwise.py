@@ -1,17 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Paths that are driven otherwise than published: judged by an independent nature.
-
-The machine's errors are polygons between the nodes, so that what is left is noise and what the
-alignment did, not the shape of the errors.
-"""
+"""Paths that are driven otherwise than published: which sample lies on which leg."""
 
 import numpy as np
 import pytest
-from nature import Cell, judge
-from programs import drive, held, record, rounded, without
+from nature import Cell
+from programs import drive, held, programs, record, rounded
 
 from otf_core.alignment import align
-from otf_core.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
 from otf_core.curves import Lines
 from otf_core.errors import InputError
@@ -25,34 +20,7 @@ RATE = 50.0
 FEED = 0.25
 CELL = Cell(3, size=(0.3, 0.25, 0.2), pitch=0.05, form='polygon', path='short', passes=1)
 P = CELL.path.points
-N = len(P)
-AWAY = np.array([0.02, -0.03, 0.07])
-
-
-def aborted(stop, back):
-    """Leg 15 is driven to a share of it, back to another, and then whole."""
-    part = [(1 - s) * P[14] + s * P[15] for s in (stop, back)]
-    return np.concatenate([P[:15], part, P[15:]])
-
-
-PROGRAMS = {
-    'twice': np.concatenate([P, P[1:]]),
-    'three times': np.concatenate([P, P[1:], P[1:]]),
-    'twice with a retract': np.concatenate([P, [P[-1] + AWAY, P[0] + 2 * AWAY], P]),
-    'a part again': np.concatenate([P[:25], P[10:]]),
-    'restarted from an earlier corner': np.concatenate(
-        [P[:25], [0.5 * (P[24] + P[25]), 0.5 * (P[24] + P[25]) + AWAY, P[10] + AWAY], P[10:]]
-    ),
-    'forth and back': np.concatenate([P, P[::-1][1:]]),
-    'only backward': P[::-1],
-    'the last third backward once more': np.concatenate([P, P[::-1][1 : N // 3]]),
-    'a corner skipped': np.delete(P, [12], axis=0),
-    'four corners skipped': np.delete(P, [8, 16, 17, 30], axis=0),
-    'legs left out': np.concatenate([P[:10], P[16:]]),
-    'a leg aborted, driven back and again': aborted(0.6, 0.0),
-    'a leg aborted, half driven back': aborted(0.6, 0.3),
-    'approach and retract': np.concatenate([[P[0] + 2 * AWAY, P[0] + AWAY], P, P[-1:] + AWAY]),
-}
+PROGRAMS = programs(P)
 
 
 def check(recording, q, rate=RATE):
@@ -84,57 +52,6 @@ def test_every_sample_lies_on_its_leg_and_moves_along_it(name):
     assert share > (0.9 if 'corner' in name or 'retract' in name else 0.97)
     skipped = 'skipped' in name or 'left out' in name
     assert found.coverage == pytest.approx(0.93 if skipped else 1.0, abs=0.06)
-
-
-@pytest.fixture(scope='module')
-def as_planned():
-    """Error left, um, of the run driven as planned: white and coloured noise, 50 Hz."""
-    run = calibrate_runs([record(CELL, drive(P, FEED, rate=RATE), rate=RATE)])
-    return judge(CELL, run.tables, run.covariance)
-
-
-@pytest.mark.parametrize(
-    'name',
-    ['twice', 'restarted from an earlier corner', 'only backward', 'four corners skipped',
-     'a leg aborted, half driven back'],
-)  # fmt: skip
-def test_tables_are_as_good_as_those_of_the_run_driven_as_planned(name, as_planned):
-    run = calibrate_runs([record(CELL, drive(PROGRAMS[name], FEED, rate=RATE), rate=RATE)])
-    found = judge(CELL, run.tables, run.covariance)
-    assert as_planned.left_percent < 1.5
-    # another draw of the noise: a quarter of 60 node values' scatter
-    assert found.left_percent < 1.35 * as_planned.left_percent
-    assert found.within_2u_percent > 75
-    assert not run.failed_gates
-
-
-def test_a_second_lap_is_worth_its_samples(as_planned):
-    twice = calibrate_runs([record(CELL, drive(PROGRAMS['twice'], FEED, rate=RATE), rate=RATE)])
-    once = calibrate_runs([record(CELL, drive(P, FEED, rate=RATE), rate=RATE)])
-    assert twice.fit.used == pytest.approx(2 * once.fit.used, rel=0.01)
-    assert twice.tables.squareness['C0Y'].u < 0.85 * once.tables.squareness['C0Y'].u
-
-
-@pytest.mark.parametrize('reach', [0.005, 0.012, 0.02, 0.03])
-def test_smooth_corners_are_left_out_as_far_as_they_reach(reach, as_planned):
-    q = drive(rounded(P, reach), FEED, rate=RATE)
-    recording = record(CELL, q, rate=RATE)
-    run = calibrate_runs([recording])
-    found = judge(CELL, run.tables, run.covariance)
-    assert found.left_percent < 1.35 * as_planned.left_percent
-    alignment = align(recording.samples, recording.path, CONFIG)
-    assert not run.failed_gates
-    if reach > 0.012:  # beyond the exclusion of corners
-        assert np.median(alignment.rounded[1:-1]) > reach
-
-
-def test_smooth_corners_twice_with_the_beam_lost():
-    path = rounded(P, 0.02)
-    q = drive(np.concatenate([path, path[1:]]), FEED, rate=RATE)
-    recording = without(record(CELL, q, rate=RATE), (0.1, 0.12), (0.45, 0.47), (0.8, 0.82))
-    run = calibrate_runs([recording])
-    assert judge(CELL, run.tables).left_percent < 1.5
-    assert run.fit.coverage > 0.97
 
 
 def test_feed_holds_in_mid_leg_of_a_second_lap_change_nothing():
