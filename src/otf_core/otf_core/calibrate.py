@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget, make_budget, whole_check
 from otf_core.config import CalibrationConfig
+from otf_core.curve_lag import curve_remarks, moved_onto_curves
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.machine import Machine
@@ -263,7 +264,11 @@ def calibrate_runs(
         progress('aligning', 0.0)
         runs, nodes = prepare(recordings, config)
         progress('solving', 0.0)
-        return _assemble(solve_with_reversal(runs, nodes, config, progress), config)
+        solved = solve_with_reversal(runs, nodes, config, progress)
+        moved = moved_onto_curves(runs, solved)
+        if moved is not None:
+            solved = solve_with_reversal(moved, nodes, config, progress)
+        return _assemble(solved, config)
 
 
 def calibrate_prepared(
@@ -386,7 +391,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
         not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
         warnings=(
             *_warnings(fit, unknowns, solution, tables, config.unidentifiable_above),
-            *(r.alignment.remark for r in runs if r.alignment.remark),
+            *curve_remarks(runs, done),
         ),
         failed_gates=_failed_gates(fit),
         config=config,

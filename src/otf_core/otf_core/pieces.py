@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from otf_core.alignment import Alignment
+from otf_core.arcs import curvature
 from otf_core.config import CalibrationConfig
 from otf_core.curve_pieces import curve_boundaries, near_joints
 from otf_core.curves import SHORT_CURVE, Lines
@@ -73,6 +74,8 @@ class Pieces:
         Piece of each of them.
     chord : ndarray of int64, shape (p,)
         Chord of the path on which the piece begins; empty if that is its leg.
+    bend : ndarray, shape (p, 3), m/s^2
+        Acceleration towards the inside of curves, machine frame; empty if there are none.
     """
 
     xyz: Array
@@ -90,6 +93,7 @@ class Pieces:
     samples: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     piece: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     chord: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    bend: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def line(self) -> Index:
@@ -122,6 +126,7 @@ class Pieces:
             samples=self.samples[stays],
             piece=(np.cumsum(~drop) - 1)[self.piece[stays]],
             chord=self.chord[~drop] if len(self.chord) else self.chord,
+            bend=self.bend[~drop] if len(self.bend) else self.bend,
             used=self.used - lost,
             outliers=self.outliers + lost,
         )
@@ -294,7 +299,7 @@ def reduce_to_pieces(
     place = np.where(shape.curved[leg], np.maximum(place, 0.0), place)
     piece = np.searchsorted(bounds, shift[np.searchsorted(first, group)] + place, side='right') - 1
     pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, outliers)
-    return pieces if shape.straight else _on_curves(pieces, lines, alignment, along)
+    return pieces if shape.straight else _on_curves(pieces, lines, alignment, along, speed)
 
 
 def _marks(lines: Lines, first: Index, nodes: tuple[Array, ...], size: float) -> list[Array]:
@@ -308,19 +313,23 @@ def _marks(lines: Lines, first: Index, nodes: tuple[Array, ...], size: float) ->
     ]
 
 
-def _on_curves(pieces: Pieces, lines: Lines, alignment: Alignment, along: Array) -> Pieces:
-    """Give pieces of curves the mean foot and direction of their samples."""
+def _on_curves(
+    pieces: Pieces, lines: Lines, alignment: Alignment, along: Array, speed: Array
+) -> Pieces:
+    """Give pieces of curves the mean foot, direction and acceleration of their samples."""
     chord = alignment.leg[pieces.samples]
     foot = lines.shape.corners[chord] + along[:, None] * lines.unit[chord]
     direction = pieces.mean_of(lines.unit[chord])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     curved = lines.shape.curved[pieces.leg][:, None]
+    bend = curvature(lines).mean(axis=1)[chord] * speed[:, None] ** 2
     return replace(
         pieces,
         origin=np.where(curved, pieces.mean_of(foot), pieces.origin),
         direction=np.where(curved, direction, pieces.direction),
         leg=lines.shape.group[pieces.leg],
         chord=pieces.leg,
+        bend=pieces.mean_of(bend),
     )
 
 
