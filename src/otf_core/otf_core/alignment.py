@@ -183,27 +183,35 @@ def _match(track: Track, guide: Guide, tolerance: float) -> Match | None:
     return match
 
 
-def _coverage(match: Match, vertices: Array, slack: float) -> float:
+def _coverage(match: Match, guide: Guide, slack: float) -> float:
     """Share of the nominal length that was driven."""
+    vertices, curve = guide.vertices, guide.curve
     length = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
-    use = match.leg != OFF_PATH
+    driven = np.zeros(len(length))
     if as_planned(visits(match, vertices, slack)):
-        driven = np.bincount(match.leg[use], match.track.lengths[use], minlength=len(length))
-        return float(np.minimum(driven, length).sum() / length.sum())
+        use = match.leg != OFF_PATH
+        np.add.at(driven, match.leg[use], match.track.lengths[use])
+    else:
+        for leg, spans in _spans(match, vertices, length).items():
+            upto = 0.0
+            for low, high in sorted(spans):
+                driven[leg] += max(0.0, high - max(low, upto))
+                upto = max(upto, high)
+    # parts of a curve begin and end at points that the track passes, a hop more or less
+    seen, whole = np.bincount(curve, driven), np.bincount(curve, length)
+    return float(np.minimum(seen, whole).sum() / length.sum())
+
+
+def _spans(match: Match, vertices: Array, length: Array) -> dict[int, list[tuple[float, float]]]:
+    """Driven spans of every leg, m from its start."""
     unit = np.diff(vertices, axis=0) / length[:, None]
-    union = np.zeros(len(length))
     places = [match.pose.apply(p) for p in (match.track.starts, match.track.ends)]
-    reached: dict[int, list[tuple[float, float]]] = {}
-    for k in np.flatnonzero(use).tolist():
+    found: dict[int, list[tuple[float, float]]] = {}
+    for k in np.flatnonzero(match.leg != OFF_PATH).tolist():
         j = int(match.leg[k])
-        ends = sorted(float((p[k] - vertices[j]) @ unit[j]) for p in places)
-        reached.setdefault(j, []).append((max(ends[0], 0.0), min(ends[1], float(length[j]))))
-    for j, spans in reached.items():
-        upto = 0.0
-        for low, high in sorted(spans):
-            union[j] += max(0.0, high - max(low, upto))
-            upto = max(upto, high)
-    return float(union.sum() / length.sum())
+        low, high = sorted(float((p[k] - vertices[j]) @ unit[j]) for p in places)
+        found.setdefault(j, []).append((max(low, 0.0), min(high, float(length[j]))))
+    return found
 
 
 def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Alignment:
@@ -256,7 +264,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
         pose,
         driven.shape.corners,
         sample_chords(match, driven, points, config.corner_exclusion, 4 * tolerance),
-        _coverage(match, guide.vertices, 4 * tolerance),
+        _coverage(match, guide, 4 * tolerance),
         _reaches_end(match, guide.vertices, tolerance),
         driven.shape,
         driven.published,

@@ -47,6 +47,12 @@ class Guide:
         return self.shape.corners[self.vertex]
 
     @property
+    def curve(self) -> NDArray[np.int64]:
+        """Curve, numbered from 0, of the leg between successive vertices, shape (v - 1,)."""
+        stretch = self.shape.stretch[self.vertex[:-1]]
+        return np.asarray(np.unique(stretch, return_inverse=True)[1], dtype=np.int64)
+
+    @property
     def cuts(self) -> Array:
         """Vertices on curves, shape (c, 3), m."""
         curved = self.shape.curved

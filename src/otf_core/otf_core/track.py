@@ -77,9 +77,9 @@ class Track:
         return cKDTree(self.points)
 
     def cut_at(self, hops: NDArray[np.int64]) -> Track:
-        """Cut legs at hops; those at or next to the ends of a leg are left out."""
+        """Cut legs at hops; those at the ends of a leg are left out."""
         leg = np.searchsorted(self.start, hops, side='right') - 1
-        inside = (leg >= 0) & (hops > self.start[leg] + 1) & (hops < self.stop[leg] - 1)
+        inside = (leg >= 0) & (hops > self.start[leg]) & (hops < self.stop[leg])
         cuts, leg = hops[inside], leg[inside]
         start = np.sort(np.concatenate([self.start, cuts]))
         stop = np.sort(np.concatenate([self.stop, cuts]))
