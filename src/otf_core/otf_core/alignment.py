@@ -9,23 +9,34 @@ in three or four steps instead of hundreds (docs/formulation.md).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arcs import Bulge, bulge_of, with_arcs
 from otf_core.config import CalibrationConfig
+from otf_core.curves import SHORT_CURVE, Lines, Shape, straight_shape
+from otf_core.driven import Driven, as_planned, driven_path, sample_chords, visits
 from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
-from otf_core.matching import OFF_PATH, Match, find_match, follow
+from otf_core.guide import Guide
+from otf_core.matching import ENOUGH, LEAST, cut_track
+from otf_core.misfit import MIRRORED, complaint, mirrored
 from otf_core.observation import Samples
+from otf_core.order import FORWARD, OFF_PATH, Match, follow
 from otf_core.path import NominalPath
+from otf_core.rounding import rounded_ends, sharpened
 from otf_core.track import Track, measured_track
 
 Array = NDArray[np.float64]
 
-WIDER = (2.5, 5.0, 10.0)
-"""Multiples of the tolerance that are tried to say what is wrong."""
+DOUBTFUL = 0.9
+"""If a smaller share does, the track may be mirrored."""
+CLEARLY = 0.1
+"""More of the measured length that a mirrored track must explain."""
+SLIGHTLY = 0.005
+"""The same for a track with its corners sharpened."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +47,23 @@ class Alignment:
     ----------
     T_machine_tracker : RigidTransform
     corners : ndarray, shape (m + 1, 3), m
-        Corner points of the path, straight-through points removed; leg j runs from j to j + 1.
+        Corner points of the path as driven, straight-through points removed; leg j runs from j
+        to j + 1. That is the published path, unless legs were repeated or driven backward.
     leg : ndarray of int64, shape (n,)
         Leg of every sample, ``OFF_PATH`` where there is none.
     coverage : float
-        Driven share of the path length.
+        Driven share of the length of the published path.
     last_leg_driven : bool
-        True if the track reaches the end of the path.
+        True if the track ends at the end of the path.
+    curves : Shape, optional
+        Which legs are chords of curves; none without it.
+    published : ndarray of int64, shape (m,), optional
+        Leg of the published path of every leg, ``OFF_PATH`` for connecting moves; the same
+        numbers without it.
+    rounded : ndarray, shape (m, 2), optional
+        Length at the start and the end of every leg that the machine rounds, m.
+    bulge : Bulge, optional
+        Whether curves were driven along chords or arcs; None if that makes no difference.
     """
 
     T_machine_tracker: RigidTransform
@@ -50,6 +71,20 @@ class Alignment:
     leg: NDArray[np.int64]
     coverage: float
     last_leg_driven: bool
+    curves: Shape | None = None
+    published: NDArray[np.int64] | None = None
+    rounded: Array | None = None
+    bulge: Bulge | None = None
+
+    @property
+    def shape(self) -> Shape:
+        """Corner points and curves."""
+        return self.curves or straight_shape(self.corners)
+
+    @property
+    def remark(self) -> str:
+        """What the reader of a result should know of the driven path; empty if nothing."""
+        return '' if self.bulge is None else self.bulge.remark
 
 
 def line_step(
@@ -99,26 +134,26 @@ def line_step(
 
 
 def _refine(
-    match: Match, track: Track, corners: Array, config: CalibrationConfig
+    match: Match, driven: Driven, rounded: Array, config: CalibrationConfig
 ) -> RigidTransform:
     """Fine alignment on the hops of the assigned legs."""
-    legs = _hop_legs(match, track)
+    margin = np.maximum(config.corner_exclusion, rounded)
+    track, lines = match.track, Lines.of(driven.shape)
+    legs = _hop_legs(match)
     use = legs != OFF_PATH
-    source, legs = track.points[use], legs[use]
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = step / length[:, None]
+    source = track.points[use]
+    chord = driven.chord[legs[use]]
     pose = match.pose
     for _ in range(config.max_iterations):
         points = pose.apply(source)
-        along = np.einsum('ij,ij->i', points - corners[legs], unit[legs])
-        inside = (along > config.corner_exclusion) & (
-            along < length[legs] - config.corner_exclusion
-        )
+        chord = lines.settled(points, chord)
+        along = lines.start[chord] + lines.along(points, chord)
+        total = lines.total[chord]
+        inside = (along > margin[chord, 0]) & (along < total - margin[chord, 1])
         if inside.sum() < 10:
             raise InputError('hardly any point lies on a line of the path away from its corners')
-        weight = inside / length[legs]  # every leg counts alike, however fast it was driven
-        shift, turn = line_step(points, corners[legs], unit[legs], weight)
+        weight = inside / total  # every leg counts alike, however fast it was driven
+        shift, turn = line_step(points, lines.shape.corners[chord], lines.unit[chord], weight)
         moved = pose.moved_by(shift, turn)
         change = float(np.abs(moved.apply(source) - points).max())
         pose = moved
@@ -127,69 +162,56 @@ def _refine(
     return pose
 
 
-def _hop_legs(match: Match, track: Track) -> NDArray[np.int64]:
-    """Leg of every hop of the track."""
-    legs = np.full(len(track.hops), OFF_PATH, dtype=np.int64)
-    for first, last, leg in zip(track.start, track.stop, match.leg, strict=True):
-        legs[first : last + 1] = leg
+def _hop_legs(match: Match) -> NDArray[np.int64]:
+    """Measured leg of every hop of the track, ``OFF_PATH`` if it belongs to no leg of the path."""
+    legs = np.full(len(match.track.hops), OFF_PATH, dtype=np.int64)
+    pairs = zip(match.track.start, match.track.stop, match.leg, strict=True)
+    for k, (first, last, leg) in enumerate(pairs):
+        legs[first : last + 1] = k if leg != OFF_PATH else OFF_PATH
     return legs
 
 
-def _wider(samples: Samples, corners: Array, tolerance: float) -> float | None:
-    """Tolerance within which the track would fit the path, m; None if none of ``WIDER`` does."""
-    for factor in WIDER:
-        track = measured_track(samples, factor * tolerance)
-        match = find_match(track, corners, factor * tolerance)
-        if match is not None and _explained(match, track) > 0.8:
-            return factor * tolerance
-    return None
+def _match(track: Track, guide: Guide, tolerance: float) -> Match | None:
+    """Match a track; if that fails, with the rounding of its corners taken off."""
+    match = guide.find(track, tolerance)
+    if match is not None and match.explained > ENOUGH:
+        return match
+    sharp = sharpened(track, tolerance)
+    other = None if sharp is None else guide.find(sharp, tolerance)
+    if other is not None and (match is None or other.explained > match.explained + SLIGHTLY):
+        return other
+    return match
 
 
-def _complaint(samples: Samples, track: Track, corners: Array, tolerance: float) -> str:
-    """Say why nothing fits, as far as the shapes tell."""
-    ratio = np.ptp(track.points, axis=0).max() / np.ptp(corners, axis=0).max()
-    if not 0.3 < ratio < 3:
-        factor = 1000.0 if ratio > 1 else 0.001
-        what = 'the points seem' if ratio > 1 else 'the path seems'
-        unit = f'; {what} to be in mm, expected m' if 0.5 < ratio / factor < 2 else ''
-        return f'the measured track is {ratio:.3g} times as large as the path{unit}'
-    mirrored = Track(
-        track.hops, track.points * [-1.0, 1.0, 1.0], track.start, track.stop, track.joined
-    )
-    match = find_match(mirrored, corners, tolerance)
-    if match is not None and _explained(match, track) > 0.8:
-        return 'the track fits only mirrored: are the tracker coordinates left-handed?'
-    enough = _wider(samples, corners, tolerance)
-    if enough is not None:
-        return (
-            f'it does within {1e3 * enough:g} mm, but match_tolerance is {1e3 * tolerance:g} mm. '
-            f'If the machine rounds its corners that much, raise match_tolerance to {enough:g} '
-            f'(m) and corner_exclusion to the length that is rounded, about {3 * enough:g}'
-        )
-    return (
-        f'no run of measured corners fits the path within match_tolerance '
-        f'({1e3 * tolerance:g} mm): do bag and path belong together?'
-    )
-
-
-def _explained(match: Match, track: Track) -> float:
-    """Share of the measured length that lies on the path."""
-    return float(track.lengths[match.leg != OFF_PATH].sum() / track.lengths.sum())
-
-
-def _coverage(match: Match, track: Track, corners: Array) -> float:
+def _coverage(match: Match, guide: Guide, slack: float) -> float:
     """Share of the nominal length that was driven."""
-    length = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-    use = match.leg != OFF_PATH
-    driven = np.bincount(match.leg[use], track.lengths[use], minlength=len(length))
-    return float(np.minimum(driven, length).sum() / length.sum())
+    vertices, curve = guide.vertices, guide.curve
+    length = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
+    driven = np.zeros(len(length))
+    if as_planned(visits(match, vertices, slack)):
+        use = match.leg != OFF_PATH
+        np.add.at(driven, match.leg[use], match.track.lengths[use])
+    else:
+        for leg, spans in _spans(match, vertices, length).items():
+            upto = 0.0
+            for low, high in sorted(spans):
+                driven[leg] += max(0.0, high - max(low, upto))
+                upto = max(upto, high)
+    # parts of a curve begin and end at points that the track passes, a hop more or less
+    seen, whole = np.bincount(curve, driven), np.bincount(curve, length)
+    return float(np.minimum(seen, whole).sum() / length.sum())
 
 
-def _sample_legs(match: Match, track: Track, count: int) -> NDArray[np.int64]:
-    legs = np.full(count, OFF_PATH, dtype=np.int64)
-    for first, last, leg in zip(track.start, track.stop, match.leg, strict=True):
-        legs[track.hops[first] : track.hops[last] + 1] = leg
-    return legs
+def _spans(match: Match, vertices: Array, length: Array) -> dict[int, list[tuple[float, float]]]:
+    """Driven spans of every leg, m from its start."""
+    unit = np.diff(vertices, axis=0) / length[:, None]
+    places = [match.pose.apply(p) for p in (match.track.starts, match.track.ends)]
+    found: dict[int, list[tuple[float, float]]] = {}
+    for k in np.flatnonzero(match.leg != OFF_PATH).tolist():
+        j = int(match.leg[k])
+        low, high = sorted(float((p[k] - vertices[j]) @ unit[j]) for p in places)
+        found.setdefault(j, []).append((max(low, 0.0), min(high, float(length[j]))))
+    return found
 
 
 def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Alignment:
@@ -210,36 +232,93 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     InputError
         If samples and path do not belong together, or the pose is not determined; says why.
     """
-    corners, _ = path.corners()
-    if len(corners) < 3:
-        raise InputError('path: a single straight line cannot be aligned; it needs corners')
     tolerance = config.match_tolerance
-    track = measured_track(samples, tolerance)
-    match = find_match(track, corners, tolerance)
-    if match is None or _explained(match, track) < 0.3:
+    guide, track = Guide.of(path, tolerance), measured_track(samples, tolerance)
+    match = _match(track, guide, tolerance)
+    if match is None or match.explained < LEAST:
         raise InputError(
-            f'samples do not follow the path: {_complaint(samples, track, corners, tolerance)}'
+            f'samples do not follow the path: {complaint(samples, track, path, tolerance)}'
         )
+    if match.explained < DOUBTFUL and (
+        mirrored(track, guide, tolerance) > match.explained + CLEARLY
+    ):
+        raise InputError(f'samples do not follow the path: {MIRRORED}')
+    driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
+    track, rounded = match.track, _rounded(match, driven, config)
     for _ in range(2):
-        pose = _refine(match, track, corners, config)
-        match = follow(pose, track, corners, tolerance)
-        if _explained(match, track) < 0.3:
+        pose = _refine(match, driven, rounded, config)
+        whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
+        match = follow(pose, whole, guide.vertices, tolerance, match.free)
+        if match.explained < LEAST:
             raise InputError(
-                f'samples do not follow the path: only {100 * _explained(match, track):.0f} % of '
+                f'samples do not follow the path: only {100 * match.explained:.0f} % of '
                 f'the measured track lies within {1e3 * tolerance:g} mm of it; '
                 f'do bag and path belong together? If the machine rounds its corners by more, '
                 f'raise match_tolerance'
             )
-    return Alignment(
-        _refine(match, track, corners, config),
-        corners,
-        _sample_legs(match, track, len(samples)),
-        _coverage(match, track, corners),
-        _reaches_end(match, track, corners, tolerance),
+        driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
+        rounded = _rounded(match, driven, config)
+    pose = _refine(match, driven, rounded, config)
+    points = pose.apply(samples.xyz)
+    found = Alignment(
+        pose,
+        driven.shape.corners,
+        sample_chords(match, driven, points, config.corner_exclusion, 4 * tolerance),
+        _coverage(match, guide, 4 * tolerance),
+        _reaches_end(match, guide.vertices, tolerance),
+        driven.shape,
+        driven.published,
+        rounded,
+    )
+    if driven.shape.straight:
+        return found
+    return _on_arcs(found, points, SHORT_CURVE * config.corner_exclusion)
+
+
+def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
+    """Take the arcs through the joints of curves for the path, if they were driven."""
+    lines = Lines.of(found.shape)
+    on = np.flatnonzero(found.leg != OFF_PATH)
+    on = on[lines.shape.curved[found.leg[on]]]
+    bulge = bulge_of(points[on], found.leg[on], lines, least)
+    if bulge is None or not bulge.arcs:
+        return replace(found, bulge=bulge)
+    shape, start, parent = with_arcs(lines)
+    leg = np.where(found.leg == OFF_PATH, OFF_PATH, start[found.leg])
+    on = np.flatnonzero(leg != OFF_PATH)
+    leg[on] = Lines.of(shape).settled(points[on], leg[on])
+    assert found.published is not None and found.rounded is not None
+    return replace(
+        found,
+        corners=shape.corners,
+        leg=leg,
+        curves=shape,
+        published=found.published[parent],
+        rounded=found.rounded[parent],
+        bulge=bulge,
     )
 
 
-def _reaches_end(match: Match, track: Track, corners: Array, tolerance: float) -> bool:
-    last = int(match.leg.max())
-    end = match.pose.apply(track.ends[match.leg == last][-1:])[0]
-    return last == len(corners) - 2 and bool(np.linalg.norm(end - corners[-1]) < 4 * tolerance)
+def _rounded(match: Match, driven: Driven, config: CalibrationConfig) -> Array:
+    """Length at both ends of every leg of the driven path that is rounded, shape (m, 2), m."""
+    track, corners = match.track, driven.shape.corners
+    found = np.zeros((len(driven.shape.stretch), 2))
+    joined = np.append(track.joined, False)
+    lines = np.flatnonzero((driven.chord != OFF_PATH) & (driven.chord == driven.last))
+    for k in lines.tolist():
+        j = int(driven.chord[k])
+        points = match.pose.apply(track.points[track.start[k] : track.stop[k] + 1])
+        ends = (bool(joined[k]), bool(joined[k + 1]))
+        length = rounded_ends(points, corners[j : j + 2], ends, config.corner_exclusion)
+        found[j] = np.maximum(found[j], length)
+    return found
+
+
+def _reaches_end(match: Match, vertices: Array, tolerance: float) -> bool:
+    k = int(np.flatnonzero(match.leg != OFF_PATH)[-1])
+    end = match.pose.apply(match.track.ends[k : k + 1])[0]
+    return bool(
+        match.leg[k] == len(vertices) - 2
+        and match.sense[k] == FORWARD
+        and np.linalg.norm(end - vertices[-1]) < 4 * tolerance
+    )

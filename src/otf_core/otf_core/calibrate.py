@@ -16,6 +16,7 @@ from otf_core.budget.budget import make_budget, whole_check
 from otf_core.budget.typical import typical_systematic, typical_warnings
 from otf_core.calibration_result import CalibrationResult, Fit, RunResult
 from otf_core.config import CalibrationConfig
+from otf_core.curve_lag import curve_remarks, moved_onto_curves
 from otf_core.extrapolation import prior_of
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.machine import Machine
@@ -134,7 +135,11 @@ def calibrate_runs(
         progress('aligning', 0.0)
         runs, nodes = prepare(recordings, config)
         progress('solving', 0.0)
-        return _assemble(solve_with_reversal(runs, nodes, config, progress), config)
+        solved = solve_with_reversal(runs, nodes, config, progress)
+        moved = moved_onto_curves(runs, solved)
+        if moved is not None:
+            solved = solve_with_reversal(moved, nodes, config, progress)
+        return _assemble(solved, config)
 
 
 def calibrate_prepared(
@@ -268,6 +273,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
         warnings=(
             *typical_warnings(typical),
             *_warnings(fit, tables, config.unidentifiable_above),
+            *curve_remarks(runs, done),
         ),
         failed_gates=_failed_gates(fit),
         config=config,

@@ -4,47 +4,39 @@
 The paper (1.2.3) uses start point, end point and centroid, which fails where the recording holds
 more or less than the path. Here short runs of measured corner points are compared with runs of
 nominal ones by their mutual distances; each agreement proposes a pose, and the pose under which
-the whole track follows the path in driving order (Viterbi) wins.
+the whole track follows the path in driving order (``order``) wins. Where corners do not tell,
+points at equal distances along track and path take their place (``arc_windows``).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arc_windows import dense_points, propose
 from otf_core.frames import RigidTransform, rigid_fit
+from otf_core.order import OFF_PATH as OFF_PATH
+from otf_core.order import Match as Match
+from otf_core.order import follow as follow
 from otf_core.track import Track
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-OFF_PATH = -1
 _MAX_WINDOWS = 60
 _MAX_HYPOTHESES = 4000
 _MAX_FULL = 24
-_OFF_COST, _SKIP_COST, _EDGE_COST = 6.0, 1.0, 0.3
-
-
-@dataclass(frozen=True)
-class Match:
-    """Assignment of measured legs to nominal legs.
-
-    Attributes
-    ----------
-    pose : RigidTransform
-        Tracker to machine.
-    leg : ndarray of int64, shape (k,)
-        Nominal leg of every measured leg, ``OFF_PATH`` if it belongs to none.
-    cost : float
-        Lower is better.
-    """
-
-    pose: RigidTransform
-    leg: Index
-    cost: float
+_MAX_ARCS, _MAX_FREE, _PROBES = 8, 6, 150
+LEAST = 0.3
+"""Share of the measured length that must follow the path."""
+DOUBTFUL = 0.5
+"""Share of the measured length; if less follows the path, corners may have deceived."""
+ALL = 0.99
+"""Share of the measured length; no better place of the tracker is looked for on curves."""
+ENOUGH = 0.97
+"""Share of the measured length; if so much follows the path as planned, nothing else is tried."""
 
 
 def _pair_distances(windows: Array) -> Array:
@@ -56,6 +48,7 @@ def _pair_distances(windows: Array) -> Array:
 
 
 def _sliding(points: Array, width: int) -> Array:
+    """All runs of ``width`` successive points, shape (m, width, 3)."""
     return np.stack([points[i : len(points) - width + 1 + i] for i in range(width)], axis=1)
 
 
@@ -102,100 +95,110 @@ def _quick_score(pose: RigidTransform, track: Track, tree: object, tolerance: fl
     return float(np.sum(np.isfinite(distance)))
 
 
-def segment_distance(points: Array, corners: Array) -> tuple[Array, Array]:
-    """Distance of points to every leg of a polyline and position along it.
+def distinct_poses(
+    poses: list[RigidTransform], score: Array, points: Array, apart: float, most: int
+) -> list[RigidTransform]:
+    """Best poses that differ from each other.
 
     Parameters
     ----------
+    poses : list of RigidTransform
+    score : ndarray, shape (n,)
+        Higher is better.
     points : ndarray, shape (k, 3), m
-    corners : ndarray, shape (n, 3), m
-
-    Returns
-    -------
-    distance : ndarray, shape (k, n - 1), m
-    along : ndarray, shape (k, n - 1), m
-        From the start of the leg, not clipped.
+        Points that two different poses move apart.
+    apart : float
+        m.
+    most : int
     """
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = step / length[:, None]
-    along = points @ unit.T - np.einsum('ij,ij->i', corners[:-1], unit)
-    foot = corners[:-1] + np.clip(along, 0, length)[:, :, None] * unit
-    return np.linalg.norm(points[:, None, :] - foot, axis=2), along
+    probe = points[:: max(1, len(points) // 50)]
+    found: list[RigidTransform] = []
+    places: list[Array] = []
+    for k in np.argsort(-score, kind='stable'):
+        moved = poses[k].apply(probe)
+        if all(np.abs(moved - p).max() > apart for p in places):
+            found.append(poses[k])
+            places.append(moved)
+        if len(found) >= most:
+            break
+    return found
 
 
-def _emission(
-    pose: RigidTransform, track: Track, corners: Array, tolerance: float
-) -> tuple[Array, Array]:
-    """Cost of every measured leg (rows) on every nominal leg (columns); inf if impossible.
-
-    The second array is the cost of going on with the leg that the one before was on: it must
-    begin where that one ended, or the leg is driven anew.
-    """
-    first, from_along = segment_distance(pose.apply(track.starts), corners)
-    last, to_along = segment_distance(pose.apply(track.ends), corners)
-    advance = to_along - from_along
-    cost = (first**2 + last**2) / (2 * tolerance**2)
-    possible = (np.maximum(first, last) < 4 * tolerance) & (
-        advance > 0.9 * track.lengths[:, None] - 4 * tolerance
-    )
-    possible &= advance > 0
-    anew = np.zeros_like(cost)
-    anew[1:] = np.where(from_along[1:] < to_along[:-1] - 4 * tolerance, _OFF_COST, 0.0)
-    return np.where(possible, cost, np.inf), anew
-
-
-def follow(pose: RigidTransform, track: Track, corners: Array, tolerance: float) -> Match:
-    """Assign measured legs to nominal legs in driving order by dynamic programming (Viterbi).
-
-    A leg may be missing (gap, late start), a measured leg may lie off the path (approach,
-    retract); both cost. Order never runs backwards.
+def cut_track(track: Track, pose: RigidTransform, cuts: Array, reach: float) -> Track:
+    """Cut measured legs where they pass points of the path: curves have no corners of their own.
 
     Parameters
     ----------
+    track : Track
     pose : RigidTransform
         Tracker to machine.
-    track : Track
-    corners : ndarray, shape (n, 3), m
-        Nominal corner points.
-    tolerance : float
-        m.
+    cuts : ndarray, shape (c, 3), m
+        Points of the path, machine frame.
+    reach : float
+        m; a hop so near passes the point.
     """
-    emission, anew = _emission(pose, track, corners, tolerance)
-    count, legs = emission.shape
-    number = np.arange(legs)
-    # score[j]: best cost so far with leg j the last one driven; one extra state before the first
-    score = np.concatenate([[0.0], np.full(legs, np.inf)])
-    came = np.zeros((count, legs + 1), dtype=np.int64)
-    on_path = np.zeros((count, legs + 1), dtype=bool)
-    weight = np.where(number == 0, 0, number)
-    off_cost = _OFF_COST * np.minimum(1.0, track.lengths / (20 * tolerance))
-    for k in range(count):
-        ahead = score[1:] - _SKIP_COST * weight
-        running = np.minimum.accumulate(ahead)
-        origin = np.maximum.accumulate(np.where(ahead <= running, number, 0))
-        skip = np.concatenate([[np.inf], running[:-1]]) + _SKIP_COST * (weight - 1)
-        options = np.stack([skip, score[1:] + anew[k], score[0] + _EDGE_COST * number])
-        pick = np.argmin(options, axis=0)
-        reach = options[pick, number] + emission[k]
-        source = np.choose(pick, [np.concatenate([[0], origin[:-1]]) + 1, number + 1, 0 * number])
-        stay = score + off_cost[k]
-        better = reach < stay[1:]
-        came[k, 1:] = np.where(better, source, number + 1)
-        on_path[k, 1:] = better
-        score = np.concatenate([stay[:1], np.where(better, reach, stay[1:])])
-    final = score + np.concatenate([[np.inf], _EDGE_COST * (legs - 1 - number)])
-    state = int(np.argmin(final))
-    cost = float(final[state])
-    leg = np.full(count, OFF_PATH, dtype=np.int64)
-    for k in range(count - 1, -1, -1):
-        if state and on_path[k, state]:
-            leg[k] = state - 1
-        state = int(came[k, state])
-    return Match(pose, leg, cost)
+    if not len(cuts):
+        return track
+    found = set()
+    inverse = (cuts - pose.translation) @ pose.rotation
+    for point, near in zip(inverse, track.tree.query_ball_point(inverse, reach), strict=True):
+        hops = np.sort(np.array(near, dtype=np.int64))
+        for passage in np.split(hops, np.flatnonzero(np.diff(hops) > 1) + 1):
+            if len(passage):
+                distance = np.linalg.norm(track.points[passage] - point, axis=1)
+                found.add(int(passage[np.argmin(distance)]))
+    return track.cut_at(np.array(sorted(found), dtype=np.int64))
 
 
-def find_match(track: Track, corners: Array, tolerance: float) -> Match | None:
+def best_match(
+    poses: list[RigidTransform], track: Track, corners: Array, cuts: Array, tolerance: float
+) -> Match | None:
+    """Follow the path under every pose; as planned if that explains nearly all, else freely."""
+    if not poses:
+        return None
+    planned: list[Match] = []
+    for pose in poses:
+        whole = cut_track(track, pose, cuts, 2 * tolerance)
+        planned.append(follow(pose, whole, corners, tolerance, False))
+        if len(cuts) and planned[-1].explained > ALL:
+            break
+    planned.sort(key=_cost)
+    if planned[0].explained > ENOUGH:
+        return planned[0]
+    free: list[Match] = []
+    for match in planned[:_MAX_FREE]:
+        free.append(follow(match.pose, match.track, corners, tolerance))
+        if free[-1].explained > ENOUGH:
+            break
+    return min(free, key=_cost)
+
+
+def _by_length(track: Track, corners: Array, tolerance: float) -> list[RigidTransform]:
+    """Poses proposed by lengths under which enough of the track lies on the path."""
+    from scipy.spatial import cKDTree
+
+    poses = propose(track, corners, tolerance)
+    tree = cKDTree(dense_points(corners, tolerance)[0])
+    probe = track.points[:: max(1, len(track.points) // _PROBES)]
+    near = [tree.query(p.apply(probe), distance_upper_bound=5 * tolerance)[0] for p in poses]
+    share = np.array([float(np.isfinite(d).mean()) for d in near])
+    kept = np.flatnonzero(share > LEAST)
+    return distinct_poses(
+        [poses[k] for k in kept], share[kept], track.points, 5 * tolerance, _MAX_ARCS
+    )
+
+
+def _cost(match: Match) -> float:
+    return match.cost
+
+
+def find_match(
+    track: Track,
+    corners: Array,
+    tolerance: float,
+    cuts: Array | None = None,
+    by_length: bool = True,
+) -> Match | None:
     """Find pose and assignment without any prior knowledge.
 
     Parameters
@@ -205,30 +208,32 @@ def find_match(track: Track, corners: Array, tolerance: float) -> Match | None:
         Nominal corner points, straight-through points removed.
     tolerance : float
         m; allowed distance of measured from nominal corners.
+    cuts : ndarray, shape (c, 3), m, optional
+        Those of them that lie on curves, where the track has no corner.
+    by_length : bool
+        Try lengths along the path where corners do not tell.
 
     Returns
     -------
     Match or None
-        None if no run of measured corners fits any run of nominal ones.
+        None if no part of the track fits any part of the path.
     """
     from scipy.spatial import cKDTree
 
+    cuts = np.empty((0, 3)) if cuts is None else cuts
     poses = _hypotheses(track, corners, tolerance)
-    if not poses:
-        return None
-    tree = cKDTree(corners)
-    quick = np.array([_quick_score(p, track, tree, tolerance) for p in poses])
-    distinct: list[RigidTransform] = []
-    for k in np.argsort(-quick, kind='stable'):
-        moved = poses[k].apply(track.points[:: max(1, len(track.points) // 50)])
-        new = all(
-            np.abs(moved - p.apply(track.points[:: max(1, len(track.points) // 50)])).max()
-            > 10 * tolerance
-            for p in distinct
-        )
-        if new:
-            distinct.append(poses[k])
-        if len(distinct) >= _MAX_FULL:
-            break
-    matches = [follow(p, track, corners, 2 * tolerance) for p in distinct]
-    return min(matches, key=lambda m: m.cost)
+    best = None
+    if poses:
+        tree = cKDTree(corners)
+        quick = np.array([_quick_score(p, track, tree, tolerance) for p in poses])
+        distinct = distinct_poses(poses, quick, track.points, 10 * tolerance, _MAX_FULL)
+        best = best_match(distinct, track, corners, cuts, 2 * tolerance)
+    if best is not None and best.explained > (ENOUGH if len(cuts) else DOUBTFUL):
+        return best
+    if not by_length:
+        return best
+    distinct = _by_length(track, corners, tolerance)
+    other = best_match(distinct, track, corners, cuts, 2 * tolerance)
+    if best is None or (other is not None and other.explained > best.explained + 0.01):
+        return other
+    return best

@@ -2,7 +2,8 @@
 """Reduction of samples to path pieces (paper 2.3: 500 000 points to 4427 values).
 
 A piece never crosses a table node, so every error table is linear inside it and the mean of its
-samples loses nothing. Left out: corners, standstill and the moments around it, outliers.
+samples loses nothing. Left out: corners, standstill and the moments around it, outliers. Curves
+have pieces of their own kind, see ``curve_pieces``.
 """
 
 from __future__ import annotations
@@ -15,11 +16,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from otf_core.alignment import Alignment
+from otf_core.arcs import curvature
 from otf_core.config import CalibrationConfig
+from otf_core.curve_pieces import curve_boundaries, near_joints
+from otf_core.curves import SHORT_CURVE, Lines
 from otf_core.errors import InputError
 from otf_core.matching import OFF_PATH
 from otf_core.observation import Samples
-from otf_core.path import along_legs, sides_of_travel
+from otf_core.path import sides_of_travel
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -45,10 +49,11 @@ class Pieces:
     xyz : ndarray, shape (p, 3), m
         Mean measured point in the tracker frame.
     leg : ndarray of int64, shape (p,)
-        Leg of the path.
+        Leg of the path; on a curve the first chord of the part of it that shares slow noise.
     origin, direction : ndarray, shape (p, 3)
-        Start point (m) and unit direction of that leg, machine frame; at standstill the point
-        itself and the direction of approach, zero where unknown.
+        Start point (m) and unit direction of that leg, machine frame; on a curve the mean foot
+        and direction of the samples; at standstill the point itself and the direction of
+        approach, zero where unknown.
     side : ndarray, shape (p, 3)
         Sign of the travel of each axis, see ``path.sides_of_travel``.
     count : ndarray of int64, shape (p,)
@@ -67,6 +72,10 @@ class Pieces:
         Places in the recording of the samples averaged; empty if not kept.
     piece : ndarray of int64, shape (u,)
         Piece of each of them.
+    chord : ndarray of int64, shape (p,)
+        Chord of the path on which the piece begins; empty if that is its leg.
+    bend : ndarray, shape (p, 3), m/s^2
+        Acceleration towards the inside of curves, machine frame; empty if there are none.
     """
 
     xyz: Array
@@ -83,6 +92,13 @@ class Pieces:
     standstill: bool = False
     samples: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     piece: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    chord: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    bend: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @property
+    def line(self) -> Index:
+        """Straight line of the path on which each piece begins, shape (p,)."""
+        return self.chord if len(self.chord) else self.leg
 
     def __len__(self) -> int:
         """Return the number of pieces."""
@@ -109,6 +125,8 @@ class Pieces:
             **kept,
             samples=self.samples[stays],
             piece=(np.cumsum(~drop) - 1)[self.piece[stays]],
+            chord=self.chord[~drop] if len(self.chord) else self.chord,
+            bend=self.bend[~drop] if len(self.bend) else self.bend,
             used=self.used - lost,
             outliers=self.outliers + lost,
         )
@@ -203,7 +221,7 @@ def samples_on_lines(
     index : ndarray of int64, shape (n,)
         Neither near corners nor standing still nor outliers.
     along : ndarray, shape (n,), m
-        From the start of the leg.
+        From the start of the leg or chord.
     speed : ndarray, shape (n,), m/s
     outliers : int
         Samples left out as outliers.
@@ -215,19 +233,40 @@ def samples_on_lines(
     """
     leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
     points = alignment.T_machine_tracker.apply(samples.xyz)
-    place = along_legs(points, alignment.corners, leg)
-    along = place.along
-    speed = _moving(samples, along, alignment.leg, config)
-    margin = np.minimum(config.corner_exclusion, 0.25 * place.length)
+    lines = Lines.of(alignment.shape)
+    on_chord = lines.along(points, leg)
+    along = lines.start[leg] + on_chord
+    stretch = np.where(alignment.leg == OFF_PATH, OFF_PATH, lines.shape.stretch[leg])
+    speed = _moving(samples, along, stretch, config)
+    low, high = _margins(lines, alignment, config)
     keep = (alignment.leg != OFF_PATH) & (speed > 0)
-    keep &= (along > margin) & (along < place.length - margin)
+    keep &= (along > low[leg]) & (along < lines.total[leg] - high[leg])
+    if not lines.shape.straight:
+        keep &= ~near_joints(lines, leg, on_chord, config.corner_exclusion)
     chosen = np.flatnonzero(keep)
     if not len(chosen):
         raise InputError('no sample is left on the lines of the path away from corners and stops')
-    offset = points[chosen] - along[chosen, None] * place.unit[chosen]
-    far = _outliers(offset, leg[chosen], config.outlier_limit)
+    offset = points[chosen] - on_chord[chosen, None] * lines.unit[leg[chosen]]
+    bent = np.flatnonzero(lines.shape.curved[leg[chosen]])
+    offset[bent] -= lines.shape.corners[leg[chosen[bent]]]
+    far = _outliers(offset, stretch[chosen], config.outlier_limit)
     chosen = chosen[~far]
-    return chosen, along[chosen], speed[chosen], int(far.sum())
+    return chosen, on_chord[chosen], speed[chosen], int(far.sum())
+
+
+def _margins(lines: Lines, alignment: Alignment, config: CalibrationConfig) -> tuple[Array, Array]:
+    """Length left out at the start and the end of the leg or curve of every chord, m.
+
+    A curve so short that nothing else is left of it is the rounding of a corner.
+    """
+    short = 0.25 * lines.total
+    short[lines.shape.curved & (lines.total < SHORT_CURVE * config.corner_exclusion)] = np.inf
+    margin = np.minimum(config.corner_exclusion, short)
+    margin = np.where(np.isinf(short), lines.total, margin)
+    if alignment.rounded is None:
+        return margin, margin
+    low, high = alignment.rounded.T
+    return np.maximum(margin, low), np.maximum(margin, high)
 
 
 def reduce_to_pieces(
@@ -249,15 +288,49 @@ def reduce_to_pieces(
         If nothing is left.
     """
     chosen, along, speed, outliers = samples_on_lines(samples, alignment, config)
-    corners, leg = alignment.corners, alignment.leg[chosen]
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = step / length[:, None]
-    marks = [piece_boundaries(corners, j, nodes, config.piece_length) for j in range(len(length))]
-    shift = np.concatenate([[0.0], np.cumsum(length + 1.0)])
+    lines, leg = Lines.of(alignment.shape), alignment.leg[chosen]
+    shape = lines.shape
+    first = np.unique(shape.group)
+    marks = _marks(lines, first, nodes, config.piece_length)
+    shift = np.concatenate([[0.0], np.cumsum([m[-1] + 1.0 for m in marks])])
     bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
-    piece = np.searchsorted(bounds, shift[leg] + along, side='right') - 1
-    return _collect(samples, chosen, piece, alignment, unit, speed, outliers)
+    group = shape.group[leg]
+    place = (lines.start[leg] - lines.start[group]) + along
+    place = np.where(shape.curved[leg], np.maximum(place, 0.0), place)
+    piece = np.searchsorted(bounds, shift[np.searchsorted(first, group)] + place, side='right') - 1
+    pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, outliers)
+    return pieces if shape.straight else _on_curves(pieces, lines, alignment, along, speed)
+
+
+def _marks(lines: Lines, first: Index, nodes: tuple[Array, ...], size: float) -> list[Array]:
+    """Piece boundaries of every leg or part of a curve, m from its start."""
+    corners, ends = lines.shape.corners, np.append(first[1:], len(lines.length))
+    return [
+        piece_boundaries(corners, a, nodes, size)
+        if b == a + 1
+        else curve_boundaries(corners[a : b + 1], nodes, size)
+        for a, b in zip(first.tolist(), ends.tolist(), strict=True)
+    ]
+
+
+def _on_curves(
+    pieces: Pieces, lines: Lines, alignment: Alignment, along: Array, speed: Array
+) -> Pieces:
+    """Give pieces of curves the mean foot, direction and acceleration of their samples."""
+    chord = alignment.leg[pieces.samples]
+    foot = lines.shape.corners[chord] + along[:, None] * lines.unit[chord]
+    direction = pieces.mean_of(lines.unit[chord])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    curved = lines.shape.curved[pieces.leg][:, None]
+    bend = curvature(lines).mean(axis=1)[chord] * speed[:, None] ** 2
+    return replace(
+        pieces,
+        origin=np.where(curved, pieces.mean_of(foot), pieces.origin),
+        direction=np.where(curved, direction, pieces.direction),
+        leg=lines.shape.group[pieces.leg],
+        chord=pieces.leg,
+        bend=pieces.mean_of(bend),
+    )
 
 
 def _collect(

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +68,23 @@ class Track:
     def lengths(self) -> Array:
         """Lengths of the legs, shape (k,), m."""
         return np.asarray(np.linalg.norm(self.ends - self.starts, axis=1))
+
+    @cached_property
+    def tree(self) -> Any:
+        """The points as a k-d tree."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.points)
+
+    def cut_at(self, hops: NDArray[np.int64]) -> Track:
+        """Cut legs at hops; those at the ends of a leg are left out."""
+        leg = np.searchsorted(self.start, hops, side='right') - 1
+        inside = (leg >= 0) & (hops > self.start[leg]) & (hops < self.stop[leg])
+        cuts, leg = hops[inside], leg[inside]
+        start = np.sort(np.concatenate([self.start, cuts]))
+        stop = np.sort(np.concatenate([self.stop, cuts]))
+        joined = np.isin(start, cuts) | np.isin(start, self.start[self.joined])
+        return Track(self.hops, self.points, start, stop, joined)
 
 
 def _hop_selection(points: Array) -> NDArray[np.int64]:

@@ -34,7 +34,7 @@ def piece_state(
     return state_on_path(
         run.machine,
         run.alignment.corners,
-        np.zeros_like(pieces.leg) if pieces.standstill else pieces.leg,
+        np.zeros_like(pieces.leg) if pieces.standstill else pieces.line,
         solved.system.q,
         pieces.speed,
         pieces.time,
@@ -42,6 +42,7 @@ def piece_state(
         nodes,
         tables,
         float(run.recording.samples.time[-1]),
+        run.alignment.shape,
     )
 
 

@@ -79,6 +79,7 @@ def sample_state(
         nodes,
         tables,
         float(samples.time[-1]),
+        run.alignment.shape,
     )
 
 
@@ -96,7 +97,7 @@ def sample_residuals(
     nodes : mapping of axis to ndarray, m
     """
     state = sample_state(run, pose, tables, nodes)
-    leg = run.alignment.leg[run.pieces.samples]
+    leg = run.pieces.leg[run.pieces.piece]
     points = pose.apply(run.recording.samples.xyz[run.pieces.samples])
     offset = points - state.q - displacement(tables, state.q)
     offset -= np.einsum('ij,ij->i', offset, state.direction)[:, None] * state.direction

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.curves import Lines, Shape, straight_shape
 from otf_core.effects.base import State
 from otf_core.frames import RigidTransform
 from otf_core.machine import AXES, Machine
@@ -29,6 +30,7 @@ def state_on_path(
     nodes: Mapping[str, Array],
     tables: ErrorTables | None = None,
     duration: float = 0.0,
+    shape: Shape | None = None,
 ) -> State:
     """Describe points of a path.
 
@@ -47,11 +49,13 @@ def state_on_path(
     tables : ErrorTables, optional
     duration : float, s
         Length of the recording; 0 stands for the time of the last point.
+    shape : Shape, optional
+        Which legs are chords of curves; none without it.
     """
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = step / length[:, None]
-    along = np.clip(np.einsum('ij,ij->i', q - corners[leg], unit[leg]), 0.0, length[leg])
+    lines = Lines.of(shape or straight_shape(corners))
+    unit, stretch = lines.unit, lines.shape.stretch
+    along = lines.start[leg] + np.clip(lines.along(q, leg), 0.0, lines.length[leg])
+    after = np.searchsorted(stretch, stretch[leg], side='right')
     return State(
         machine=machine,
         q=q,
@@ -59,10 +63,10 @@ def state_on_path(
         speed=speed,
         time=time,
         from_corner=along,
-        to_corner=length[leg] - along,
+        to_corner=lines.total[leg] - along,
         side=sides_of_travel(unit)[leg],
-        before=unit[np.maximum(leg - 1, 0)],
-        after=unit[np.minimum(leg + 1, len(unit) - 1)],
+        before=unit[np.maximum(stretch[leg] - 1, 0)],
+        after=unit[np.minimum(after, len(unit) - 1)],
         beam=q - T_machine_tracker.translation,
         R_machine_tracker=T_machine_tracker.rotation,
         nodes=nodes,

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Paths driven otherwise than published, calibrated: as good as driven as planned.
+
+Judged by an independent nature whose errors are polygons between the nodes, so that what is left
+is noise and what the alignment did, not the shape of the errors.
+"""
+
+import numpy as np
+import pytest
+from nature import Cell, judge
+from programs import arc, drive, helix, programs, record, rounded, without
+
+from otf_core.alignment import align
+from otf_core.calibrate import calibrate_runs
+from otf_core.config import CalibrationConfig
+
+CONFIG = CalibrationConfig()
+RATE = 50.0
+FEED = 0.25
+CELL = Cell(3, size=(0.3, 0.25, 0.2), pitch=0.05, form='polygon', path='short', passes=1)
+P = CELL.path.points
+PROGRAMS = programs(P)
+
+
+@pytest.fixture(scope='module')
+def as_planned():
+    """Error left, um, of the run driven as planned: white and coloured noise, 50 Hz."""
+    run = calibrate_runs([record(CELL, drive(P, FEED, rate=RATE), rate=RATE)])
+    return judge(CELL, run.tables, run.covariance)
+
+
+@pytest.mark.parametrize(
+    'name',
+    ['twice', 'restarted from an earlier corner', 'only backward', 'four corners skipped',
+     'a leg aborted, half driven back'],
+)  # fmt: skip
+def test_tables_are_as_good_as_those_of_the_run_driven_as_planned(name, as_planned):
+    run = calibrate_runs([record(CELL, drive(PROGRAMS[name], FEED, rate=RATE), rate=RATE)])
+    found = judge(CELL, run.tables, run.covariance)
+    assert as_planned.left_percent < 1.5
+    # another draw of the noise: a quarter of 60 node values' scatter
+    assert found.left_percent < 1.35 * as_planned.left_percent
+    assert found.within_2u_percent > 75
+    assert not run.failed_gates
+
+
+def test_a_second_lap_is_worth_its_samples(as_planned):
+    twice = calibrate_runs([record(CELL, drive(PROGRAMS['twice'], FEED, rate=RATE), rate=RATE)])
+    once = calibrate_runs([record(CELL, drive(P, FEED, rate=RATE), rate=RATE)])
+    assert twice.fit.used == pytest.approx(2 * once.fit.used, rel=0.01)
+    assert twice.tables.squareness['C0Y'].u < 0.85 * once.tables.squareness['C0Y'].u
+
+
+@pytest.mark.parametrize('reach', [0.005, 0.012, 0.02, 0.03])
+def test_smooth_corners_are_left_out_as_far_as_they_reach(reach, as_planned):
+    q = drive(rounded(P, reach), FEED, rate=RATE)
+    recording = record(CELL, q, rate=RATE)
+    run = calibrate_runs([recording])
+    found = judge(CELL, run.tables, run.covariance)
+    assert found.left_percent < 1.35 * as_planned.left_percent
+    alignment = align(recording.samples, recording.path, CONFIG)
+    assert not run.failed_gates
+    if reach > 0.012:  # beyond the exclusion of corners
+        assert np.median(alignment.rounded[1:-1]) > reach
+
+
+def test_smooth_corners_twice_with_the_beam_lost():
+    path = rounded(P, 0.02)
+    q = drive(np.concatenate([path, path[1:]]), FEED, rate=RATE)
+    recording = without(record(CELL, q, rate=RATE), (0.1, 0.12), (0.45, 0.47), (0.8, 0.82))
+    run = calibrate_runs([recording])
+    assert judge(CELL, run.tables).left_percent < 1.5
+    assert run.fit.coverage > 0.97
+
+
+# ---------------------------------------------------------------- curves
+
+CENTRE = 0.5 * (CELL.machine.lower + CELL.machine.upper)
+PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
+CURVE_RATE = 200.0
+
+
+def circles(chord, radius=0.09):
+    """Two full circles in planes of every orientation."""
+    unit = np.eye(3)
+    return np.concatenate(
+        [
+            arc(CENTRE + level * unit[c], unit[a], unit[b], radius, 0.3, 0.3 + 2 * np.pi, chord)
+            for a, b, c in PLANES
+            for level in (-0.06, 0.06)
+        ]
+    )
+
+
+def left(driven, published):
+    recording = record(CELL, drive(driven, 0.15, rate=CURVE_RATE), published, rate=CURVE_RATE)
+    run = calibrate_runs([recording])
+    assert not run.failed_gates
+    return run, judge(CELL, run.tables, run.covariance)
+
+
+@pytest.fixture(scope='module')
+def lines_only():
+    return left(P, P)[1]
+
+
+@pytest.mark.parametrize('chord', [1e-4, 1e-3, 5e-3])
+def test_circles_of_chords_beside_lines_leave_no_more_than_lines(chord, lines_only):
+    path = np.concatenate([P, circles(chord)])
+    run, found = left(path, path)
+    assert found.left_percent < 1.2 * lines_only.left_percent
+    assert found.within_2u_percent > 80
+    assert not run.warnings
+
+
+def test_a_helix_beside_lines_leaves_no_more_than_lines(lines_only):
+    path = np.concatenate([P, helix(CENTRE - [0, 0, 0.08], 0.08, 0.02, 8)])
+    assert left(path, path)[1].left_percent < 1.2 * lines_only.left_percent
+
+
+@pytest.mark.parametrize('chord', [1e-3, 5e-3])
+def test_arcs_driven_where_chords_are_published_are_recognised(chord, lines_only):
+    published = np.concatenate([P, circles(chord)])
+    driven = np.concatenate([P, circles(1e-4)])  # sagitta 0.01 um: as good as arcs
+    run, found = left(driven, published)
+    # taken for chords, a sagitta of 35 um (5 mm) would leave twenty times as much
+    assert found.left_percent < 1.2 * lines_only.left_percent
+    assert not run.warnings
+
+
+def test_circles_alone_give_tables_where_they_were_driven():
+    path = circles(1e-3)
+    cell = Cell(3, size=(0.3, 0.25, 0.2), pitch=0.05, form='polygon', path=path, passes=1)
+    recording = record(cell, drive(path, 0.15, rate=CURVE_RATE), path, rate=CURVE_RATE)
+    run = calibrate_runs([recording])
+    found = judge(cell, run.tables, run.covariance)
+    assert found.left_percent < 10
+    assert found.within_2u_percent > 75
+
+
+def test_circles_twice_and_back_are_followed(lines_only):
+    path = np.concatenate([P, circles(1e-3)])
+    found = left(np.concatenate([path, path[::-1][1:]]), path)[1]
+    assert found.left_percent < 1.2 * lines_only.left_percent
