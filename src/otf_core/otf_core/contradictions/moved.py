@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracker or target moved in mid-run: a rigid step of all points at one moment.
+
+Six numbers before and after a moment explain what tables, reversal and a drift of third order in
+time leave. A step shows as a peak over time; other misfit explains little, or at no moment more
+than at others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.contradictions.finding import GATE, WARNING, Finding
+from otf_core.contradictions.model import Model
+from otf_core.contradictions.rows import pose_columns
+from otf_core.contradictions.steps import Profile, step_profile
+from otf_core.errors import InputError
+from otf_core.machine import AXES
+from otf_core.pieces import reduce_to_pieces
+from otf_core.runs import Run, rigid_pose
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+MOMENTS = 200
+"""Moments that are tried at first."""
+SHARE = 0.06
+"""Share of the sum of squares that a step must explain; other misfit gave up to 0.03."""
+PEAK = 0.06
+"""Share of the run within which a step is one peak."""
+BESIDE = 0.75
+"""What a step beside the peak explains of it at most; a slow change gives more."""
+MAX_STEPS = 5
+"""Steps that are looked for in one run."""
+MIN_PIECES = 60
+"""Pieces on either side of a step."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of one run.
+
+    Attributes
+    ----------
+    run : int
+    time : float
+        s since the first sample.
+    place : ndarray, shape (3,), m
+        On the path, machine frame.
+    shift : float
+        m; mean length of the displacement over the run.
+    turn : float
+        rad.
+    share : float
+        Of the sum of squares that it explains.
+    """
+
+    run: int
+    time: float
+    place: Array
+    shift: float
+    turn: float
+    share: float
+
+    @property
+    def words(self) -> str:
+        """When, where and how much."""
+        place = ', '.join(f'{a} {1e3 * v:.0f}' for a, v in zip(AXES, self.place, strict=True))
+        return (
+            f'{self.time:.1f} s after the start, near {place} mm, by {_um(self.shift)}'
+            f'{f" and {1e6 * self.turn:.0f} urad" if self.turn > 1e-5 else ""}'
+        )
+
+
+def _um(value: float) -> str:
+    return f'{1e3 * value:.2f} mm' if value >= 1e-4 else f'{1e6 * value:.1f} um'
+
+
+def find_step(model: Model, run: int) -> Step | None:
+    """Find the largest step of one run; None if nothing looks like one."""
+    rows, fit = model.rows, model.fit
+    mine = np.flatnonzero(rows.run == run)
+    order = mine[np.argsort(rows.time[mine], kind='stable')]
+    if len(order) < 3 * MIN_PIECES:
+        return None
+    used = fit.weight.reshape(len(rows.axes), -1).sum(axis=0) > 0
+    order = order[used[order]]
+    columns = pose_columns(rows) * np.tile(rows.run == run, len(rows.axes))[:, None]
+    starts = np.linspace(MIN_PIECES, len(order) - MIN_PIECES, MOMENTS).astype(np.int64)
+    profile = step_profile(rows, fit, columns, order, np.unique(starts))
+    best = int(np.argmax(profile.gain))
+    share = float(profile.gain[best]) / fit.square
+    if share < SHARE or not _is_peak(profile, best, len(order)):
+        return None
+    low, high = (profile.start[np.clip(best + k, 0, len(profile.start) - 1)] for k in (-1, 1))
+    fine = step_profile(rows, fit, columns, order, np.unique(np.arange(low, high + 1)))
+    best = int(np.argmax(fine.gain))
+    first, value = order[fine.start[best]], fine.value[best]
+    points = rows.points[order]
+    moved = value[:3] + np.cross(value[3:], points)
+    return Step(
+        run,
+        float(rows.time[first]),
+        rows.q[first],
+        float(np.mean(np.linalg.norm(moved, axis=1))),
+        float(np.linalg.norm(value[3:])),
+        float(fine.gain[best]) / fit.square,
+    )
+
+
+def _is_peak(profile: Profile, best: int, pieces: int) -> bool:
+    away = np.abs(profile.start - profile.start[best]) / pieces
+    beside = (away > 0.5 * PEAK) & (away < PEAK)
+    return bool(profile.gain[beside].max(initial=0.0) < BESIDE * profile.gain[best])
+
+
+def part_of(run: Run, first: int, last: int, nodes: Sequence[Array], config: CalibrationConfig
+            ) -> Run:  # fmt: skip
+    """Samples ``first`` to ``last - 1`` of a run as a run of its own, with a pose of its own.
+
+    Raises
+    ------
+    InputError
+        If they do not fix the pose.
+    """
+    recording = replace(run.recording, samples=run.recording.samples.part(first, last))
+    alignment = replace(run.alignment, leg=run.alignment.leg[first:last])
+    pieces = reduce_to_pieces(recording.samples, alignment, tuple(nodes), config)
+    pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
+    return replace(run, recording=recording, alignment=alignment, pieces=pieces, pose=pose)
+
+
+def split(
+    run: Run, step: Step, nodes: Sequence[Array], config: CalibrationConfig
+) -> tuple[Run, Run] | None:
+    """Cut a run at a step; None if a part does not fix its pose."""
+    time = run.recording.samples.time
+    cut = int(np.searchsorted(time, step.time))
+    name = run.recording.name or 'run'
+    try:
+        parts = (
+            part_of(run, 0, cut, nodes, config),
+            part_of(run, cut, len(time), nodes, config),
+        )
+    except InputError:
+        return None
+    words = (f'{name} before {step.time:.1f} s', f'{name} after {step.time:.1f} s')
+    before, after = (
+        replace(part, recording=replace(part.recording, name=text))
+        for part, text in zip(parts, words, strict=True)
+    )
+    return before, after
+
+
+def settle_steps(
+    model: Model, nodes: Sequence[Array], config: CalibrationConfig, *, mend: bool
+) -> tuple[Model, list[Finding]]:
+    """Find steps, cut the runs there and solve anew, until no step is left.
+
+    Parameters
+    ----------
+    model : Model
+    nodes : three arrays, m
+        Table nodes of X, Y, Z.
+    config : CalibrationConfig
+    mend : bool
+        Cut the runs; else only say what is found.
+
+    Returns
+    -------
+    model : Model
+        Of the parts.
+    findings : list of Finding
+    """
+    found: list[Finding] = []
+    for _ in range(MAX_STEPS):
+        steps = [s for k in range(len(model.runs)) if (s := find_step(model, k)) is not None]
+        if not steps:
+            break
+        step = max(steps, key=lambda s: s.share)
+        run = model.runs[step.run]
+        parts = split(run, step, nodes, config) if mend else None
+        found.append(_finding(run, step, parts is not None, mend=mend))
+        if parts is None:
+            break
+        runs = [*model.runs[: step.run], *parts, *model.runs[step.run + 1 :]]
+        model = Model.of(runs)
+    return model, found
+
+
+def _finding(run: Run, step: Step, mended: bool, *, mend: bool) -> Finding:
+    name = f'{run.recording.name}: ' if run.recording.name else ''
+    text = f'{name}tracker or target moved {step.words}'
+    if mended:
+        return Finding('moved', WARNING, (
+            f'{text}; the parts before and after are solved each with a place of the tracker of '
+            f'its own. Check clamping and target'
+        ))  # fmt: skip
+    if mend:
+        return Finding('moved', GATE, (
+            f'{text}; what is left on one side does not fix the tracker: clamp both and record '
+            f'again, or cut the recording there'
+        ))  # fmt: skip
+    return Finding('moved', WARNING, f'{text}; check clamping and target')
