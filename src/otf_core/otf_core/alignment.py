@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
+from otf_core.contradictions.no_match import why_no_match
 from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
 from otf_core.matching import OFF_PATH, Match, find_match, follow
@@ -23,9 +24,6 @@ from otf_core.path import NominalPath
 from otf_core.track import Track, measured_track
 
 Array = NDArray[np.float64]
-
-WIDER = (2.5, 5.0, 10.0)
-"""Multiples of the tolerance that are tried to say what is wrong."""
 
 
 @dataclass(frozen=True)
@@ -135,46 +133,6 @@ def _hop_legs(match: Match, track: Track) -> NDArray[np.int64]:
     return legs
 
 
-def _wider(samples: Samples, corners: Array, tolerance: float) -> float | None:
-    """Tolerance within which the track would fit the path, m; None if none of ``WIDER`` does."""
-    for factor in WIDER:
-        track = measured_track(samples, factor * tolerance)
-        match = find_match(track, corners, factor * tolerance)
-        if match is not None and _explained(match, track) > 0.8:
-            return factor * tolerance
-    return None
-
-
-def _complaint(samples: Samples, track: Track, corners: Array, tolerance: float) -> str:
-    """Say why nothing fits, as far as the shapes tell."""
-    ratio = np.ptp(track.points, axis=0).max() / np.ptp(corners, axis=0).max()
-    if not 0.3 < ratio < 3:
-        factor = 1000.0 if ratio > 1 else 0.001
-        unit = (
-            f'; are the points in {"mm" if ratio > 1 else "km"}?'
-            if 0.5 < ratio / factor < 2
-            else ''
-        )
-        return f'the measured track is {ratio:.3g} times as large as the path{unit}'
-    mirrored = Track(
-        track.hops, track.points * [-1.0, 1.0, 1.0], track.start, track.stop, track.joined
-    )
-    match = find_match(mirrored, corners, tolerance)
-    if match is not None and _explained(match, track) > 0.8:
-        return 'the track fits only mirrored: are the tracker coordinates left-handed?'
-    enough = _wider(samples, corners, tolerance)
-    if enough is not None:
-        return (
-            f'it does within {1e3 * enough:g} mm, but match_tolerance is {1e3 * tolerance:g} mm. '
-            f'If the machine rounds its corners that much, raise match_tolerance to {enough:g} '
-            f'(m) and corner_exclusion to the length that is rounded, about {3 * enough:g}'
-        )
-    return (
-        f'no run of measured corners fits the path within match_tolerance '
-        f'({1e3 * tolerance:g} mm): do bag and path belong together?'
-    )
-
-
 def _explained(match: Match, track: Track) -> float:
     """Share of the measured length that lies on the path."""
     return float(track.lengths[match.leg != OFF_PATH].sum() / track.lengths.sum())
@@ -221,7 +179,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     match = find_match(track, corners, tolerance)
     if match is None or _explained(match, track) < 0.3:
         raise InputError(
-            f'samples do not follow the path: {_complaint(samples, track, corners, tolerance)}'
+            f'samples do not follow the path: {why_no_match(samples, track, corners, tolerance)}'
         )
     for _ in range(2):
         pose = _refine(match, track, corners, config)

@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget, make_budget, whole_check
 from otf_core.config import CalibrationConfig
+from otf_core.contradictions.before import check_recordings
+from otf_core.contradictions.examine import examine
+from otf_core.contradictions.finding import GATE, WARNING, words_of
+from otf_core.contradictions.worth import check_worth
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.machine import Machine
@@ -261,7 +265,9 @@ def calibrate_runs(
     progress = progress or (lambda stage, fraction: None)
     with one_thread():
         progress('aligning', 0.0)
+        check_recordings(recordings)
         runs, nodes = prepare(recordings, config)
+        runs = examine(runs, nodes, config)
         progress('solving', 0.0)
         return _assemble(solve_with_reversal(runs, nodes, config, progress), config)
 
@@ -355,6 +361,16 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
     return tuple(failed)
 
 
+def _sample_noise(runs: Sequence[Run]) -> float:
+    """Largest standard deviation of single samples among runs, m."""
+    return max(
+        float(
+            np.hypot(r.noise.u_range, r.noise.u_angle * np.linalg.norm(r.pieces.xyz, axis=1)).max()
+        )
+        for r in runs
+    )
+
+
 def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> CalibrationResult:
     runs, done = solved.runs, solved.done
     solution, unknowns = done.solution, done.unknowns
@@ -364,6 +380,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
     fit = _fit(runs, results, done, budget.inflation)
     covariance = budget.covariance
     tables = with_uncertainty(tables, covariance)
+    remarks = (*runs[0].remarks, *check_worth(tables, covariance, _sample_noise(runs)))
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,
@@ -384,7 +401,10 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
             solved.choice.held,
         ),
         not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
-        warnings=tuple(_warnings(fit, unknowns, solution, tables, config.unidentifiable_above)),
-        failed_gates=_failed_gates(fit),
+        warnings=(
+            *words_of(remarks, WARNING),
+            *_warnings(fit, unknowns, solution, tables, config.unidentifiable_above),
+        ),
+        failed_gates=(*words_of(remarks, GATE), *_failed_gates(fit)),
         config=config,
     )

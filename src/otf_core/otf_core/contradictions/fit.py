@@ -35,7 +35,7 @@ class Fit:
     value : ndarray, shape (k,), m and rad
     residual : ndarray, shape (r,), m
     freedom : float
-        Rows less the unknowns that the data determine.
+        Rows less the unknowns that the data determine; not a number where the weights were given.
     """
 
     design: sparse.csr_array
@@ -83,21 +83,27 @@ def gain(left: Array, score: Array, prior: float = PRIOR) -> tuple[float, Array]
     prior : float
         Standard deviation of the values before the data.
     """
-    value = linalg.solve(left + np.eye(len(left)) / prior**2, score, assume_a='pos')
+    root, vectors = linalg.eigh(left, check_finite=False)
+    least = max(1e-9 * float(root[-1]), 1.0 / prior**2)
+    value = vectors @ ((vectors.T @ score) / np.maximum(root, least))
     return float(score @ value), np.asarray(value)
 
 
 def _solve(
     design: sparse.csr_array, target: Array, weight: Array
-) -> tuple[tuple[Array, bool], Array, float]:
+) -> tuple[tuple[Array, bool], Array]:
     weighted = sparse.csr_array(sparse.diags_array(weight) @ design)
     data = (design.T @ weighted).toarray()
     prior = np.full(len(data), 1.0 / PRIOR**2)
     factor = linalg.cho_factor(data + np.diag(prior), lower=True, check_finite=False)
     value = linalg.cho_solve(factor, weighted.T @ target, check_finite=False)
-    inverse = linalg.cho_solve(factor, np.eye(len(data)), check_finite=False)
-    unknowns = len(data) - float(np.diag(inverse) @ prior)
-    return factor, value, float(np.sum(weight > 0)) - unknowns
+    return factor, value
+
+
+def _freedom(factor: tuple[Array, bool], weight: Array) -> float:
+    inverse = linalg.cho_solve(factor, np.eye(len(factor[0])), check_finite=False)
+    unknowns = len(inverse) - float(np.trace(inverse)) / PRIOR**2
+    return float(np.sum(weight > 0)) - unknowns
 
 
 def solve(rows: Rows, *parts: sparse.csr_array | Array, weight: Array | None = None) -> Fit:
@@ -117,7 +123,7 @@ def solve(rows: Rows, *parts: sparse.csr_array | Array, weight: Array | None = N
     used = 1.0 / rows.sigma.ravel() ** 2 if weight is None else weight
     full = used
     for _ in range(1 if given else REPEATS):
-        factor, value, freedom = _solve(design, target, used)
+        factor, value = _solve(design, target, used)
         residual = target - design @ value
         size = np.sqrt(full * residual**2).reshape(rows.deviation.shape)
         distance = np.linalg.norm(size, axis=0)
@@ -128,6 +134,7 @@ def solve(rows: Rows, *parts: sparse.csr_array | Array, weight: Array | None = N
         used = now
     else:
         if not given:
-            factor, value, freedom = _solve(design, target, used)
+            factor, value = _solve(design, target, used)
             residual = target - design @ value
+    freedom = np.nan if given else _freedom(factor, used)
     return Fit(design, used, factor, value, np.asarray(residual), freedom)

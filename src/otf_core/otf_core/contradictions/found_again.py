@@ -99,15 +99,16 @@ def settle_offsets(model: Model, *, mend: bool) -> tuple[Model, list[Finding]]:
 def _finding(run: Run, again: FoundAgain, *, mend: bool) -> Finding:
     name = f'{run.recording.name}: ' if run.recording.name else ''
     offsets, breaks = again.offsets, int(again.segment[-1])
-    size = float(np.sqrt(offsets.value.shape[1])) * offsets.width
+    times = f'{breaks} times' if breaks > 1 else 'once'
     along = ' along the beam' if offsets.kind == 'range' else ''
     done = (
-        f'; offsets of {np.mean(offsets.u) * 1e6:.2g} um uncertainty are estimated and taken off'
+        f'; offsets of the parts between breaks are estimated (u '
+        f'{np.mean(offsets.u) * 1e6:.2g} um) and taken off'
         if mend
         else ''
     )
     return Finding('found again', WARNING, (
-        f'{name}the beam was lost {breaks} times and found again with a shift of about '
-        f'{1e6 * size:.1f} um{along}{done}. Check the seat of the target, and how the tracker '
-        f'sets its range after a break'
+        f'{name}the beam was lost {times} and found again, each time about '
+        f'{1e6 * offsets.step:.1f} um beside{along}{done}. Check the seat '
+        f'of the target, and how the tracker sets its range after a break'
     ))  # fmt: skip

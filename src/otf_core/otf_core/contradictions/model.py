@@ -21,6 +21,9 @@ from otf_core.contradictions.rows import (
 from otf_core.machine import Chain
 from otf_core.runs import Run
 
+MAX_PIECES = 4000
+"""Pieces that are looked at where many models are compared."""
+
 
 @dataclass(frozen=True)
 class Model:
@@ -45,16 +48,35 @@ class Model:
         rows = build_rows(runs)
         return cls(tuple(runs), rows, solve(rows, nuisance(rows), table_columns(rows)))
 
-    def with_other(self, chain: Chain | None = None, offset: Array | None = None) -> Fit:
-        """Fit with another chain or other target offsets (p, 3), on the same pieces."""
-        columns = table_columns(self.rows, chain, offset)
-        return solve(self.rows, nuisance(self.rows), columns, weight=self.fit.weight)
+    def left_with(self, chains: Sequence[Chain], offsets: Sequence[Array]) -> Array:
+        """What other chains or target offsets leave, on the same pieces, thinned.
+
+        Parameters
+        ----------
+        chains : sequence of Chain
+        offsets : sequence of ndarray, shape (runs, 3), m
+            One for each chain.
+
+        Returns
+        -------
+        ndarray, shape (k,), m
+            Weighted root mean square of the residuals.
+        """
+        step = max(1, len(self.rows) // MAX_PIECES)
+        chosen = np.arange(0, len(self.rows), step)
+        rows = self.rows.take(chosen)
+        weight = self.fit.weight.reshape(len(rows.axes), -1)[:, chosen].ravel()
+        usual = nuisance(rows)
+        found = []
+        for chain, offset in zip(chains, offsets, strict=True):
+            columns = table_columns(rows, chain, offset[rows.run])
+            found.append(solve(rows, usual, columns, weight=weight).square)
+        return np.asarray(np.sqrt(np.array(found) / weight.sum()))
 
     @property
-    def noise(self) -> float:
-        """Noise expected of a row, m, root mean square."""
-        used = self.fit.weight > 0
-        return float(np.sqrt(np.mean(self.rows.sigma.ravel()[used] ** 2)))
+    def offsets(self) -> Array:
+        """Target offset of every run as stated, shape (runs, 3), m."""
+        return np.array([run.machine.target_offset for run in self.runs])
 
 
 def nuisance(rows: Rows) -> Array:

@@ -82,7 +82,7 @@ def _um(value: float) -> str:
 
 
 def find_step(model: Model, run: int) -> Step | None:
-    """Find the largest step of one run; None if nothing looks like one."""
+    """Find the largest step of one of the runs; None if nothing looks like one."""
     rows, fit = model.rows, model.fit
     mine = np.flatnonzero(rows.run == run)
     order = mine[np.argsort(rows.time[mine], kind='stable')]

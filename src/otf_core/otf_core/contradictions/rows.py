@@ -9,7 +9,7 @@ of a second; error tables come from ``joint``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from scipy import sparse
 
 from otf_core.kinematics import squareness_influence
 from otf_core.machine import AXES, Chain, Machine
-from otf_core.noise import NoiseModel, beam_shares, path_frame
+from otf_core.noise import beam_shares, path_frame
 from otf_core.runs import Run
 from otf_core.tables import SQUARENESS
 from otf_core.unknowns import interval
@@ -79,6 +79,18 @@ class Rows:
         """Number of runs."""
         return int(self.run[-1]) + 1
 
+    def take(self, pieces: Index) -> Rows:
+        """Return the rows of some pieces only, given by their places."""
+        across = {'axes', 'deviation', 'sigma'}
+        found = {
+            f.name: getattr(self, f.name)[:, pieces]
+            if f.name in across
+            else getattr(self, f.name)[pieces]
+            for f in fields(self)
+            if f.name != 'machine'
+        }
+        return Rows(self.machine, **found)
+
     def component(self, vectors: Array) -> Array:
         """Rows of vectors (p, 3) along ``axes``, shape (c p,)."""
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, vectors).ravel())
@@ -98,7 +110,9 @@ def _sigma(run: Run, along: Array, across: Array) -> Array:
         (noise.u_range, noise.white_range, along),
         (noise.u_angle, noise.white_angle, across),
     ):
-        mean = _mean_variance(white, noise.correlation_time, pieces.duration, pieces.count)
+        mean = _mean_variance(
+            white, noise.correlation_time, pieces.duration, pieces.count.astype(float)
+        )
         variance += (level * share) ** 2 * mean
     return np.asarray(np.sqrt(variance))
 
@@ -139,11 +153,6 @@ def build_rows(runs: Sequence[Run]) -> Rows:
         for name in parts[0]
     }
     return Rows(runs[0].machine, **joined)
-
-
-def specified(run: Run) -> NoiseModel:
-    """Noise of a run as its machine.yaml states it."""
-    return NoiseModel.from_spec(run.machine.tracker)
 
 
 def pose_columns(rows: Rows) -> Array:

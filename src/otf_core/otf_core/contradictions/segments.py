@@ -55,6 +55,12 @@ class Offsets:
     width: float
     evidence: float
 
+    @property
+    def step(self) -> float:
+        """Root mean square of the length by which successive segments differ, m."""
+        change = np.diff(self.value, axis=0)
+        return float(np.sqrt(np.mean(np.sum(change**2, axis=1))))
+
 
 def segment_of_samples(samples: Samples) -> Index:
     """Number of the uninterrupted segment of every sample, shape (n,), from 0."""
@@ -130,5 +136,9 @@ def estimate(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
     u = np.sqrt(np.einsum('ij,j,ij->i', vectors, cover, vectors))
     shape = (share.shape[1], -1)
     return Offsets(
-        kind, (vectors @ value).reshape(shape), u.reshape(shape), float(np.sqrt(variance)), evidence
+        kind,
+        (vectors @ value).reshape(shape),
+        u.reshape(shape),
+        float(np.sqrt(variance)),
+        evidence,
     )

@@ -8,16 +8,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.contradictions.stamp_words import stamp_words
 from otf_core.errors import InputError
 from otf_core.observation import Samples
+from otf_core.path import NominalPath
 from otf_core.runs import Recording, blamed
 
 Array = NDArray[np.float64]
 
-MOST = 0.5
-"""Share of repeated stamps from which on they tell how the stamps are made."""
 FAST, SLOW = 20.0, 1e-3
 """m/s; no machine tool drives faster, no calibration path is driven slower."""
+OTHER_UNIT = 30.0
+"""Ratio of the sizes of track and path from which on one of them is in another unit."""
 WINDOW = 20
 """Samples over which a speed is taken."""
 TO_AND_FRO = 5.0
@@ -28,48 +30,14 @@ LOOKED_AT = 20000
 """Samples that are told apart one by one at most."""
 
 
-def stamp_words(stamp_ns: NDArray[np.int64]) -> str:
-    """Say how stamps that repeat were made, as far as they show it.
-
-    Parameters
-    ----------
-    stamp_ns : ndarray of int64, shape (n,), ns
-        Ascending.
-
-    Returns
-    -------
-    str
-        Begins with a verb; empty if they do not repeat.
-    """
-    count = len(stamp_ns)
-    different, size = np.unique(stamp_ns, return_counts=True)
-    if len(different) == count:
-        return ''
-    if len(different) == 1:
-        return (
-            'are all equal: the driver stamps the whole stream once; it has to give every '
-            'sample its own time of measurement'
-        )
-    block = float(np.median(size))
-    if count - len(different) > MOST * count:
-        return (
-            f'repeat in blocks of about {block:.0f} samples: the driver stamps packets, not '
-            f'samples; it has to give every sample its own time of measurement'
-        )
-    return (
-        'are given to different points: their resolution is too coarse, or two trackers publish '
-        'on one topic'
-    )
-
-
 def check_stamps(recordings: Sequence[Recording]) -> None:
     """Refuse stamps that do not ascend or that belong to two streams; InputError says why."""
     for recording in recordings:
         with blamed(recording):
-            _check(recording.samples)
+            _check(recording.samples, recording.path)
 
 
-def _check(samples: Samples) -> None:
+def _check(samples: Samples, path: NominalPath) -> None:
     step = np.diff(samples.stamp_ns)
     if len(step) and step.min() < 0:
         raise InputError('stamps go back; sort the samples by their time of measurement')
@@ -78,11 +46,14 @@ def _check(samples: Samples) -> None:
     two = two_streams(samples)
     if two:
         raise InputError(two)
+    larger = float(np.ptp(samples.xyz, axis=0).max() / np.ptp(path.points, axis=0).max())
+    if not 1.0 / OTHER_UNIT < larger < OTHER_UNIT:
+        return  # the alignment names the unit
     speed = top_speed(samples)
     if speed > FAST:
         raise InputError(
             f'the target moves at {speed:.3g} m/s by the stamps, and no machine tool does: are '
-            f'they in another unit than ns, or the points in another than m?'
+            f'they in another unit than ns?'
         )
     if 0.0 < speed < SLOW:
         raise InputError(

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables that are no use: as uncertain as the errors that they state."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.contradictions.finding import GATE, WARNING, Finding
+from otf_core.evaluation import rigid_columns
+from otf_core.kinematics import displacement, motion_influence, squareness_influence
+from otf_core.machine import AXES
+from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.unknowns import interval
+
+Array = NDArray[np.float64]
+
+COUNT = 4
+"""Points per axis of the lattice that is looked at."""
+REST = 5.0
+"""Uncertainty over the noise of a sample below which small errors mean a good machine."""
+
+
+def lattice_of(tables: ErrorTables) -> Array:
+    """Lattice over the range of the tables, shape (n, 3), m."""
+    ends = [tables.motions[f'E{a}{a}'].position for a in AXES]
+    lines = [np.linspace(float(e[0]), float(e[-1]), COUNT) for e in ends]
+    grids = np.meshgrid(*lines, indexing='ij')
+    return np.stack([g.ravel() for g in grids], axis=1)
+
+
+def _influence(tables: ErrorTables, q: Array) -> Array:
+    """Displacement per unit of squareness and nodes, shape (n, 3, m)."""
+    parts = [squareness_influence(n, q)[:, :, None] for n in SQUARENESS]
+    for name in MOTIONS:
+        position = tables.motions[name].position
+        index, fraction = interval(position, q[:, AXES.index(name[2])])
+        weight = np.zeros((len(q), len(position)))
+        place = np.arange(len(q))
+        weight[place, index] = 1.0 - fraction
+        weight[place, np.minimum(index + 1, len(position) - 1)] += fraction
+        parts.append(motion_influence(tables.machine, name, q)[:, :, None] * weight[:, None])
+    return np.concatenate(parts, axis=2)
+
+
+def volumetric(tables: ErrorTables, covariance: Array) -> tuple[float, float]:
+    """Error that the tables state and its uncertainty, m, root mean square of the length.
+
+    The rigid motion is taken out of both.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+    covariance : ndarray, shape (m, m)
+        Of squareness and nodes in the order of ``tables.MOTIONS``.
+    """
+    q = lattice_of(tables)
+    columns = _influence(tables, q).reshape(3 * len(q), -1)
+    basis, _ = np.linalg.qr(rigid_columns(q).reshape(-1, 6))
+
+    def free(values: Array) -> Array:
+        return np.asarray(values - basis @ (basis.T @ values))
+
+    columns = free(columns)
+    variance = float(np.sum((columns @ covariance) * columns))
+    error = free(displacement(tables, q).ravel())
+    count = len(q)
+    return float(np.sqrt(error @ error / count)), float(np.sqrt(max(variance, 0.0) / count))
+
+
+def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Finding]:
+    """Compare the error that tables state with its uncertainty.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+    covariance : ndarray, shape (m, m)
+    noise : float
+        m; of a sample.
+    """
+    error, u = volumetric(tables, covariance)
+    if u < error:
+        return []
+    text = (
+        f'the volumetric error that the tables state is {1e6 * error:.2f} um, its standard '
+        f'uncertainty {1e6 * u:.2f} um (root mean square over the driven volume)'
+    )
+    if u < REST * noise:
+        return [Finding('worth', WARNING, (
+            f'{text}: no more than the tracker can see; the machine needs no tables, or a '
+            f'better place of the tracker'
+        ))]  # fmt: skip
+    return [Finding('worth', GATE, (
+        f'{text}: they would not improve the machine. What is driven determines too little, or '
+        f'the residuals are far above the noise: drive a path that plan recommends, take a '
+        f'larger table_pitch, and mind the warnings'
+    ))]  # fmt: skip
