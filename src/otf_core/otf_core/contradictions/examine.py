@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.chain import check_chain
 from otf_core.contradictions.driven_range import check_driven_range
+from otf_core.contradictions.finding import Finding
 from otf_core.contradictions.found_again import settle_offsets
 from otf_core.contradictions.model import Model
 from otf_core.contradictions.moved import settle_steps
@@ -56,19 +57,33 @@ def examine(
     InputError
         If the runs are of different machines.
     """
-    alone, found = [], []
+    alone: list[Model] = []
+    found: list[Finding] = []
     for run in runs:
-        model, words = settle_offsets(Model.of([run]), mend=mend)
-        found += words
-        if not run.pieces.standstill:
-            spacing = tuple(nodes[a] for a in AXES)
-            model, words = settle_steps(model, spacing, config, mend=mend)
-            found += words
+        model = Model.of([run])
+        if not check_chain(model):  # its misfit is taken for a step otherwise
+            model, found = _mended(model, found, nodes, config, mend=mend)
         alone.append(model)
     whole = alone[0] if len(alone) == 1 else Model.of([r for m in alone for r in m.runs])
-    misled = check_target_offset(whole) or check_chain(whole)
-    found += misled or check_one_machine(whole, alone)
+    found += check_target_offset(whole) or check_chain(whole) or check_one_machine(whole, alone)
     found += check_driven_range(whole)
     found += check_noise_level(whole, config)
     first, *others = whole.runs
     return [replace(first, remarks=tuple(found)), *others]
+
+
+def _mended(
+    model: Model,
+    found: list[Finding],
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    *,
+    mend: bool,
+) -> tuple[Model, list[Finding]]:
+    """One run with offsets of segments and steps settled, and what was found so far."""
+    model, words = settle_offsets(model, mend=mend)
+    if model.runs[0].pieces.standstill:
+        return model, found + words
+    spacing = tuple(nodes[a] for a in AXES)
+    model, steps = settle_steps(model, spacing, config, mend=mend)
+    return model, found + words + steps

@@ -31,10 +31,16 @@ MOMENTS = 200
 """Moments that are tried at first."""
 SHARE = 0.06
 """Share of the sum of squares that a step must explain; other misfit gave up to 0.03."""
-PEAK = 0.06
-"""Share of the run within which a step is one peak."""
-BESIDE = 0.75
-"""What a step beside the peak explains of it at most; a slow change gives more."""
+GAIN, LARGE_GAIN = 45.0, 100.0
+"""Drop of the sum of squares for each of the six numbers, in residual variances: at least; where
+there may be several steps."""
+NEAR, AWAY = (0.03, 0.06), 0.1
+"""Distances from a peak, as shares of the run."""
+LONELY = 0.5
+"""What a step away from the peak explains of it where one step is all there is."""
+STEEP, CLEAR = 0.8, 5.0
+"""What a step near the peak explains of it at most, and how many standard deviations of a sample
+it measures, where there may be several; noise that wanders gives small and broad peaks."""
 MAX_STEPS = 5
 """Steps that are looked for in one run."""
 MIN_PIECES = 60
@@ -95,28 +101,40 @@ def find_step(model: Model, run: int) -> Step | None:
     profile = step_profile(rows, fit, columns, order, np.unique(starts))
     best = int(np.argmax(profile.gain))
     share = float(profile.gain[best]) / fit.square
-    if share < SHARE or not _is_peak(profile, best, len(order)):
+    drop = float(profile.gain[best]) / 6.0 / fit.ratio**2
+    if share < SHARE or drop < GAIN:
         return None
     low, high = (profile.start[np.clip(best + k, 0, len(profile.start) - 1)] for k in (-1, 1))
     fine = step_profile(rows, fit, columns, order, np.unique(np.arange(low, high + 1)))
-    best = int(np.argmax(fine.gain))
-    first, value = order[fine.start[best]], fine.value[best]
-    points = rows.points[order]
-    moved = value[:3] + np.cross(value[3:], points)
-    return Step(
+    top = int(np.argmax(fine.gain))
+    first, value = order[fine.start[top]], fine.value[top]
+    moved = value[:3] + np.cross(value[3:], rows.points[order])
+    step = Step(
         run,
         float(rows.time[first]),
         rows.q[first],
         float(np.mean(np.linalg.norm(moved, axis=1))),
         float(np.linalg.norm(value[3:])),
-        float(fine.gain[best]) / fit.square,
+        float(fine.gain[top]) / fit.square,
     )
+    clear = drop > LARGE_GAIN and step.shift > CLEAR * _level(model.runs[run])
+    return step if _is_peak(profile, best, len(order), clear=clear) else None
 
 
-def _is_peak(profile: Profile, best: int, pieces: int) -> bool:
+def _level(run: Run) -> float:
+    """Noise of a single sample, as specified or as measured if that is more, m."""
+    spec, noise = run.machine.tracker, run.noise
+    distance = float(np.median(np.linalg.norm(run.pieces.xyz, axis=1)))
+    u_angle = max(spec.u_angle, noise.u_angle)
+    return float(np.hypot(max(spec.u_range, noise.u_range), u_angle * distance))
+
+
+def _is_peak(profile: Profile, best: int, pieces: int, *, clear: bool) -> bool:
     away = np.abs(profile.start - profile.start[best]) / pieces
-    beside = (away > 0.5 * PEAK) & (away < PEAK)
-    return bool(profile.gain[beside].max(initial=0.0) < BESIDE * profile.gain[best])
+    share = profile.gain / profile.gain[best]
+    near = (away > NEAR[0]) & (away < NEAR[1])
+    lonely = bool(share[away > AWAY].max(initial=0.0) < LONELY)
+    return lonely or (clear and bool(share[near].max(initial=0.0) < STEEP))
 
 
 def part_of(run: Run, first: int, last: int, nodes: Sequence[Array], config: CalibrationConfig
