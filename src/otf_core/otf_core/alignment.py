@@ -188,8 +188,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
             raise InputError(
                 f'samples do not follow the path: only {100 * _explained(match, track):.0f} % of '
                 f'the measured track lies within {1e3 * tolerance:g} mm of it; '
-                f'do bag and path belong together? If the machine rounds its corners by more, '
-                f'raise match_tolerance'
+                f'{why_no_match(samples, track, corners, tolerance)}'
             )
     return Alignment(
         _refine(match, track, corners, config),

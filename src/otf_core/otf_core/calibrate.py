@@ -17,7 +17,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.finding import GATE, WARNING, words_of
-from otf_core.contradictions.worth import check_worth
+from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.machine import Machine
@@ -361,16 +361,6 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
     return tuple(failed)
 
 
-def _sample_noise(runs: Sequence[Run]) -> float:
-    """Largest standard deviation of single samples among runs, m."""
-    return max(
-        float(
-            np.hypot(r.noise.u_range, r.noise.u_angle * np.linalg.norm(r.pieces.xyz, axis=1)).max()
-        )
-        for r in runs
-    )
-
-
 def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> CalibrationResult:
     runs, done = solved.runs, solved.done
     solution, unknowns = done.solution, done.unknowns
@@ -380,7 +370,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
     fit = _fit(runs, results, done, budget.inflation)
     covariance = budget.covariance
     tables = with_uncertainty(tables, covariance)
-    remarks = (*runs[0].remarks, *check_worth(tables, covariance, _sample_noise(runs)))
+    remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,

@@ -24,6 +24,8 @@ STANDS_OUT = 2e-4
 """m; a sample that lies further from the middle of its neighbours on a line stands out."""
 MANY = 0.1
 """Share of samples standing out that is a reason."""
+BESIDE = 0.25
+"""Distance of lines over that of corners from which on rounded corners are not the reason."""
 INNER = (0.3, 0.7)
 """Part of a leg that rounding of its corners leaves alone."""
 
@@ -89,7 +91,7 @@ def _resembles(samples: Samples, corners: Array, tolerance: float) -> str:
         if match is None or explained(match, track) <= WHOLE:
             continue
         beside = _beside_lines(match, track, corners)
-        if beside > 0.5 * tolerance:
+        if beside > BESIDE * enough:
             return (
                 f'it resembles the path, but lies {1e3 * beside:.2g} mm beside the middle of its '
                 f'lines: the path of another program or machine, or of another scale?'
