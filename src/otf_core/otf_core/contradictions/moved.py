@@ -34,6 +34,8 @@ SHARE = 0.06
 GAIN, LARGE_GAIN = 45.0, 100.0
 """Drop of the sum of squares for each of the six numbers, in residual variances: at least; where
 there may be several steps."""
+LEAST = 2.0
+"""Standard deviations of a sample that a step measures at least: noise that wanders does less."""
 NEAR, AWAY = (0.03, 0.06), 0.1
 """Distances from a peak, as shares of the run."""
 LONELY = 0.5
@@ -117,7 +119,10 @@ def find_step(model: Model, run: int) -> Step | None:
         float(np.linalg.norm(value[3:])),
         float(fine.gain[top]) / fit.square,
     )
-    clear = drop > LARGE_GAIN and step.shift > CLEAR * _level(model.runs[run])
+    level = _level(model.runs[run])
+    if step.shift < LEAST * level:
+        return None
+    clear = drop > LARGE_GAIN and step.shift > CLEAR * level
     return step if _is_peak(profile, best, len(order), clear=clear) else None
 
 
