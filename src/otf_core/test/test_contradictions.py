@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs that contradict each other are said, not solved; healthy ones are left alone."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from contradiction_cells import (
     CONFIG,
     again,
@@ -18,9 +20,11 @@ from contradiction_cells import (
 )  # fmt: skip
 from nature import Extra, judge
 
+from otf_core import cli
 from otf_core.calibrate import calibrate_runs
 from otf_core.contradictions.worth import check_worth, volumetric
 from otf_core.errors import InputError
+from otf_core.io.bag import BagContent, write_bag
 from otf_core.machine import Axis, Chain, TrackerSpec
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
@@ -232,3 +236,43 @@ def test_a_recording_of_hardly_any_samples_is_asked_without_harm():
     a = recorded()
     few = replace(a, samples=Samples(a.samples.stamp_ns[:3], a.samples.xyz[:3]))
     assert 'hardly moved' in refused(few)
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('bag')
+    a = recorded()
+    stamp = a.samples.stamp_ns - a.samples.stamp_ns[0] + 1_700_000_000_000_000_000
+    a = again(a, stamp_ns=stamp)
+    write_bag(folder / 'bag', BagContent(a.samples, a.path))
+    for name, chain in (('right', 'w-b-X-Y-Z-t'), ('wrong', 'w-b-Y-X-Z-t')):
+        text = yaml.safe_dump(a.machine.to_dict() | {'chain': chain})
+        (folder / f'{name}.yaml').write_text(text)
+    return folder
+
+
+def command(bag, verb, *bags, machine='right', out='out'):
+    files = [str(bag / b) for b in bags]
+    return cli.main(
+        [verb, *files, '--machine', str(bag / f'{machine}.yaml'), '--out', str(bag / out)]
+    )
+
+
+@pytest.mark.parametrize('verb', ['calibrate', 'diagnose'])
+def test_commands_refuse_a_bag_given_twice(bag, capsys, verb):
+    assert command(bag, verb, 'bag', 'bag', out='twice') == 3
+    assert 'counted twice' in capsys.readouterr().err
+    assert not (bag / 'twice' / 'gap.json').exists()
+    assert not (bag / 'twice' / 'error_tables.json').exists()
+
+
+def test_calibrate_ends_with_a_failed_gate_where_the_chain_is_wrong(bag, capsys):
+    assert command(bag, 'calibrate', 'bag', machine='wrong') == 4
+    assert 'otf: quality gate failed: chain: w-b-Y-X-Z-t leaves' in capsys.readouterr().err
+
+
+def test_diagnose_says_in_its_file_that_the_chain_is_wrong(bag, capsys):
+    assert command(bag, 'diagnose', 'bag', machine='wrong', out='gap') == 4
+    assert 'otf: gate: chain: w-b-Y-X-Z-t leaves' in capsys.readouterr().err
+    (told,) = json.loads((bag / 'gap' / 'gap.json').read_text())['contradictions']
+    assert (told['check'], told['severity']) == ('chain', 'gate')
