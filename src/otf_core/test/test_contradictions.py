@@ -276,3 +276,17 @@ def test_diagnose_says_in_its_file_that_the_chain_is_wrong(bag, capsys):
     assert 'otf: gate: chain: w-b-Y-X-Z-t leaves' in capsys.readouterr().err
     (told,) = json.loads((bag / 'gap' / 'gap.json').read_text())['contradictions']
     assert (told['check'], told['severity']) == ('chain', 'gate')
+
+
+def test_steps_of_one_run_are_told_by_its_own_clock():
+    a = recorded(40, passes=2)
+    twice = stepped(stepped(a, (15e-6, 0.0, 0.0), at=0.3), (-15e-6, 0.0, 5e-6), at=0.7)
+    found = asked(twice)
+    seconds = sorted(float(f.words.split('moved ')[1].split(' s ')[0]) for f in found)
+    assert seconds == pytest.approx([0.3 * a.samples.time[-1], 0.7 * a.samples.time[-1]], abs=1)
+
+
+def test_a_step_between_breaks_is_no_shift_of_the_beam():
+    a = recorded(40, passes=2)
+    (found,) = asked(stepped(broken(a, 15, 0.0), (20e-6, 0.0, 0.0), at=0.6))
+    assert found.check == 'moved'

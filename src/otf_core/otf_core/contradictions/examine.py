@@ -28,6 +28,9 @@ from otf_core.runs import Run
 
 Array = NDArray[np.float64]
 
+AS_GOOD = 1.1
+"""Residual with steps, over that with offsets of segments, up to which steps are the answer."""
+
 
 def examine(
     runs: Sequence[Run],
@@ -80,10 +83,17 @@ def _mended(
     *,
     mend: bool,
 ) -> tuple[Model, list[Finding]]:
-    """One run with offsets of segments and steps settled, and what was found so far."""
-    model, words = settle_offsets(model, mend=mend)
-    if model.runs[0].pieces.standstill:
-        return model, found + words
+    """One run with offsets of segments and steps settled, and what was found so far.
+
+    Steps between the breaks look like offsets of segments, and the other way round: the simpler
+    answer holds where it leaves as little.
+    """
     spacing = tuple(nodes[a] for a in AXES)
-    model, steps = settle_steps(model, spacing, config, mend=mend)
-    return model, found + words + steps
+    again, words = settle_offsets(model, mend=mend)
+    if model.runs[0].pieces.standstill:
+        return again, found + words
+    stepped, steps = settle_steps(model, spacing, config, mend=mend)
+    if not words or (steps and stepped.fit.ratio < AS_GOOD * again.fit.ratio):
+        return stepped, found + steps
+    again, steps = settle_steps(again, spacing, config, mend=mend)
+    return again, found + words + steps

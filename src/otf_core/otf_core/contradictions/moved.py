@@ -159,9 +159,12 @@ def part_of(run: Run, first: int, last: int, nodes: Sequence[Array], config: Cal
 
 
 def split(
-    run: Run, step: Step, nodes: Sequence[Array], config: CalibrationConfig
+    run: Run, step: Step, nodes: Sequence[Array], config: CalibrationConfig, late: float = 0.0
 ) -> tuple[Run, Run] | None:
-    """Cut a run at a step; None if a part does not fix its pose."""
+    """Cut a run at a step; None if a part does not fix its pose.
+
+    ``late``: s, start of the run after that of its recording, for the names of the parts.
+    """
     time = run.recording.samples.time
     cut = int(np.searchsorted(time, step.time))
     name = run.recording.name or 'run'
@@ -172,7 +175,8 @@ def split(
         )
     except InputError:
         return None
-    words = (f'{name} before {step.time:.1f} s', f'{name} after {step.time:.1f} s')
+    seconds = late + step.time
+    words = (f'{name} before {seconds:.1f} s', f'{name} after {seconds:.1f} s')
     before, after = (
         replace(part, recording=replace(part.recording, name=text))
         for part, text in zip(parts, words, strict=True)
@@ -188,6 +192,7 @@ def settle_steps(
     Parameters
     ----------
     model : Model
+        Of one recording.
     nodes : three arrays, m
         Table nodes of X, Y, Z.
     config : CalibrationConfig
@@ -201,14 +206,18 @@ def settle_steps(
     findings : list of Finding
     """
     found: list[Finding] = []
+    begin = int(model.runs[0].recording.samples.stamp_ns[0])
+    name = model.runs[0].recording.name
     for _ in range(MAX_STEPS):
         steps = [s for k in range(len(model.runs)) if (s := find_step(model, k)) is not None]
         if not steps:
             break
         step = max(steps, key=lambda s: s.share)
         run = model.runs[step.run]
-        parts = split(run, step, nodes, config) if mend else None
-        found.append(_finding(run, step, parts is not None, mend=mend))
+        late = 1e-9 * (int(run.recording.samples.stamp_ns[0]) - begin)
+        parts = split(run, step, nodes, config, late) if mend else None
+        said = replace(step, time=late + step.time)
+        found.append(_finding(name, said, parts is not None, mend=mend))
         if parts is None:
             break
         runs = [*model.runs[: step.run], *parts, *model.runs[step.run + 1 :]]
@@ -216,9 +225,8 @@ def settle_steps(
     return model, found
 
 
-def _finding(run: Run, step: Step, mended: bool, *, mend: bool) -> Finding:
-    name = f'{run.recording.name}: ' if run.recording.name else ''
-    text = f'{name}tracker or target moved {step.words}'
+def _finding(name: str, step: Step, mended: bool, *, mend: bool) -> Finding:
+    text = f'{name + ": " if name else ""}tracker or target moved {step.words}'
     if mended:
         return Finding('moved', WARNING, (
             f'{text}; the parts before and after are solved each with a place of the tracker of '

@@ -16,8 +16,9 @@ WORSE = 1.3
 """Residual together over alone from which on something is said."""
 APART = 2.0
 """The same, for a gate."""
-CHANGED, OTHER = 0.1, 0.3
-"""Part of the errors by which runs differ: from which on they changed; are another machine."""
+DIFFER, CHANGED, OTHER = 0.05, 0.1, 0.3
+"""Part of the errors by which runs differ: from which on it is said; they changed; they are of
+another machine."""
 
 
 def check_one_machine(model: Model, alone: Sequence[Model]) -> list[Finding]:
@@ -43,6 +44,8 @@ def check_one_machine(model: Model, alone: Sequence[Model]) -> list[Finding]:
     unit = model.fit.rms / together
     extra = unit * np.sqrt(together**2 - apart**2)
     share = extra / max(_errors(model), 1e-12)
+    if share < DIFFER:
+        return []
     which = _outsider(alone) if len(alone) > 2 else ''
     text = (
         f'each run alone fits to {1e6 * unit * apart:.2f} um, together they fit to '
