@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from otf_core.arcs import Bulge, bulge_of, with_arcs
 from otf_core.config import CalibrationConfig
+from otf_core.contradictions.no_match import why_no_match
 from otf_core.curves import SHORT_CURVE, Lines, Shape, straight_shape
 from otf_core.driven import Driven, as_planned, driven_path, sample_chords, visits
 from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
 from otf_core.guide import Guide
 from otf_core.matching import ENOUGH, LEAST, cut_track
-from otf_core.misfit import MIRRORED, complaint, mirrored
+from otf_core.misfit import MIRRORED, mirrored
 from otf_core.observation import Samples
 from otf_core.order import FORWARD, OFF_PATH, Match, follow
 from otf_core.path import NominalPath
@@ -237,7 +238,8 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     match = _match(track, guide, tolerance)
     if match is None or match.explained < LEAST:
         raise InputError(
-            f'samples do not follow the path: {complaint(samples, track, path, tolerance)}'
+            f'samples do not follow the path: '
+            f'{why_no_match(samples, track, guide.vertices, tolerance)}'
         )
     if match.explained < DOUBTFUL and (
         mirrored(track, guide, tolerance) > match.explained + CLEARLY
@@ -253,8 +255,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
             raise InputError(
                 f'samples do not follow the path: only {100 * match.explained:.0f} % of '
                 f'the measured track lies within {1e3 * tolerance:g} mm of it; '
-                f'do bag and path belong together? If the machine rounds its corners by more, '
-                f'raise match_tolerance'
+                f'{why_no_match(samples, track, guide.vertices, tolerance)}'
             )
         driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
         rounded = _rounded(match, driven, config)

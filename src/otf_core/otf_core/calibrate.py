@@ -16,6 +16,10 @@ from otf_core.budget.budget import make_budget, whole_check
 from otf_core.budget.typical import typical_systematic, typical_warnings
 from otf_core.calibration_result import CalibrationResult, Fit, RunResult
 from otf_core.config import CalibrationConfig
+from otf_core.contradictions.before import check_recordings
+from otf_core.contradictions.examine import examine
+from otf_core.contradictions.finding import GATE, WARNING, words_of
+from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.curve_lag import curve_remarks, moved_onto_curves
 from otf_core.extrapolation import prior_of
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
@@ -133,7 +137,9 @@ def calibrate_runs(
     progress = progress or (lambda stage, fraction: None)
     with one_thread():
         progress('aligning', 0.0)
+        check_recordings(recordings)
         runs, nodes = prepare(recordings, config)
+        runs = examine(runs, nodes, config)
         progress('solving', 0.0)
         solved = solve_with_reversal(runs, nodes, config, progress)
         moved = moved_onto_curves(runs, solved)
@@ -246,6 +252,7 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
     covariance = budget.covariance
     tables = with_uncertainty(table.tables, covariance)
     typical = typical_systematic(runs, done, tables, table.rows, covariance)
+    remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,
@@ -272,10 +279,11 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
         typical=typical,
         warnings=(
             *typical_warnings(typical),
+            *words_of(remarks, WARNING),
             *_warnings(fit, tables, config.unidentifiable_above),
             *curve_remarks(runs, done),
         ),
-        failed_gates=_failed_gates(fit),
+        failed_gates=(*words_of(remarks, GATE), *_failed_gates(fit)),
         config=config,
         origin=origins(r.recording for r in runs),
     )

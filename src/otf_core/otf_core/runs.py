@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from otf_core.alignment import Alignment, align, line_step
 from otf_core.config import CalibrationConfig
+from otf_core.contradictions.finding import Finding
+from otf_core.contradictions.no_match import check_partial
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.frames import RigidTransform
 from otf_core.machine import AXES, Machine
@@ -75,6 +77,8 @@ class Run:
         As the standstills of the run show it, else as specified.
     fitted : ndarray, shape (5,), optional
         What the residuals say of noise and misfit, see ``noise_fit.fit_noise``.
+    remarks : tuple of Finding
+        What ``contradictions.examine`` found, with the first of several runs.
     """
 
     recording: Recording
@@ -83,6 +87,7 @@ class Run:
     pose: RigidTransform
     noise: NoiseModel
     fitted: Array | None = None
+    remarks: tuple[Finding, ...] = ()
 
     @property
     def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:
@@ -173,7 +178,14 @@ def prepare_runs(
     alignments, ranges = [], []
     for recording in recordings:
         with blamed(recording):
-            alignments.append(align(recording.samples, recording.path, config))
+            alignments.append(found := align(recording.samples, recording.path, config))
+            check_partial(
+                recording.samples,
+                found.T_machine_tracker,
+                found.coverage,
+                found.corners,
+                config.match_tolerance,
+            )
             ranges.append(covered_range(alignments[-1], recording))
     low = np.min([r[0] for r in ranges], axis=0)
     high = np.max([r[1] for r in ranges], axis=0)

@@ -84,7 +84,10 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     with out.filled('diagnose') as folder:
         files = write_diagnosis(diagnosis, data, folder, config)
     say(format_diagnosis(diagnosis) + listed(files, arguments.out))
-    return 0
+    remarks = diagnosis.extra.get('contradictions', ())
+    for remark in remarks:
+        note(f'otf: {remark["severity"]}: {remark["check"]}: {remark["words"]}')
+    return QUALITY_GATE_FAILED if any(r['severity'] == 'gate' for r in remarks) else 0
 
 
 def run_noise(arguments: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +132,9 @@ def diagnose(
     where, shape = where_and_shape(views, project=project)
     if findings.causes:
         shape = left
-    diagnosis = replace(diagnosis, where=where, unexplained_where=shape)
+    remarks = findings.rows.runs[0].remarks
+    told = {**diagnosis.extra, 'contradictions': [asdict(r) for r in remarks]}
+    diagnosis = replace(diagnosis, where=where, unexplained_where=shape, extra=told)
     named = fitted_causes(findings)
     applied = tuple(tuple(p.applied(k) for p in named) for k in range(len(recordings)))
     data = DiagnosisData(findings, views, _conditions(findings), applied)

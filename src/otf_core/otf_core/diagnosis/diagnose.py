@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
+from otf_core.contradictions.before import check_recordings
+from otf_core.contradictions.examine import examine
 from otf_core.diagnosis.assess import (
     Residuals,
     gap_um,
@@ -108,9 +110,15 @@ class Findings:
 
 
 def _solved(
-    recordings: Sequence[Recording], config: CalibrationConfig, progress: Progress
+    recordings: Sequence[Recording],
+    config: CalibrationConfig,
+    progress: Progress,
+    *,
+    examined: bool = False,
 ) -> tuple[list[Run], JointSolution]:
     runs, nodes = prepare_runs(recordings, config)
+    if examined:
+        runs = examine(runs, nodes, config, mend=False)
     shapes = choose_shapes(runs, nodes, config, progress)
     unknowns = layout(shapes.bases, len(runs))
     return runs, solve_jointly(shapes.runs, unknowns, config, progress, shapes.start)
@@ -157,7 +165,8 @@ def find(
     config = config or CalibrationConfig()
     progress = progress or (lambda stage, fraction: None)
     with one_thread():
-        runs, done = _solved(recordings, config, progress)
+        check_recordings(recordings)
+        runs, done = _solved(recordings, config, progress, examined=True)
         progress('simulating', 0.0)
         rows = build_rows(runs, done, config.unidentifiable_above)
         simulated = simulated_residual_um(rows, config, twin)

@@ -14,6 +14,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.contradictions.stamp_words import stamp_words
 from otf_core.errors import InputError
 from otf_core.observation import Samples
 from otf_core.path import NominalPath
@@ -152,8 +153,7 @@ def _without_repetitions(
         i = int(np.argmax(conflict))
         raise InputError(
             f'{where}: {conflicts} of {keep.size} samples have the stamp of another point, the '
-            f'first is sample {i} with stamp {stamp_ns[i]} ns; the resolution of header.stamp is '
-            f'too coarse or two trackers publish on one topic'
+            f'first is sample {i} with stamp {stamp_ns[i]} ns; the stamps {stamp_words(stamp_ns)}'
         )
     repeated = int(np.count_nonzero(~keep)) - conflicts
     _log.warning(

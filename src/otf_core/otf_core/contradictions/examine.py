@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is asked of runs that are aligned and reduced to pieces, in the order in which it counts.
+
+First what can be mended (offsets of segments, steps of the tracker), then what the mended runs
+contradict: each other, the chain, the target offsets, the noise, the range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.contradictions.chain import check_chain
+from otf_core.contradictions.driven_range import check_driven_range
+from otf_core.contradictions.finding import Finding
+from otf_core.contradictions.found_again import settle_offsets
+from otf_core.contradictions.model import Model
+from otf_core.contradictions.moved import settle_steps
+from otf_core.contradictions.noise_level import check_noise_level
+from otf_core.contradictions.one_machine import check_one_machine
+from otf_core.contradictions.target_offset import check_target_offset
+from otf_core.machine import AXES
+from otf_core.runs import Run
+
+Array = NDArray[np.float64]
+
+AS_GOOD = 1.1
+"""Residual with steps, over that with offsets of segments, up to which steps are the answer."""
+
+
+def examine(
+    runs: Sequence[Run],
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    *,
+    mend: bool = True,
+) -> list[Run]:
+    """Ask runs for contradictions.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    nodes : mapping of axis to ndarray, m
+        Table nodes.
+    config : CalibrationConfig
+    mend : bool
+        Take offsets off and cut runs at steps; else only say what is found.
+
+    Returns
+    -------
+    list of Run
+        The runs, mended; the first carries the findings as ``remarks``.
+
+    Raises
+    ------
+    InputError
+        If the runs are of different machines.
+    """
+    alone: list[Model] = []
+    found: list[Finding] = []
+    for run in runs:
+        model = Model.of([run])
+        if not check_chain(model):  # its misfit is taken for a step otherwise
+            model, found = _mended(model, found, nodes, config, mend=mend)
+        alone.append(model)
+    whole = alone[0] if len(alone) == 1 else Model.of([r for m in alone for r in m.runs])
+    found += check_target_offset(whole) or check_chain(whole) or check_one_machine(whole, alone)
+    found += check_driven_range(whole)
+    found += check_noise_level(whole, config)
+    first, *others = whole.runs
+    return [replace(first, remarks=tuple(found)), *others]
+
+
+def _mended(
+    model: Model,
+    found: list[Finding],
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    *,
+    mend: bool,
+) -> tuple[Model, list[Finding]]:
+    """One run with offsets of segments and steps settled, and what was found so far.
+
+    Steps between the breaks look like offsets of segments, and the other way round: the simpler
+    answer holds where it leaves as little.
+    """
+    spacing = tuple(nodes[a] for a in AXES)
+    again, words = settle_offsets(model, mend=mend)
+    if model.runs[0].pieces.standstill:
+        return again, found + words
+    stepped, steps = settle_steps(model, spacing, config, mend=mend)
+    if not words or (steps and stepped.fit.ratio < AS_GOOD * again.fit.ratio):
+        return stepped, found + steps
+    again, steps = settle_steps(again, spacing, config, mend=mend)
+    return again, found + words + steps

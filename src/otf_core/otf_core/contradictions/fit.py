@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weighted least squares on ``rows``, robust, and what further columns would explain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from otf_core.contradictions.rows import Rows
+from otf_core.pieces import RAYLEIGH_MEDIAN
+
+Array = NDArray[np.float64]
+
+PRIOR = 1e-3
+"""m and rad; standard deviation of every unknown before the data: fixes what nothing shows."""
+FAR = 8.0
+"""Robust standard deviations beyond which a piece is left out."""
+REPEATS = 3
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A solved model.
+
+    Attributes
+    ----------
+    design : sparse array, shape (r, k)
+    weight : ndarray, shape (r,), 1/m^2
+        Zero for pieces left out.
+    factor : tuple
+        Cholesky factor of the normal matrix.
+    value : ndarray, shape (k,), m and rad
+    residual : ndarray, shape (r,), m
+    freedom : float
+        Rows less the unknowns that the data determine; not a number where the weights were given.
+    """
+
+    design: sparse.csr_array
+    weight: Array
+    factor: tuple[Array, bool]
+    value: Array
+    residual: Array
+    freedom: float
+
+    @property
+    def square(self) -> float:
+        """Weighted sum of squares of the residuals."""
+        return float(self.weight @ self.residual**2)
+
+    @property
+    def ratio(self) -> float:
+        """Residual over the noise expected, root mean square per degree of freedom."""
+        return float(np.sqrt(self.square / max(self.freedom, 1.0)))
+
+    @property
+    def rms(self) -> float:
+        """Residual of a row per degree of freedom, m, weighted as in the fit."""
+        return self.ratio * float(np.sqrt(np.sum(self.weight > 0) / self.weight.sum()))
+
+    def left(self, columns: Array) -> Array:
+        """Normal matrix of further columns (r, k) once those of the model are free."""
+        weighted = columns * self.weight[:, None]
+        cross = self.design.T @ weighted
+        solved = linalg.cho_solve(self.factor, cross, check_finite=False)
+        return np.asarray(columns.T @ weighted - cross.T @ solved)
+
+    def score(self, columns: Array) -> Array:
+        """Weighted products of further columns (r, k) with the residual."""
+        return np.asarray(columns.T @ (self.weight * self.residual))
+
+
+def gain(left: Array, score: Array, prior: float = PRIOR) -> tuple[float, Array]:
+    """Drop of the sum of squares that further columns bring, and their values.
+
+    Parameters
+    ----------
+    left : ndarray, shape (k, k)
+        From ``Fit.left``.
+    score : ndarray, shape (k,)
+    prior : float
+        Standard deviation of the values before the data.
+    """
+    root, vectors = linalg.eigh(left, check_finite=False)
+    least = max(1e-9 * float(root[-1]), 1.0 / prior**2)
+    value = vectors @ ((vectors.T @ score) / np.maximum(root, least))
+    return float(score @ value), np.asarray(value)
+
+
+def _solve(
+    design: sparse.csr_array, target: Array, weight: Array
+) -> tuple[tuple[Array, bool], Array]:
+    weighted = sparse.csr_array(sparse.diags_array(weight) @ design)
+    data = (design.T @ weighted).toarray()
+    prior = np.full(len(data), 1.0 / PRIOR**2)
+    factor = linalg.cho_factor(data + np.diag(prior), lower=True, check_finite=False)
+    value = linalg.cho_solve(factor, weighted.T @ target, check_finite=False)
+    return factor, value
+
+
+def _freedom(factor: tuple[Array, bool], weight: Array) -> float:
+    inverse = linalg.cho_solve(factor, np.eye(len(factor[0])), check_finite=False)
+    unknowns = len(inverse) - float(np.trace(inverse)) / PRIOR**2
+    return float(np.sum(weight > 0)) - unknowns
+
+
+def solve(rows: Rows, *parts: sparse.csr_array | Array, weight: Array | None = None) -> Fit:
+    """Solve for columns, leaving out pieces far from the solution.
+
+    Parameters
+    ----------
+    rows : Rows
+    *parts : arrays, shape (r, k)
+        Columns beside each other.
+    weight : ndarray, shape (r,), 1/m^2, optional
+        As of another fit, so that both are judged alike; then nothing more is left out.
+    """
+    design = sparse.csr_array(sparse.hstack([sparse.csr_array(p) for p in parts], format='csr'))
+    target = rows.deviation.ravel()
+    given = weight is not None
+    used = 1.0 / rows.sigma.ravel() ** 2 if weight is None else weight
+    full = used
+    for _ in range(1 if given else REPEATS):
+        factor, value = _solve(design, target, used)
+        residual = target - design @ value
+        size = np.sqrt(full * residual**2).reshape(rows.deviation.shape)
+        distance = np.linalg.norm(size, axis=0)
+        far = distance > FAR * float(np.median(distance)) / RAYLEIGH_MEDIAN
+        now = full if given else np.where(np.tile(far, len(size)), 0.0, full)
+        if np.array_equal(now > 0, used > 0):
+            break
+        used = now
+    else:
+        if not given:
+            factor, value = _solve(design, target, used)
+            residual = target - design @ value
+    freedom = np.nan if given else _freedom(factor, used)
+    return Fit(design, used, factor, value, np.asarray(residual), freedom)

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The quick model of runs that the checks ask: pose, tables, reversal and slow drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from otf_core.contradictions.fit import Fit, solve
+from otf_core.contradictions.rows import (
+    Array,
+    Rows,
+    build_rows,
+    drift_columns,
+    poses_by_run,
+    reversal_columns,
+    table_columns,
+)
+from otf_core.machine import Chain
+from otf_core.runs import Run
+
+MAX_PIECES = 4000
+"""Pieces that are looked at where many models are compared."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """Runs, their rows and the fit of everything usual.
+
+    Attributes
+    ----------
+    runs : tuple of Run
+    rows : Rows
+    fit : Fit
+        Pose of every run, tables, a constant reversal of every motion and a slow drift of every
+        pose: what these explain is no contradiction.
+    """
+
+    runs: tuple[Run, ...]
+    rows: Rows
+    fit: Fit
+
+    @classmethod
+    def of(cls, runs: Sequence[Run]) -> Model:
+        """Set up and solve."""
+        rows = build_rows(runs)
+        return cls(tuple(runs), rows, solve(rows, nuisance(rows), table_columns(rows)))
+
+    def left_with(self, chains: Sequence[Chain], offsets: Sequence[Array]) -> Array:
+        """What other chains or target offsets leave, on the same pieces, thinned.
+
+        Parameters
+        ----------
+        chains : sequence of Chain
+        offsets : sequence of ndarray, shape (runs, 3), m
+            One for each chain.
+
+        Returns
+        -------
+        ndarray, shape (k,), m
+            Weighted root mean square of the residuals.
+        """
+        step = max(1, len(self.rows) // MAX_PIECES)
+        chosen = np.arange(0, len(self.rows), step)
+        rows = self.rows.take(chosen)
+        weight = self.fit.weight.reshape(len(rows.axes), -1)[:, chosen].ravel()
+        usual = nuisance(rows)
+        found = []
+        for chain, offset in zip(chains, offsets, strict=True):
+            columns = table_columns(rows, chain, offset[rows.run])
+            found.append(solve(rows, usual, columns, weight=weight).square)
+        return np.asarray(np.sqrt(np.array(found) / weight.sum()))
+
+    @property
+    def offsets(self) -> Array:
+        """Target offset of every run as stated, shape (runs, 3), m."""
+        return np.array([run.machine.target_offset for run in self.runs])
+
+
+def nuisance(rows: Rows) -> Array:
+    """Columns of what is usual and no matter here, shape (c p, k)."""
+    parts = (poses_by_run(rows), reversal_columns(rows), drift_columns(rows))
+    return np.concatenate(parts, axis=1)

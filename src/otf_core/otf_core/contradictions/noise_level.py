@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A specification of the tracker's noise that its samples contradict."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from otf_core.config import CalibrationConfig
+from otf_core.contradictions.finding import GATE, WARNING, Finding
+from otf_core.contradictions.model import Model
+from otf_core.observation import Samples
+from otf_core.runs import Run
+from otf_core.standstill import find_standstills, standstill_noise
+
+ABOVE, BELOW = 5.0, 1.0 / 15.0
+"""Measured over specified noise that contradicts: trackers are often better than specified."""
+FITS = 0.3
+"""Residual over noise below which the noise is smaller than assumed."""
+THIRD = np.sqrt(20.0)
+"""Standard deviation of the third difference of white noise of unit variance."""
+NORMAL_MEDIAN = 0.6745
+QUANTILES = (5.0, 85.0)
+"""Percentiles of the third differences; corners spoil the uppermost."""
+TWO_LEVELS = 30.0
+"""Their ratio from which on there are two kinds of samples; normal noise gives 4, Student's t of
+three degrees of freedom 10."""
+MANY, TOO_MANY = 0.1, 0.3
+"""Share of outliers from which on they are named; from which on the result is not relied on."""
+
+
+def measured_noise(samples: Samples, speed: float) -> tuple[float, float, str]:
+    """Level of range and angles: at standstill, else from one sample to the next.
+
+    Returns
+    -------
+    range, angle : float, m and rad
+    where : str
+        In words.
+    """
+    seen = standstill_noise(samples, find_standstills(samples, speed))
+    if seen is not None:
+        return float(seen.total[0]), float(np.sqrt(np.mean(seen.total[1:] ** 2))), 'at standstill'
+    third = np.diff(samples.xyz, 3, axis=0)
+    middle = samples.xyz[1:-2]
+    distance = np.linalg.norm(middle, axis=1)
+    along = np.einsum('ij,ij->i', third, middle) / distance
+    across = np.linalg.norm(np.cross(middle / distance[:, None], third), axis=1) / distance
+    u_range = float(np.median(np.abs(along))) / NORMAL_MEDIAN / THIRD
+    return u_range, float(np.median(across)) / 1.1774 / THIRD, 'from sample to sample'
+
+
+def outlying(samples: Samples) -> tuple[float, float]:
+    """Share of samples that stand out from noise, and by how much.
+
+    Third differences of noise of one level scatter little; a bad sample spoils four of them.
+
+    Returns
+    -------
+    share : float
+        Zero where they look like noise of one level.
+    size : float
+        m; median length of what stands out.
+    """
+    third = np.linalg.norm(np.diff(samples.xyz, 3, axis=0), axis=1) / THIRD
+    low, high = np.percentile(third, QUANTILES)
+    if high < TWO_LEVELS * low:
+        return 0.0, 0.0
+    far = third > np.sqrt(low * high)
+    share = 1.0 - (1.0 - float(np.mean(far))) ** 0.25
+    return share, float(np.median(third[far]) * THIRD / 3.0)
+
+
+def check_noise_level(model: Model, config: CalibrationConfig) -> list[Finding]:
+    """Compare noise as measured and as specified, run by run; said once for all alike."""
+    found = [f for run in model.runs if (f := _check(model, run, config)) is not None]
+    return found[:1]
+
+
+def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
+    spec = run.machine.tracker
+    u_range, u_angle, where = measured_noise(run.recording.samples, config.standstill_speed)
+    ratios = (u_range / spec.u_range, u_angle / spec.u_angle)
+    name = f'{run.recording.name}: ' if run.recording.name else ''
+    share, size = outlying(run.recording.samples)
+    if max(ratios) > ABOVE and share > MANY:
+        return Finding('outliers', GATE if share > TOO_MANY else WARNING, (
+            f'{name}about {100 * share:.0f} % of the samples are outliers of about '
+            f'{1e6 * size:.2g} um; look for reflections, a dirty target or a disturbed beam, and '
+            f'record again'
+        ))  # fmt: skip
+    if max(ratios) > ABOVE:
+        kind = 'larger'
+    elif min(ratios) < BELOW and model.fit.ratio < FITS:
+        kind = 'smaller'
+    else:
+        return None
+    return Finding('noise', WARNING, (
+        f'{name}noise measured {where} is {1e6 * u_range:.3g} um along the beam and '
+        f'{1e6 * u_angle:.3g} urad across, much {kind} than u_range {1e6 * spec.u_range:.3g} um '
+        f'and u_angle {1e6 * spec.u_angle:.3g} urad of machine.yaml; check the unit there '
+        f'(m and rad), and the tracker'
+    ))  # fmt: skip

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps that contradict the samples: equal, in blocks, of two streams, of a wrong clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.contradictions.stamp_words import stamp_words
+from otf_core.errors import InputError
+from otf_core.observation import Samples
+from otf_core.path import NominalPath
+from otf_core.runs import Recording, blamed
+
+Array = NDArray[np.float64]
+
+FAST, SLOW = 20.0, 1e-3
+"""m/s; no machine tool drives faster, no calibration path is driven slower."""
+OTHER_UNIT = 30.0
+"""Ratio of the sizes of track and path from which on one of them is in another unit."""
+WINDOW = 20
+"""Samples over which a speed is taken."""
+TO_AND_FRO = 5.0
+"""Ratio of the roughness of a stream to that of every second sample: one stream has below 1."""
+STRIDES = 50
+"""Steps between neighbours of two streams, in steps of one of them."""
+LOOKED_AT = 20000
+"""Samples that are told apart one by one at most."""
+
+
+def check_stamps(recordings: Sequence[Recording]) -> None:
+    """Refuse stamps that do not ascend or that belong to two streams; InputError says why."""
+    for recording in recordings:
+        with blamed(recording):
+            _check(recording.samples, recording.path)
+
+
+def _check(samples: Samples, path: NominalPath) -> None:
+    step = np.diff(samples.stamp_ns)
+    if len(step) and step.min() < 0:
+        raise InputError('stamps go back; sort the samples by their time of measurement')
+    if len(step) and step.min() == 0:
+        raise InputError(f'stamps {stamp_words(samples.stamp_ns)}')
+    two = two_streams(samples)
+    if two:
+        raise InputError(two)
+    larger = float(np.ptp(samples.xyz, axis=0).max() / np.ptp(path.points, axis=0).max())
+    if not 1.0 / OTHER_UNIT < larger < OTHER_UNIT:
+        return  # the alignment names the unit
+    speed = top_speed(samples)
+    if speed > FAST:
+        raise InputError(
+            f'the target moves at {speed:.3g} m/s by the stamps, and no machine tool does: are '
+            f'they in another unit than ns?'
+        )
+    if 0.0 < speed < SLOW:
+        raise InputError(
+            f'the target never moves faster than {1e3 * speed:.3g} mm/s by the stamps: are they '
+            f'in another unit than ns, or was the path not driven?'
+        )
+
+
+def top_speed(samples: Samples) -> float:
+    """Speed that the fast half of the motion exceeds, m/s; 0 for too few samples."""
+    if len(samples) < 4 * WINDOW:
+        return 0.0
+    moved = np.linalg.norm(samples.xyz[WINDOW:] - samples.xyz[:-WINDOW], axis=1)
+    span = 1e-9 * (samples.stamp_ns[WINDOW:] - samples.stamp_ns[:-WINDOW])
+    return float(np.percentile(moved / span, 75))
+
+
+def _roughness(xyz: Array) -> float:
+    bend = xyz[2:] - 2.0 * xyz[1:-1] + xyz[:-2]
+    return float(np.median(np.linalg.norm(bend, axis=1)))
+
+
+def two_streams(samples: Samples) -> str:
+    """Say that samples alternate between two streams; empty if they do not."""
+    xyz = samples.xyz
+    if len(xyz) < 4 * WINDOW:
+        return ''
+    moved = np.linalg.norm(xyz[2 * WINDOW :] - xyz[: -2 * WINDOW], axis=1)
+    fast = np.flatnonzero(moved >= np.percentile(moved, 50)) + WINDOW
+    one = np.median(np.linalg.norm(xyz[fast + 1] - 2 * xyz[fast] + xyz[fast - 1], axis=1))
+    two = np.median(np.linalg.norm(xyz[fast + 2] - 2 * xyz[fast] + xyz[fast - 2], axis=1))
+    apart = float(np.median(np.linalg.norm(np.diff(xyz, axis=0), axis=1)))
+    if one > TO_AND_FRO * max(float(two), 1e-7):
+        return (
+            f'every second sample lies {_length(0.5 * float(one))} beside its neighbours: two '
+            f'streams, with clocks or places apart, are mixed on one topic; record one tracker'
+        )
+    if _traced(xyz[:LOOKED_AT]):
+        return (
+            f'the samples jump between two tracks {_length(apart)} apart: two trackers publish '
+            f'on one topic; record one of them'
+        )
+    return ''
+
+
+def _length(value: float) -> str:
+    return f'{value:.2g} m' if value >= 0.1 else f'{1e3 * value:.2g} mm'
+
+
+def _traced(xyz: Array) -> bool:
+    """Tell whether samples are two tracks, by giving each to the tip that it lies nearer to."""
+    jump = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
+    large = float(np.percentile(jump, 95))
+    if np.mean(jump > 0.5 * large) < 0.1 or large < 1e-3:
+        return False
+    start = int(np.argmax(jump > 0.5 * large))
+    tips = [xyz[start], xyz[start + 1]]
+    steps: list[list[float]] = [[], []]
+    for point in xyz[start + 2 :]:
+        far = [float(np.linalg.norm(point - tip)) for tip in tips]
+        near = int(far[1] < far[0])
+        steps[near].append(far[near])
+        tips[near] = point
+    short = [np.percentile(s, 99) if len(s) > 0.1 * len(xyz) else np.inf for s in steps]
+    return bool(max(short) < large / STRIDES)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Path and machine description in different units, or of different machines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from otf_core.errors import InputError
+from otf_core.machine import AXES
+from otf_core.runs import Recording, blamed
+
+BEYOND = 30.0
+"""Times the range of an axis; a path so large is in another unit."""
+OUTSIDE = 1e-3
+"""m; beyond the range of an axis by less is rounding."""
+
+
+def check_path_in_machine(recordings: Sequence[Recording]) -> None:
+    """Refuse a path that the machine cannot drive; InputError says why."""
+    for recording in recordings:
+        with blamed(recording):
+            _check(recording)
+
+
+def _check(recording: Recording) -> None:
+    machine, points = recording.machine, recording.path.points
+    low, high = points.min(axis=0), points.max(axis=0)
+    travel, size = high - low, machine.upper - machine.lower
+    reach = np.abs(points).max() / max(np.abs([machine.lower, machine.upper]).max(), 1e-9)
+    if max(float(np.max(travel / size)), float(reach)) > BEYOND:
+        worst = int(np.argmax(travel))
+        raise InputError(
+            f'path: spans {travel[worst]:g} m in {AXES[worst]} where {machine.name} travels '
+            f'{size[worst]:g} m; is the path in mm? The unit is m'
+        )
+    outside = np.maximum(machine.lower - low, high - machine.upper)
+    worst = int(np.argmax(outside))
+    if outside[worst] > OUTSIDE:
+        raise InputError(
+            f'path: leaves the range of axis {AXES[worst]} by {1e3 * outside[worst]:.1f} mm: it '
+            f'spans {low[worst]:g} to {high[worst]:g} m, {machine.name} '
+            f'{machine.lower[worst]:g} to {machine.upper[worst]:g} m; do bag and machine '
+            f'description belong together?'
+        )
