@@ -6,8 +6,6 @@ from __future__ import annotations
 from otf_core.guide import Guide
 from otf_core.track import Track
 
-WIDER = (2.5, 5.0, 10.0)
-"""Multiples of the tolerance that are tried to say what is wrong."""
 MIRRORED = 'the track fits only mirrored: are the tracker coordinates left-handed?'
 
 

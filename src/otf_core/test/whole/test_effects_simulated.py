@@ -30,6 +30,7 @@ from otf_core.io.effects_yaml import read_effects, write_effects
 from otf_core.normal import Whitener, sum_groups
 from otf_core.path import NominalPath
 from otf_core.planning import Plan
+from otf_core.shape_choice import linear_bases
 from otf_core.sim.cell import simulate
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, run_state
@@ -269,7 +270,7 @@ def information(name, machine, plan, samples):
     result = calibrate(samples, plan.path, machine, config)
     run = result.runs[0]
     nodes = {a: result.tables.motions[f'EX{a}'].position for a in 'XYZ'}
-    unknowns = layout(nodes)
+    unknowns = layout(linear_bases(nodes))
     pose = run.T_machine_tracker
     system = build_system(machine, run.pieces, pose, unknowns, result.tables)
     state = state_on_path(

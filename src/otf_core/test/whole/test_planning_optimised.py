@@ -10,7 +10,7 @@ import pytest
 from core_cells import corner_path, small_plan, some_machine
 
 from otf_core.calibrate import calibrate
-from otf_core.candidate_lines import candidate_lines, coarse, lattice_points
+from otf_core.candidate_lines import candidate_lines, lattice_points
 from otf_core.cli import main
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.drive_time import drive_times
@@ -93,7 +93,7 @@ def test_walk_judges_as_the_forecast_does(best):
     lines, limit = best.optimiser.lines, best.setup.calibration.unidentifiable_above
     walk = best.optimiser._walk(BUDGET)
     plan = best.optimiser._plan(walk)
-    found = forecast(plan, replace(best.setup, machine=coarse(best.machine)))
+    found = forecast(plan, best.setup)
     mean = float(np.mean(np.sum(found.grid_u_free**2, axis=1)))
     assert walk.variance * limit**2 == pytest.approx(mean, rel=0.02)
     assert walk.time - CONFIG.corner_dwell + 2 * CONFIG.end_dwell == pytest.approx(found.duration)

@@ -26,6 +26,7 @@ from otf_core.normal import Whitener, normal_equations
 from otf_core.planning import plan_for_path
 from otf_core.results import format_result, write_calibration
 from otf_core.runs import Recording
+from otf_core.shape_choice import linear_bases
 from otf_core.sim.cell import simulate
 from otf_core.solution import identifiable_blocks
 from otf_core.standstill_method import prepare_stops
@@ -211,7 +212,9 @@ def test_backlash_in_the_ratio_of_the_axes_is_blind_on_box_diagonals():
         pieces = pieces_of(machine, path, zero_tables(machine), pose)
         # the edges between the diagonals show backlash too
         pieces = pieces.without(np.count_nonzero(np.abs(pieces.direction) > 1e-9, axis=1) < 3)
-        unknowns = layout(table_nodes(machine, machine.lower, machine.upper), reversal=1)
+        unknowns = layout(
+            linear_bases(table_nodes(machine, machine.lower, machine.upper)), reversal=1
+        )
         system = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
         normal = normal_equations(system, unknowns, Whitener(system, pieces, white(machine)))
         blocks = identifiable_blocks(normal, unknowns, 1e-4)
