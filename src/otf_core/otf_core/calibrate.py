@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.budget import Budget, make_budget, whole_check
+from otf_core.budget.budget import EFFECTS, Budget, make_budget, whole_check, with_source
 from otf_core.budget.typical import TypicalSystematic, typical_systematic, typical_warnings
 from otf_core.config import CalibrationConfig
+from otf_core.effects.stated import StatedEffect, TakenOff
 from otf_core.extrapolation import prior_of
 from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
@@ -171,6 +172,8 @@ class CalibrationResult:
     failed_gates : tuple of str
         Quality gates that failed; empty for a good calibration.
     config : CalibrationConfig
+    effects : tuple of StatedEffect
+        Taken off the runs before the tables were solved for.
     """
 
     run_id: str
@@ -188,6 +191,7 @@ class CalibrationResult:
     warnings: tuple[str, ...]
     failed_gates: tuple[str, ...]
     config: CalibrationConfig
+    effects: tuple[StatedEffect, ...] = ()
 
     @property
     def T_machine_tracker(self) -> RigidTransform:
@@ -283,7 +287,7 @@ def calibrate_runs(
         progress('aligning', 0.0)
         runs, nodes = prepare(recordings, config)
         progress('solving', 0.0)
-        return _assemble(solve_with_reversal(runs, nodes, config, progress), config)
+        return assemble(solve_with_reversal(runs, nodes, config, progress), config)
 
 
 def calibrate_prepared(
@@ -297,7 +301,7 @@ def calibrate_prepared(
         progress('solving', 0.0)
         config = replace(config, reversal='none')
         kept, done = solve_robustly(runs, unknowns, config, progress)
-        return _assemble(ReversalSolution(kept, done, Choice('none', False, {})), config)
+        return assemble(ReversalSolution(kept, done, Choice('none', False, {})), config)
 
 
 def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
@@ -376,13 +380,18 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
     return tuple(failed)
 
 
-def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> CalibrationResult:
+def assemble(
+    solved: ReversalSolution, config: CalibrationConfig, taken: TakenOff | None = None
+) -> CalibrationResult:
+    """Put a solution into a result, with the effects that were ``taken`` off its runs."""
     runs, done = solved.runs, solved.done
     solution, unknowns = done.solution, done.unknowns
     results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
     machine = runs[0].machine
     fine = tables_of(machine, unknowns, solution)
     budget = make_budget(runs, done, fine, config.standstill_speed)
+    if taken is not None:
+        budget = with_source(budget, EFFECTS, budget.inflation * taken.of_unknowns)
     fit = _fit(runs, results, done, budget.inflation)
     grid_u = mean_grid_uncertainty(machine, unknowns, budget.whole)
     table = tabulate(machine, done, grid_u, config.unidentifiable_above)
@@ -420,4 +429,5 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
         ),
         failed_gates=_failed_gates(fit),
         config=config,
+        effects=taken.stated if taken is not None else (),
     )

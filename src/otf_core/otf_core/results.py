@@ -22,6 +22,7 @@ from otf_core.budget.report import budget_lines, budget_to_dict, expanded, forma
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibrate import GAUGE, CalibrationResult, RunResult
 from otf_core.driven_volume import driven_volume
+from otf_core.effects.stated import effects_to_list, format_effects
 from otf_core.io.csv_points import write_csv
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.reversal_report import format_reversal, reversal_csv, reversal_to_dict
@@ -56,6 +57,7 @@ def result_to_dict(result: CalibrationResult) -> dict[str, Any]:
         ).to_dict(),
         'typical_systematic': typical_to_dict(result.typical),
         'not_identifiable': list(result.not_identifiable),
+        'effects': effects_to_list(result.effects),
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
         'config': asdict(result.config),
@@ -217,6 +219,7 @@ def format_result(result: CalibrationResult) -> str:
         '',
         format_tables(result),
         '',
+        *([format_effects(result.effects), ''] if result.effects else []),
         format_reversal(result.reversal),
         '',
         format_budget(result.tables, result.budget, budget_lines(result.tables, result.budget)),

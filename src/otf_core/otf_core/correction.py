@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects in a calibration: their displacement taken off the pieces, their uncertainty passed on.
+
+With c the columns of the coefficients theta of effects, jointly with tables and poses,
+
+    theta = theta_0 + M^-1 (c^T W e - P (theta_0 - theta_p)),  M = c^T W c - c^T W A C A^T W c + P
+
+e the residual of the solution of the data less c theta_0, C its covariance, theta_p and P mean and
+precision of what is known of theta before. The joint estimate of the tables is the solution of
+the data less c theta; its covariance is C + S M^-1 S^T, S = C A^T W c. What an effect is not
+linear in (a time constant, a period) is linearised about its last value, in its logarithm. Noise
+and misfit are fitted to the corrected residuals: they would hold the effect otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from otf_core.budget.columns import across, piece_state, projected, state_at
+from otf_core.config import CalibrationConfig
+from otf_core.diagnosis.rows import column_size, name_in_run
+from otf_core.diagnosis.samples import sample_state
+from otf_core.effects import AppliedEffect, Effect, State
+from otf_core.effects.state import probe_state
+from otf_core.effects.stated import FILE, FOUND, StatedEffect, TakenOff
+from otf_core.joint import JointSolution, Progress, solve_robustly, tables_of
+from otf_core.machine import Machine
+from otf_core.reversal_choice import ReversalSolution, solve_with_reversal
+from otf_core.runs import Run
+from otf_core.system import nominal_positions
+from otf_core.tables import ErrorTables
+
+Array = NDArray[np.float64]
+
+MAX_ROUNDS = 6
+SETTLED = 2e-8
+"""m; change of the displacement by an effect below which its coefficients count as settled."""
+ROUGH = 1e-6
+"""m; a larger change can alter which functions and which reversal the data call for."""
+TIME_CONSTANT, UNTIL = 'tau', 'until'
+TIME_CONSTANT_WIDTH = 1.0
+"""Standard deviation of the logarithm of a time constant that a diagnosis found on a raster."""
+STRAIGHT = 10.0
+"""Time constants of so many durations and more make a straight line, whatever they are."""
+LARGEST_STEP = 0.5
+"""Of the logarithm of a time constant or a period, in its prior standard deviations."""
+DIFFERENCE = 1e-4
+"""Step of the logarithm of a shape parameter, in its prior standard deviations."""
+SPREAD = {FOUND: 3.0, FILE: 1.0}
+"""Prior standard deviation of coefficients, over the largest displacement of the effect."""
+LEAST_SPREAD = {FOUND: 0.0, FILE: 1e-6}
+"""m; least prior standard deviation of the displacement by one coefficient."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """One effect that is taken off.
+
+    Attributes
+    ----------
+    effect : Effect
+    shape : mapping of str to float
+    names : tuple of str
+        Coefficients that take part; all others are zero.
+    values : ndarray, shape (r, k)
+        One row for every run where each has its own, else one.
+    known : ndarray, shape (r, k)
+        What they were before these data.
+    widths : mapping of str to float
+        Shape parameters that are estimated: standard deviation of the logarithm before these data.
+    start : mapping of str to float
+        Their values before these data.
+    how : str
+        'found' by a diagnosis, or from a 'file'.
+    """
+
+    effect: Effect
+    shape: Mapping[str, float]
+    names: tuple[str, ...]
+    values: Array
+    known: Array
+    widths: Mapping[str, float]
+    start: Mapping[str, float]
+    how: str
+
+    @property
+    def size(self) -> int:
+        """Number of parameters that are estimated."""
+        return int(self.values.size) + len(self.widths)
+
+    def displacement(self, state: State, run: int) -> Array:
+        """Displacement of points of one run, shape (n, 3), m."""
+        row = self.values[run if len(self.values) > 1 else 0]
+        parameters = {**self.shape, **dict(zip(self.names, row.tolist(), strict=True))}
+        return self.effect.displacement(state, parameters)
+
+    def columns(self, state: State, run: int) -> Array:
+        """Derivatives of the displacement by all parameters, shape (n, 3, size)."""
+        terms = self.effect.terms(state, self.effect.complete_shape(self.shape))
+        place = [terms.names.index(name) for name in self.names]
+        count, own = len(self.names), run if len(self.values) > 1 else 0
+        found = np.zeros((len(state), 3, self.size))
+        found[:, :, own * count : (own + 1) * count] = terms.columns[:, :, place]
+        for k, (name, width) in enumerate(self.widths.items()):
+            step = DIFFERENCE * width
+            low, high = (
+                replace(self, shape={**self.shape, name: self.shape[name] * np.exp(s)})
+                for s in (-step, step)
+            )
+            change = high.displacement(state, run) - low.displacement(state, run)
+            found[:, :, self.values.size + k] = change / (2.0 * step)
+        return found
+
+    def moved(self, step: Array) -> Taken:
+        """The same with parameters moved by ``step`` (size,), those of the shape not far."""
+        count = self.values.size
+        shape = dict(self.shape)
+        for (name, width), change in zip(self.widths.items(), step[count:], strict=True):
+            bound = LARGEST_STEP * width
+            shape[name] *= float(np.exp(np.clip(change, -bound, bound)))
+        values = self.values + step[:count].reshape(self.values.shape)
+        return replace(self, values=values, shape=shape)
+
+    def away(self) -> Array:
+        """Parameters less what they were before these data, shape (size,)."""
+        logs = [np.log(self.shape[n] / self.start[n]) for n in self.widths]
+        return np.concatenate([(self.values - self.known).ravel(), logs])
+
+    def precision(self, size: Array) -> Array:
+        """Inverse variances before these data, for columns of size (size,), m per unit."""
+        largest = float(np.max(np.abs(self.known.ravel()) * size[: self.values.size], initial=0.0))
+        spread = max(SPREAD[self.how] * largest, LEAST_SPREAD[self.how], 1e-9)
+        own = (size[: self.values.size] / spread) ** 2
+        # what does not act here at all stays as it was
+        own = np.maximum(own, 1e-12 * float(own.max(initial=1.0)))
+        return np.concatenate([own, [1.0 / w**2 for w in self.widths.values()]])
+
+    def applied(self, run: int) -> AppliedEffect:
+        """The effect in one run."""
+        row = self.values[run if len(self.values) > 1 else 0]
+        return AppliedEffect(
+            self.effect, {**self.shape, **dict(zip(self.names, row.tolist(), strict=True))}
+        )
+
+
+def taken(applied: Sequence[AppliedEffect], how: str) -> Taken:
+    """Set up an effect to be taken off.
+
+    Parameters
+    ----------
+    applied : sequence of AppliedEffect
+        The same effect in every run.
+    how : str
+        'found': its time constant or period is improved with the data; 'file': it is held.
+    """
+    effect, first = applied[0].effect, applied[0].parameters
+    shape = {n: float(v) for n, v in first.items() if n in effect.shape_names}
+    rows = applied if effect.own_per_run else applied[:1]
+    names = tuple(dict.fromkeys(n for a in rows for n in a.parameters if n not in shape))
+    values = np.array([[float(a.parameters.get(n, 0.0)) for n in names] for a in rows])
+    widths: dict[str, float] = {}
+    if how == FOUND and effect.refine:
+        widths[effect.refine] = effect.refine_width
+    bent = shape.get(TIME_CONSTANT, np.inf) < STRAIGHT * shape.get(UNTIL, 0.0)
+    if how == FOUND and bent:
+        widths[TIME_CONSTANT] = TIME_CONSTANT_WIDTH
+    start = {n: shape[n] for n in widths}
+    return Taken(effect, shape, names, values, values.copy(), widths, start, how)
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Effects with the parameters that the data give them.
+
+    Attributes
+    ----------
+    effects : tuple of Taken
+    covariance : ndarray, shape (k, k)
+        Of all parameters, effect by effect: coefficients run by run, then shape in logarithms.
+    change : ndarray, shape (full, k)
+        S: what a unit of each does to the unknowns of the calibration.
+    """
+
+    effects: tuple[Taken, ...]
+    covariance: Array
+    change: Array
+
+    def taken_off(self, machine: Machine) -> TakenOff:
+        """State effects and what the unknowns are uncertain by for them."""
+        ends = np.cumsum([e.size for e in self.effects])
+        u = np.split(np.sqrt(np.diag(self.covariance)), ends[:-1])
+        stated = tuple(_stated(e, part, machine) for e, part in zip(self.effects, u, strict=True))
+        return TakenOff(stated, np.asarray(self.change @ self.covariance @ self.change.T))
+
+
+def _stated(one: Taken, u: Array, machine: Machine) -> StatedEffect:
+    units = one.effect.units(probe_state(machine), one.applied(0).parameters)
+    parameters, uncertain = dict(one.shape), {}
+    for name, relative in zip(one.widths, u[one.values.size :], strict=True):
+        uncertain[name] = float(relative * one.shape[name])
+    places = np.ndindex(*one.values.shape)
+    for (run, k), value, own in zip(places, one.values.ravel(), u, strict=False):
+        name = name_in_run(one.names[k], run)
+        parameters[name], uncertain[name] = float(value), float(own)
+        units[name] = units[one.names[k]]
+    return StatedEffect(one.effect.name, parameters, uncertain, units, one.how)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Where the pieces of one run are, for the formulas of the effects."""
+
+    run: Run
+    number: int
+    pieces: State
+    samples: State | None
+
+    def mean(self, one: Taken, function: Callable[[State, int], Array]) -> Array:
+        """Values over the pieces, means over their samples where the effect asks for that."""
+        if one.effect.sample_resolution and self.samples is not None:
+            return self.run.pieces.mean_of(function(self.samples, self.number))
+        return function(self.pieces, self.number)
+
+
+def _scene(run: Run, number: int, pieces: State, effects: Sequence[Taken]) -> _Scene:
+    samples = None
+    if any(e.effect.sample_resolution for e in effects) and len(run.pieces.samples):
+        nodes = dict(pieces.nodes)
+        samples = sample_state(run, run.pose, pieces.tables, nodes)
+    return _Scene(run, number, pieces, samples)
+
+
+def corrected(
+    runs: Sequence[Run],
+    effects: Sequence[Taken],
+    nodes: dict[str, Array],
+    tables: ErrorTables | None,
+) -> list[Run]:
+    """Runs with the displacement by effects taken off their pieces.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Their poses good to the errors sought.
+    effects : sequence of Taken
+    nodes : mapping of axis to ndarray, m
+    tables : ErrorTables, optional
+        For the place along the path, as far as they are known.
+    """
+    found = []
+    for number, run in enumerate(runs):
+        q = nominal_positions(run.pieces, run.pose.apply(run.pieces.xyz), tables)
+        scene = _scene(run, number, state_at(run, q, run.pose, nodes, tables), effects)
+        shift = sum(
+            (scene.mean(e, e.displacement) for e in effects), start=np.zeros((len(run.pieces), 3))
+        )
+        xyz = run.pieces.xyz - shift @ run.pose.rotation
+        found.append(replace(run, pieces=replace(run.pieces, xyz=xyz)))
+    return found
+
+
+def estimates(
+    runs: Sequence[Run], done: JointSolution, effects: Sequence[Taken]
+) -> tuple[Estimates, Array, Array]:
+    """Estimate the parameters of effects anew, jointly with tables and poses.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Corrected by the effects as they are, as solved.
+    done : JointSolution
+        Of these runs.
+    effects : sequence of Taken
+
+    Returns
+    -------
+    estimates : Estimates
+        With the parameters moved.
+    step : ndarray, shape (k,)
+        Change of all parameters.
+    size : ndarray, shape (k,), m
+        Displacement per unit of each where it acts.
+    """
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    columns = []
+    for number, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+        state = piece_state(run, solved, done.unknowns.knots, tables)
+        scene = _scene(replace(run, pose=solved.pose), number, state, effects)
+        whole = np.concatenate([scene.mean(e, e.columns) for e in effects], axis=2)
+        columns.append(across(solved, whole))
+    cross = projected(done, columns)
+    change = done.solution.covariance @ cross
+    size = column_size(np.concatenate([c.reshape(-1, c.shape[2]) for c in columns]))
+    matrix, right = -cross.T @ change, np.zeros(len(size))
+    for part, solved in zip(columns, done.runs, strict=True):
+        flat = part.reshape(-1, part.shape[2])
+        weighted = solved.whitener.weighted(part).reshape(flat.shape)
+        matrix += flat.T @ weighted
+        right += weighted.T @ solved.residual.ravel()
+    bounds = np.cumsum([0, *(e.size for e in effects)])
+    prior = np.concatenate([
+        e.precision(size[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
+    ])  # fmt: skip
+    right -= prior * np.concatenate([e.away() for e in effects])
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 0.0) + prior)
+    whole = scale[:, None] * (matrix + np.diag(prior)) * scale
+    covariance = scale[:, None] * linalg.inv(0.5 * (whole + whole.T)) * scale
+    step = covariance @ right
+    moved = tuple(
+        e.moved(step[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
+    )
+    return Estimates(moved, covariance, change), step, size
+
+
+def solve_with_effects(
+    runs: Sequence[Run],
+    nodes: dict[str, Array],
+    effects: Sequence[Taken],
+    config: CalibrationConfig,
+    progress: Progress,
+) -> tuple[ReversalSolution, Estimates]:
+    """Solve with effects taken off and their parameters estimated with the rest.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        As prepared.
+    nodes : mapping of axis to ndarray, m
+    effects : sequence of Taken
+    config : CalibrationConfig
+    progress : callable(stage, fraction)
+
+    Returns
+    -------
+    solved : ReversalSolution
+        Of the corrected runs.
+    estimates : Estimates
+    """
+    now, whole = tuple(effects), list(runs)
+    solved = solve_with_reversal(corrected(whole, now, nodes, None), nodes, config, progress)
+    for _ in range(MAX_ROUNDS):
+        found, step, size = estimates(solved.runs, solved.done, now)
+        now, largest = found.effects, float(np.max(np.abs(step) * size, initial=0.0))
+        if largest < SETTLED:
+            break
+        tables = tables_of(runs[0].machine, solved.done.unknowns, solved.done.solution)
+        whole = [
+            replace(r, pose=s.pose, fitted=k.fitted)
+            for r, s, k in zip(runs, solved.done.runs, solved.runs, strict=True)
+        ]
+        clean = corrected(whole, now, solved.done.unknowns.knots, tables)
+        if largest > ROUGH:
+            solved = solve_with_reversal(clean, nodes, config, progress)
+            continue
+        start = solved.done.roughness.logs
+        again = solve_robustly(clean, solved.done.unknowns, config, progress, start)
+        solved = ReversalSolution(*again, solved.choice)
+    return solved, found
