@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from otf_core.calibrate import CalibrationResult, assemble, calibrate_runs
+from otf_core.calibrate import CalibrationResult, calibrate_runs
 from otf_core.config import CalibrationConfig
-from otf_core.correction import Taken, solve_with_effects, taken
+from otf_core.correction import TABLES_OWN, Taken, calibrate_without, taken
 from otf_core.diagnosis.complete import diagnose
 from otf_core.diagnosis.diagnose import Twin
 from otf_core.diagnosis.result import Diagnosis
@@ -27,16 +27,16 @@ from otf_core.errors import ConfigError
 from otf_core.io.effects_yaml import read_effects, write_effects
 from otf_core.joint import Progress
 from otf_core.results import write_calibration
-from otf_core.runs import Recording, prepare_runs
+from otf_core.runs import Recording
 from otf_core.threads import in_one_thread
 
 AUTO, NONE = 'auto', 'none'
 REVERSAL = ('backlash', 'direction_dependent_tables')
-TABLES_OWN = ('table_resolution',)
 NOISE = 'tracker_noise'
 SURE = 0.99
 """Least confidence of a cause that is taken off without a warning."""
 PLAIN_FOLDER = 'plain'
+EFFECTS_FILE = 'effects_taken_off'
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,7 @@ def calibrate_with_effects(
     twin: Twin,
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
+    method: str = 'otf',
 ) -> EffectsCalibration:
     """Calibrate on the fly with effects taken off.
 
@@ -82,14 +83,21 @@ def calibrate_with_effects(
         Simulates a run again, for the diagnosis: ``sim.twin.twin_recording``.
     config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
+    method : str
+        Only 'otf' can do this: stops hold neither direction nor feed.
 
     Raises
     ------
     ConfigError
-        If the file names what cannot be taken off.
+        If the file names what cannot be taken off, or for another method.
     InputError
         As ``calibrate_runs``.
     """
+    if method != 'otf':
+        raise ConfigError(
+            f'effects {effects}: cannot be taken off with the method {method}: at stops there is '
+            f'neither feed nor direction of travel; use the method otf'
+        )
     config = config or CalibrationConfig()
     progress = progress or (lambda stage, fraction: None)
     named = [] if effects == AUTO else _named(effects, recordings)
@@ -112,9 +120,7 @@ def calibrate_with_effects(
     if not taking:
         result = replace(plain, warnings=(*warnings, *plain.warnings))
         return EffectsCalibration(result, plain, tuple(() for _ in recordings), words)
-    runs, nodes = prepare_runs(recordings, config)
-    solved, found = solve_with_effects(runs, nodes, taking, config, progress)
-    result = assemble(solved, config, found.taken_off(recordings[0].machine))
+    result, found = calibrate_without(recordings, taking, config, progress)
     stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
     result = replace(
         result,
@@ -190,8 +196,8 @@ def write_with_effects(done: EffectsCalibration, folder: str | Path) -> list[Pat
     machine = done.result.tables.machine
     for number, applied in enumerate(done.applied):
         if applied and (not number or _differs(applied, done.applied[0])):
-            name = f'effects_run_{number + 1}.yaml' if number else 'effects.yaml'
-            files.append(folder / name)
+            name = f'{EFFECTS_FILE}_run_{number + 1}' if number else EFFECTS_FILE
+            files.append(folder / f'{name}.yaml')
             write_effects(files[-1], applied, machine)
     return [*written, *files]
 

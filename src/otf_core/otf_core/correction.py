@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from otf_core.budget.columns import across, piece_state, projected, state_at
+from otf_core.calibrate import CalibrationResult, assemble
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.rows import column_size, name_in_run
 from otf_core.diagnosis.samples import sample_state
@@ -31,7 +32,7 @@ from otf_core.effects.stated import FILE, FOUND, StatedEffect, TakenOff
 from otf_core.joint import JointSolution, Progress, solve_robustly, tables_of
 from otf_core.machine import Machine
 from otf_core.reversal_choice import ReversalSolution, solve_with_reversal
-from otf_core.runs import Run
+from otf_core.runs import Recording, Run, prepare_runs
 from otf_core.system import nominal_positions
 from otf_core.tables import ErrorTables
 
@@ -51,6 +52,8 @@ LARGEST_STEP = 0.5
 """Of the logarithm of a time constant or a period, in its prior standard deviations."""
 DIFFERENCE = 1e-4
 """Step of the logarithm of a shape parameter, in its prior standard deviations."""
+TABLES_OWN = ('table_resolution',)
+"""What is nothing to take off: it is the tables that follow finer."""
 SPREAD = {FOUND: 3.0, FILE: 1.0}
 """Prior standard deviation of coefficients, over the largest displacement of the effect."""
 LEAST_SPREAD = {FOUND: 0.0, FILE: 1e-6}
@@ -361,3 +364,24 @@ def solve_with_effects(
         again = solve_robustly(clean, solved.done.unknowns, config, progress, start)
         solved = ReversalSolution(*again, solved.choice)
     return solved, found
+
+
+def calibrate_without(
+    recordings: Sequence[Recording],
+    effects: Sequence[Taken],
+    config: CalibrationConfig,
+    progress: Progress = lambda stage, fraction: None,
+) -> tuple[CalibrationResult, Estimates]:
+    """Calibrate on the fly with effects taken off and their parameters estimated.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    effects : sequence of Taken
+        At least one.
+    config : CalibrationConfig
+    progress : callable(stage, fraction), optional
+    """
+    runs, nodes = prepare_runs(recordings, config)
+    solved, found = solve_with_effects(runs, nodes, effects, config, progress)
+    return assemble(solved, config, found.taken_off(recordings[0].machine)), found

@@ -140,7 +140,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Extra:
-    """What a rigid machine lacks: drift, growth of axes, lag of drives, errors of a scale's period.
+    """What a rigid machine lacks: drift, growth of axes, lag of drives, waves of a scale.
 
     Attributes
     ----------

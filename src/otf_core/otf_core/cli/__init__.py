@@ -150,6 +150,12 @@ def _parser() -> argparse.ArgumentParser:
     _add_runs(sub)
     sub.add_argument('--out', required=True, help='folder for the results')
     sub.add_argument('--method', choices=('otf', 'standstill'), default='otf')
+    sub.add_argument(
+        '--effects', metavar='auto|FILE',
+        help='take effects off and state u with them: what a diagnosis finds, or those of an '
+        'effects.yaml, their coefficients estimated anew where the data see them; the plain '
+        'calibration stays in plain/',
+    )  # fmt: skip
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('diagnose', run_diagnose, 'Where and why a real run departs from its simulation.')
