@@ -17,12 +17,13 @@ from pathlib import Path
 
 from otf_core.calibrate import CalibrationResult, calibrate_runs
 from otf_core.config import CalibrationConfig
-from otf_core.correction import TABLES_OWN, Taken, calibrate_without, taken
+from otf_core.correction import TABLES_OWN, calibrate_without
 from otf_core.diagnosis.complete import diagnose
 from otf_core.diagnosis.diagnose import Twin
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects import AppliedEffect
 from otf_core.effects.stated import FILE, FOUND, effects_to_list
+from otf_core.effects.taken import Taken, taken
 from otf_core.errors import ConfigError
 from otf_core.io.effects_yaml import read_effects, write_effects
 from otf_core.joint import Progress

@@ -14,7 +14,7 @@ and misfit are fitted to the corrected residuals: they would hold the effect oth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,11 +26,12 @@ from otf_core.calibrate import CalibrationResult, assemble
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.rows import column_size, name_in_run
 from otf_core.diagnosis.samples import sample_state
-from otf_core.effects import AppliedEffect, Effect, State
+from otf_core.effects import State
 from otf_core.effects.state import probe_state
-from otf_core.effects.stated import FILE, FOUND, StatedEffect, TakenOff
+from otf_core.effects.stated import StatedEffect, TakenOff
+from otf_core.effects.taken import Taken
 from otf_core.joint import JointSolution, Progress, solve_robustly, tables_of
-from otf_core.machine import Machine
+from otf_core.machine import AXES, Machine
 from otf_core.reversal_choice import ReversalSolution, solve_with_reversal
 from otf_core.runs import Recording, Run, prepare_runs
 from otf_core.system import nominal_positions
@@ -43,137 +44,8 @@ SETTLED = 2e-8
 """m; change of the displacement by an effect below which its coefficients count as settled."""
 ROUGH = 1e-6
 """m; a larger change can alter which functions and which reversal the data call for."""
-TIME_CONSTANT, UNTIL = 'tau', 'until'
-TIME_CONSTANT_WIDTH = 1.0
-"""Standard deviation of the logarithm of a time constant that a diagnosis found on a raster."""
-STRAIGHT = 10.0
-"""Time constants of so many durations and more make a straight line, whatever they are."""
-LARGEST_STEP = 0.5
-"""Of the logarithm of a time constant or a period, in its prior standard deviations."""
-DIFFERENCE = 1e-4
-"""Step of the logarithm of a shape parameter, in its prior standard deviations."""
 TABLES_OWN = ('table_resolution',)
 """What is nothing to take off: it is the tables that follow finer."""
-SPREAD = {FOUND: 3.0, FILE: 1.0}
-"""Prior standard deviation of coefficients, over the largest displacement of the effect."""
-LEAST_SPREAD = {FOUND: 0.0, FILE: 1e-6}
-"""m; least prior standard deviation of the displacement by one coefficient."""
-
-
-@dataclass(frozen=True)
-class Taken:
-    """One effect that is taken off.
-
-    Attributes
-    ----------
-    effect : Effect
-    shape : mapping of str to float
-    names : tuple of str
-        Coefficients that take part; all others are zero.
-    values : ndarray, shape (r, k)
-        One row for every run where each has its own, else one.
-    known : ndarray, shape (r, k)
-        What they were before these data.
-    widths : mapping of str to float
-        Shape parameters that are estimated: standard deviation of the logarithm before these data.
-    start : mapping of str to float
-        Their values before these data.
-    how : str
-        'found' by a diagnosis, or from a 'file'.
-    """
-
-    effect: Effect
-    shape: Mapping[str, float]
-    names: tuple[str, ...]
-    values: Array
-    known: Array
-    widths: Mapping[str, float]
-    start: Mapping[str, float]
-    how: str
-
-    @property
-    def size(self) -> int:
-        """Number of parameters that are estimated."""
-        return int(self.values.size) + len(self.widths)
-
-    def displacement(self, state: State, run: int) -> Array:
-        """Displacement of points of one run, shape (n, 3), m."""
-        row = self.values[run if len(self.values) > 1 else 0]
-        parameters = {**self.shape, **dict(zip(self.names, row.tolist(), strict=True))}
-        return self.effect.displacement(state, parameters)
-
-    def columns(self, state: State, run: int) -> Array:
-        """Derivatives of the displacement by all parameters, shape (n, 3, size)."""
-        terms = self.effect.terms(state, self.effect.complete_shape(self.shape))
-        place = [terms.names.index(name) for name in self.names]
-        count, own = len(self.names), run if len(self.values) > 1 else 0
-        found = np.zeros((len(state), 3, self.size))
-        found[:, :, own * count : (own + 1) * count] = terms.columns[:, :, place]
-        for k, (name, width) in enumerate(self.widths.items()):
-            step = DIFFERENCE * width
-            low, high = (
-                replace(self, shape={**self.shape, name: self.shape[name] * np.exp(s)})
-                for s in (-step, step)
-            )
-            change = high.displacement(state, run) - low.displacement(state, run)
-            found[:, :, self.values.size + k] = change / (2.0 * step)
-        return found
-
-    def moved(self, step: Array) -> Taken:
-        """The same with parameters moved by ``step`` (size,), those of the shape not far."""
-        count = self.values.size
-        shape = dict(self.shape)
-        for (name, width), change in zip(self.widths.items(), step[count:], strict=True):
-            bound = LARGEST_STEP * width
-            shape[name] *= float(np.exp(np.clip(change, -bound, bound)))
-        values = self.values + step[:count].reshape(self.values.shape)
-        return replace(self, values=values, shape=shape)
-
-    def away(self) -> Array:
-        """Parameters less what they were before these data, shape (size,)."""
-        logs = [np.log(self.shape[n] / self.start[n]) for n in self.widths]
-        return np.concatenate([(self.values - self.known).ravel(), logs])
-
-    def precision(self, size: Array) -> Array:
-        """Inverse variances before these data, for columns of size (size,), m per unit."""
-        largest = float(np.max(np.abs(self.known.ravel()) * size[: self.values.size], initial=0.0))
-        spread = max(SPREAD[self.how] * largest, LEAST_SPREAD[self.how], 1e-9)
-        own = (size[: self.values.size] / spread) ** 2
-        # what does not act here at all stays as it was
-        own = np.maximum(own, 1e-12 * float(own.max(initial=1.0)))
-        return np.concatenate([own, [1.0 / w**2 for w in self.widths.values()]])
-
-    def applied(self, run: int) -> AppliedEffect:
-        """The effect in one run."""
-        row = self.values[run if len(self.values) > 1 else 0]
-        return AppliedEffect(
-            self.effect, {**self.shape, **dict(zip(self.names, row.tolist(), strict=True))}
-        )
-
-
-def taken(applied: Sequence[AppliedEffect], how: str) -> Taken:
-    """Set up an effect to be taken off.
-
-    Parameters
-    ----------
-    applied : sequence of AppliedEffect
-        The same effect in every run.
-    how : str
-        'found': its time constant or period is improved with the data; 'file': it is held.
-    """
-    effect, first = applied[0].effect, applied[0].parameters
-    shape = {n: float(v) for n, v in first.items() if n in effect.shape_names}
-    rows = applied if effect.own_per_run else applied[:1]
-    names = tuple(dict.fromkeys(n for a in rows for n in a.parameters if n not in shape))
-    values = np.array([[float(a.parameters.get(n, 0.0)) for n in names] for a in rows])
-    widths: dict[str, float] = {}
-    if how == FOUND and effect.refine:
-        widths[effect.refine] = effect.refine_width
-    bent = shape.get(TIME_CONSTANT, np.inf) < STRAIGHT * shape.get(UNTIL, 0.0)
-    if how == FOUND and bent:
-        widths[TIME_CONSTANT] = TIME_CONSTANT_WIDTH
-    start = {n: shape[n] for n in widths}
-    return Taken(effect, shape, names, values, values.copy(), widths, start, how)
 
 
 @dataclass(frozen=True)
@@ -193,12 +65,14 @@ class Estimates:
     covariance: Array
     change: Array
 
-    def taken_off(self, machine: Machine) -> TakenOff:
-        """State effects and what the unknowns are uncertain by for them."""
+    def taken_off(self, solved: ReversalSolution) -> TakenOff:
+        """State effects and what the unknowns of a solution are uncertain by for them."""
+        machine = solved.runs[0].machine
         ends = np.cumsum([e.size for e in self.effects])
         u = np.split(np.sqrt(np.diag(self.covariance)), ends[:-1])
         stated = tuple(_stated(e, part, machine) for e, part in zip(self.effects, u, strict=True))
-        return TakenOff(stated, np.asarray(self.change @ self.covariance @ self.change.T))
+        found = self.change @ self.covariance @ self.change.T
+        return TakenOff(stated, found + missing_in_tables(solved, self.effects))
 
 
 def _stated(one: Taken, u: Array, machine: Machine) -> StatedEffect:
@@ -212,6 +86,30 @@ def _stated(one: Taken, u: Array, machine: Machine) -> StatedEffect:
         parameters[name], uncertain[name] = float(value), float(own)
         units[name] = units[one.names[k]]
     return StatedEffect(one.effect.name, parameters, uncertain, units, one.how)
+
+
+def missing_in_tables(solved: ReversalSolution, effects: Sequence[Taken]) -> Array:
+    """What the tables lack of effects that stay at their place, covariance, (full, full).
+
+    Such an effect displaces the target in the same way whenever it comes by, but no table holds
+    it. Its mean square along X, Y and Z is stated as uncertain positioning of that axis.
+    """
+    done, machine = solved.done, solved.runs[0].machine
+    variance = np.zeros(done.unknowns.full)
+    tables = tables_of(machine, done.unknowns, done.solution)
+    staying = [one for one in effects if one.effect.stays_in_place]
+    for one in staying:
+        parts = []
+        for number, (run, at) in enumerate(zip(solved.runs, done.runs, strict=True)):
+            state = piece_state(run, at, done.unknowns.knots, tables)
+            parts.append(one.displacement(state, number))
+        square = np.mean(np.concatenate(parts) ** 2, axis=0)
+        for k, axis in enumerate(AXES):
+            basis = done.unknowns.bases[axis]
+            weight = basis.places(np.concatenate([at.system.q[:, k] for at in done.runs]))[1]
+            share = float(np.mean(np.sum(weight**2, axis=1)))
+            variance[done.unknowns.blocks[f'E{axis}{axis}']] += square[k] / share
+    return np.diag(variance)
 
 
 @dataclass(frozen=True)
@@ -384,4 +282,4 @@ def calibrate_without(
     """
     runs, nodes = prepare_runs(recordings, config)
     solved, found = solve_with_effects(runs, nodes, effects, config, progress)
-    return assemble(solved, config, found.taken_off(recordings[0].machine)), found
+    return assemble(solved, config, found.taken_off(solved)), found

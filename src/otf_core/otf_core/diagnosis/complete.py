@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from otf_core.calibrate import CalibrationResult, calibrate_prepared
 from otf_core.config import CalibrationConfig
-from otf_core.correction import TABLES_OWN, calibrate_without, taken
+from otf_core.correction import TABLES_OWN, calibrate_without
 from otf_core.diagnosis.answer import DiagnosisData, answer, fitted_causes, run_views
 from otf_core.diagnosis.assess import gap_um
 from otf_core.diagnosis.diagnose import NO_GAP_SHARE, Findings, Twin, find
@@ -24,6 +24,7 @@ from otf_core.diagnosis.where import describe_structure, where_and_shape
 from otf_core.diagnosis.where_words import EVERYWHERE, NO_STRUCTURE
 from otf_core.effects import AppliedEffect
 from otf_core.effects.stated import FOUND
+from otf_core.effects.taken import taken
 from otf_core.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.io.effects_yaml import write_effects
 from otf_core.io.files import ensure_folder, write_text
