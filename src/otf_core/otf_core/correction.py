@@ -30,7 +30,7 @@ from otf_core.effects import State
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated import StatedEffect, TakenOff
 from otf_core.effects.taken import Taken
-from otf_core.joint import JointSolution, Progress, solve_robustly, tables_of
+from otf_core.joint import FINE, JointSolution, Progress, solve_robustly, tables_of
 from otf_core.machine import AXES, Machine
 from otf_core.reversal_choice import ReversalSolution, solve_with_reversal
 from otf_core.runs import Recording, Run, prepare_runs
@@ -106,8 +106,7 @@ def missing_in_tables(solved: ReversalSolution, effects: Sequence[Taken]) -> Arr
         square = np.mean(np.concatenate(parts) ** 2, axis=0)
         for k, axis in enumerate(AXES):
             basis = done.unknowns.bases[axis]
-            weight = basis.places(np.concatenate([at.system.q[:, k] for at in done.runs]))[1]
-            share = float(np.mean(np.sum(weight**2, axis=1)))
+            share = float(np.mean(np.sum(basis.matrix(basis.finer(FINE)) ** 2, axis=1)))
             variance[done.unknowns.blocks[f'E{axis}{axis}']] += square[k] / share
     return np.diag(variance)
 
