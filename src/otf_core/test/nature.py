@@ -286,7 +286,7 @@ class Cell:
         longer = np.array(self.extra.growth) / (self.machine.upper - self.machine.lower)
         actual += self.extra.grown(time / time[-1])[:, None] * longer * q
         xyz = self.measured(actual, noise, 1 / rate, rng)
-        clock = rng.uniform(0, 1e9) + time * (1.0 + rng.uniform(-2e-5, 2e-5))
+        clock = rng.uniform(0, 1e8) + time * (1.0 + rng.uniform(-2e-5, 2e-5))
         stamp = np.int64(1_700_000_000_000_000_000) + np.rint(clock * 1e9).astype(np.int64)
         return Recording(Samples(stamp, xyz), self.path, self.machine)
 
