@@ -21,6 +21,7 @@ from otf_core.correction import TABLES_OWN, calibrate_without
 from otf_core.diagnosis.complete import diagnose
 from otf_core.diagnosis.diagnose import Twin
 from otf_core.diagnosis.result import Diagnosis
+from otf_core.diagnosis.search import Cause
 from otf_core.effects import AppliedEffect
 from otf_core.effects.stated import FILE, FOUND, effects_to_list
 from otf_core.effects.taken import Taken, taken
@@ -107,9 +108,8 @@ def calibrate_with_effects(
     if effects == AUTO:
         names = [r.name or f'run {k}' for k, r in enumerate(recordings, start=1)]
         diagnosis, data = diagnose(recordings, names, twin, (), config, progress)
-        sure = [cause.confidence for cause in data.findings.causes]
         chosen = [taken(list(found), FOUND) for found in zip(*data.applied, strict=True)]
-        taking, warnings = _to_take(chosen, sure, config)
+        taking, warnings = _to_take(chosen, data.findings.causes, config)
         words = _words(diagnosis, taking)
         if diagnosis.verdict == 'unknown':
             warnings.append(words)
@@ -152,20 +152,26 @@ def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
 
 
 def _to_take(
-    found: Sequence[Taken], sure: Sequence[float], config: CalibrationConfig
+    found: Sequence[Taken], causes: Sequence[Cause], config: CalibrationConfig
 ) -> tuple[list[Taken], list[str]]:
     """What of the causes found is taken off, and warnings."""
     left = TABLES_OWN if config.reversal == 'none' else (*TABLES_OWN, *REVERSAL)
     taking, warnings = [], []
-    for one, confidence in zip(found, sure, strict=True):
+    for one, cause in zip(found, causes, strict=True):
         if one.effect.name in left:
             continue
         taking.append(one)
-        if confidence < SURE:
-            warnings.append(
-                f'effect taken off: {one.effect.name} with a confidence of {confidence:.2f} only; '
-                f'otf diagnose says what is not told from it'
+        said = []
+        if cause.confidence < SURE:
+            said.append(f'with a confidence of {cause.confidence:.2f} only')
+        others = [n for n in cause.indistinguishable if n not in left]
+        if others:
+            said.append(
+                f'not told from {" or ".join(others)}; tables with that taken off instead may '
+                f'differ by more than u'
             )
+        if said:
+            warnings.append(f'effect taken off: {one.effect.name}, {"; ".join(said)}')
     return taking, warnings
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects taken off: the joint estimate, its uncertainty, what is refused."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -236,20 +236,27 @@ def test_stops_have_neither_feed_nor_direction(tmp_path):
     assert 'use the method otf' in message
 
 
+def cause(confidence=1.0, *others):
+    return SimpleNamespace(confidence=confidence, indistinguishable=others)
+
+
 def test_reversal_is_left_to_its_own_choice_unless_that_is_off():
     found = [one('backlash', FOUND, B_X=1e-6), one('servo_mismatch', FOUND, T_X=1e-6)]
 
     def names(reversal):
         config = CalibrationConfig(reversal=reversal)
-        return [t.effect.name for t in above._to_take(found, (1.0, 1.0), config)[0]]
+        return [t.effect.name for t in above._to_take(found, [cause(), cause()], config)[0]]
 
     assert names('auto') == names('tables') == ['servo_mismatch']
     assert names('none') == ['backlash', 'servo_mismatch']
 
 
 def test_unsure_cause_is_taken_off_with_a_warning():
-    (warning,) = above._to_take([one('servo_mismatch', FOUND, T_X=1e-5)], [0.8], CONFIG)[1]
-    assert 'servo_mismatch' in warning and '0.80' in warning
+    servo = [one('servo_mismatch', FOUND, T_X=1e-5)]
+    (warning,) = above._to_take(servo, [cause(0.8, 'backlash', 'vibration')], CONFIG)[1]
+    assert 'servo_mismatch, with a confidence of 0.80' in warning
+    assert 'not told from vibration' in warning  # reversal has its own choice
+    assert not above._to_take(servo, [cause()], CONFIG)[1]
 
 
 def test_effects_are_listed_with_value_u_and_unit(runs_and_nodes):
@@ -261,3 +268,23 @@ def test_effects_are_listed_with_value_u_and_unit(runs_and_nodes):
     assert stated[0].units['S_X_2'] == 'm/m' and stated[0].units['tau'] == 's'
     text = format_effects(stated)
     assert 'thermal_axis_expansion (found by diagnosis)' in text and 'as given' in text
+
+
+@dataclass(frozen=True)
+class Plain:
+    """What is looked at of a plain calibration."""
+
+    run_id: str
+    warnings: tuple
+
+
+def test_gap_of_unknown_cause_takes_nothing_off_and_warns(monkeypatch):
+    plain = Plain('1', ('other',))
+    diagnosis = SimpleNamespace(verdict='unknown', sentence='A gap that no effect explains.')
+    data = SimpleNamespace(findings=SimpleNamespace(causes=()), applied=((),))
+    monkeypatch.setattr(above, 'calibrate_runs', lambda *given: plain)
+    monkeypatch.setattr(above, 'diagnose', lambda *given: (diagnosis, data))
+    done = calibrate_with_effects([SimpleNamespace(name='run')], 'auto', None)
+    assert done.applied == ((),) and done.result.run_id == '1'
+    assert 'no effect explains. No effect was taken off' in done.result.warnings[0]
+    assert done.result.warnings[1] == 'other'
