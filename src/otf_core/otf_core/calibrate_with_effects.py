@@ -9,8 +9,6 @@ twice. A file that names one of them switches that choice off. Nodes too far apa
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +21,7 @@ from otf_core.diagnosis.diagnose import Twin
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.diagnosis.search import Cause
 from otf_core.effects import AppliedEffect
-from otf_core.effects.stated import FILE, FOUND, effects_to_list
+from otf_core.effects.stated import FILE, FOUND
 from otf_core.effects.taken import Taken, taken
 from otf_core.errors import ConfigError
 from otf_core.io.effects_yaml import read_effects, write_effects
@@ -122,12 +120,7 @@ def calibrate_with_effects(
         result = replace(plain, warnings=(*warnings, *plain.warnings))
         return EffectsCalibration(result, plain, tuple(() for _ in recordings), words)
     result, found = calibrate_without(recordings, taking, config, progress)
-    stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
-    result = replace(
-        result,
-        run_id=hashlib.sha256((plain.run_id + stated).encode()).hexdigest()[:12],
-        warnings=(*warnings, *result.warnings),
-    )
+    result = replace(result, warnings=(*warnings, *result.warnings))
     applied = tuple(tuple(e.applied(k) for e in found.effects) for k in range(len(recordings)))
     return EffectsCalibration(result, plain, applied, words)
 

@@ -14,6 +14,8 @@ and misfit are fitted to the corrected residuals: they would hold the effect oth
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -28,7 +30,7 @@ from otf_core.diagnosis.rows import column_size, name_in_run
 from otf_core.diagnosis.samples import sample_state
 from otf_core.effects import State
 from otf_core.effects.state import probe_state
-from otf_core.effects.stated import StatedEffect, TakenOff
+from otf_core.effects.stated import StatedEffect, TakenOff, effects_to_list
 from otf_core.effects.taken import Taken
 from otf_core.joint import FINE, JointSolution, Progress, solve_robustly, tables_of
 from otf_core.machine import AXES, Machine
@@ -281,4 +283,7 @@ def calibrate_without(
     """
     runs, nodes = prepare_runs(recordings, config)
     solved, found = solve_with_effects(runs, nodes, effects, config, progress)
-    return assemble(solved, config, found.taken_off(solved)), found
+    result = assemble(solved, config, found.taken_off(solved))
+    stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
+    run_id = hashlib.sha256((result.run_id + stated).encode()).hexdigest()
+    return replace(result, run_id=run_id[: len(result.run_id)]), found

@@ -34,9 +34,8 @@ def one(name, how=FILE, **parameters):
     return taken([AppliedEffect(REGISTRY[name], parameters)], how)
 
 
-@pytest.fixture(scope='module')
-def runs_and_nodes():
-    cell = Cell(
+def small_cell(**extra):
+    return Cell(
         seed=5,
         size=(0.3, 0.25, 0.2),
         pitch=0.15,
@@ -44,9 +43,13 @@ def runs_and_nodes():
         path='short',
         passes=1,
         dwell=0.1,
-        extra=Extra(growth=(20e-6, 0, 0)),
+        extra=Extra(**extra),
     )
-    return prepare_runs([cell.recording(rate=20.0)], CONFIG)
+
+
+@pytest.fixture(scope='module')
+def runs_and_nodes():
+    return prepare_runs([small_cell(growth=(20e-6, 0, 0)).recording(rate=20.0)], CONFIG)
 
 
 def solved(runs, nodes, effects=()):
@@ -187,6 +190,25 @@ def test_every_run_has_a_drift_of_its_own():
     state = replace(probe_state(some_machine()), duration=100.0)
     columns = taken(two, FILE).columns(state, 1)
     assert not columns[:, :, 0].any() and columns[0, 0, 1] != 0
+
+
+def test_drifts_of_two_runs_are_told_apart():
+    cells = small_cell(drift=(10e-6, 0, 0)), small_cell(drift=(-5e-6, 0, 0))
+    runs, nodes = prepare_runs(
+        [c.recording(rate=20.0, noise_seed=k) for k, c in enumerate(cells)], CONFIG
+    )
+    end = float(runs[0].recording.samples.time[-1])
+    shape = {'tau': 200.0, 'until': end, 'order': 1.0}
+    drift = AppliedEffect(REGISTRY['thermal_structure_drift'], {**shape, 'D_X': 1e-6})
+    effect = taken([drift, drift], FILE)
+    kept, done = solved(runs, nodes, [effect])
+    found, _, _ = estimates(kept, done, [effect])
+    one_after_other = found.taken_off(SimpleNamespace(runs=kept, done=done)).stated[0]
+    reached = 1.0 - np.exp(-end / 200.0)
+    for name, true in (('D_X', 10e-6), ('D_X (run 2)', -5e-6)):
+        value, u = one_after_other.parameters[name], one_after_other.u[name]
+        assert abs(value - true * reached) < 4 * u and u < 1e-6
+        assert one_after_other.units[name] == 'm'
 
 
 def test_waves_that_no_table_holds_are_in_the_uncertainty_of_positioning(runs_and_nodes):
