@@ -11,6 +11,7 @@ ROS = {'rclpy', 'otf_msgs', 'otf_ros', 'geometry_msgs', 'nav_msgs', 'std_msgs', 
 SIMULATING = {
     'backends/simulated.py',  # the simulated cell
     'otf_calibrator/diagnosis_process.py',  # hands the twin to the diagnosis
+    'otf_calibrator/job.py',  # the same, where effects are taken off
     'otf_bringup/demo.py',  # draws the true errors of the simulated cell
 }
 NODES = sorted(SOURCE.glob('*/*/node.py'))
@@ -48,7 +49,7 @@ def test_module_knows_no_ros(file):
     assert not imported(file) & ROS
 
 
-def test_simulations_are_known_in_three_places_only():
+def test_simulations_are_known_in_four_places_only():
     packages = [p for p in SOURCE.iterdir() if p.name != 'otf_core']
     files = [file for package in packages for file in package.rglob('*.py')]
     simulating = {'/'.join(f.parts[-2:]) for f in files if 'otf_core.sim' in f.read_text()}

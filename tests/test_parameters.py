@@ -24,6 +24,7 @@ WRONG = [
     ('tracker_driver', {'effects': '/no/such/effects.yaml'}, '/no/such/effects.yaml'),
     ('calibrator', {'piece_length': 5.0}, 'piece_length: 5 is out of range'),
     ('calibrator', {'machine_file': ''}, 'machine_file: missing'),
+    ('calibrator', {'effects': '/no/such/effects.yaml'}, '/no/such/effects.yaml'),
 ]
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The process that diagnoses one run: its task on standard input, its answer into a pipe.
 
-It does what ``./otf diagnose`` does with the bag of the run. Here and nowhere else the calibrator
-meets a simulation: a diagnosis compares the run with its twin, and is given the twin from here.
+It does what ``./otf diagnose`` does with the bag of the run. Here and in ``job``, where effects
+are taken off, and nowhere else the calibrator meets a simulation: a diagnosis compares the run
+with its twin, and is given the twin from here.
 """
 
 from __future__ import annotations

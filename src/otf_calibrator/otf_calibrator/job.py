@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
 from collections.abc import Callable
@@ -13,10 +14,17 @@ from pathlib import Path
 
 from otf_calibrator.params import CalibratorConfig
 from otf_core.calibrate import calibrate_runs
+from otf_core.calibrate_with_effects import (
+    AUTO,
+    NONE,
+    calibrate_with_effects,
+    write_with_effects,
+)
 from otf_core.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.io.bag import BagContent, write_bag
+from otf_core.io.effects_yaml import read_effects
 from otf_core.io.output import OutputFolder
 from otf_core.io.sample_order import in_time_order
 from otf_core.machine import load_machine
@@ -24,7 +32,10 @@ from otf_core.observation import Samples
 from otf_core.path import NominalPath
 from otf_core.results import write_calibration
 from otf_core.runs import Recording, prepare_runs
+from otf_core.sim.twin import twin_recording
 from otf_core.standstill_method import prepare_stops
+
+Writer = Callable[[Path], list[Path]]
 
 BAG = 'samples'
 """Name of the bag beside the results, and so of the run in them."""
@@ -107,17 +118,40 @@ class Worker:
         # in the order in which the offline command takes them from a bag
         samples = in_time_order('tracker/point', request.samples.stamp_ns, request.samples.xyz)
         recording = Recording(samples, request.path, machine, BAG)
-        prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[request.files.method]
-        result = calibrate_runs([recording], request.config, self._progress, prepare)
+        result, write = self._solved(recording, request)
         base = Path(request.files.output_directory).expanduser().absolute()
         folder = free_folder(base, result.run_id)
         try:
             with OutputFolder(folder).filled('calibrator') as partial:
-                write_calibration(result, partial)
+                write(partial)
             point_latest(base / 'latest', folder.name)
         except OtfError as error:
             return Outcome(request, recording, result, None, f'files not written: {error}')
         return Outcome(request, recording, result, folder)
+
+    def _solved(self, recording: Recording, request: Request) -> tuple[CalibrationResult, Writer]:
+        """The result and what writes its files."""
+        files = request.files
+        if files.effects != NONE:
+            done = calibrate_with_effects(
+                [recording],
+                files.effects,
+                twin_recording,
+                request.config,
+                self._progress,
+                files.method,
+            )
+            return done.result, functools.partial(write_with_effects, done)
+        prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[files.method]
+        result = calibrate_runs([recording], request.config, self._progress, prepare)
+        return result, functools.partial(write_calibration, result)
+
+
+def check_files(files: CalibratorConfig) -> None:
+    """Refuse a description of the machine or of effects that cannot be read."""
+    machine = load_machine(files.machine_file)
+    if files.effects not in (NONE, AUTO):
+        read_effects(files.effects, machine)
 
 
 def free_folder(base: Path, run_id: str) -> Path:

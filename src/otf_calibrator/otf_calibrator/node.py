@@ -13,14 +13,13 @@ from rclpy.node import Node
 
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
-from otf_calibrator.job import Outcome
+from otf_calibrator.job import Outcome, check_files
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.results import ResultPublishers
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
-from otf_core.machine import load_machine
 from otf_msgs.msg import TrackerStatus
 from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
@@ -46,7 +45,7 @@ class Calibrator(Node):
         files, _ = self._read_settings()
         if not files.machine_file:
             raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
-        load_machine(files.machine_file)
+        check_files(files)
         self._session = Session(self._read_settings, self.get_logger().warning)
         self._state = StatePublisher(self)
         self._results = ResultPublishers(self)

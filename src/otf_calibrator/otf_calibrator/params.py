@@ -33,6 +33,10 @@ class CalibratorConfig(Parameters):
     save_bag: bool = parameter(
         True, 'keep the samples of every calibration as a bag beside its results'
     )
+    effects: str = parameter(
+        'none', 'taken off before the tables are solved for: none, auto (what a diagnosis of the '
+        'run finds; takes a minute) or an effects.yaml; plain tables stay beside, in plain/',
+    )  # fmt: skip
     diagnose: bool = parameter(
         False, 'diagnose every run once its tables are published; calibrator/diagnose does it for '
         'the last run at any time',

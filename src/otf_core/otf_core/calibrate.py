@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.budget import make_budget, whole_check
+from otf_core.budget.budget import EFFECTS, make_budget, whole_check, with_source
 from otf_core.budget.typical import typical_systematic, typical_warnings
 from otf_core.calibration_result import CalibrationResult, Fit, RunResult
 from otf_core.config import CalibrationConfig
@@ -21,6 +21,7 @@ from otf_core.contradictions.examine import examine
 from otf_core.contradictions.finding import GATE, WARNING, words_of
 from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.curve_lag import curve_remarks, moved_onto_curves
+from otf_core.effects.stated import TakenOff
 from otf_core.extrapolation import prior_of
 from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.machine import Machine
@@ -145,7 +146,7 @@ def calibrate_runs(
         moved = moved_onto_curves(runs, solved)
         if moved is not None:
             solved = solve_with_reversal(moved, nodes, config, progress)
-        return _assemble(solved, config)
+        return assemble(solved, config)
 
 
 def calibrate_prepared(
@@ -159,7 +160,7 @@ def calibrate_prepared(
         progress('solving', 0.0)
         config = replace(config, reversal='none')
         kept, done = solve_robustly(runs, unknowns, config, progress)
-        return _assemble(ReversalSolution(kept, done, Choice('none', False, {})), config)
+        return assemble(ReversalSolution(kept, done, Choice('none', False, {})), config)
 
 
 def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
@@ -238,13 +239,18 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
     return tuple(failed)
 
 
-def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> CalibrationResult:
+def assemble(
+    solved: ReversalSolution, config: CalibrationConfig, taken: TakenOff | None = None
+) -> CalibrationResult:
+    """Put a solution into a result, with the effects that were ``taken`` off its runs."""
     runs, done = solved.runs, solved.done
     solution, unknowns = done.solution, done.unknowns
     results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
     machine = runs[0].machine
     fine = tables_of(machine, unknowns, solution)
     budget = make_budget(runs, done, fine, config.standstill_speed)
+    if taken is not None:
+        budget = with_source(budget, EFFECTS, budget.inflation * taken.of_unknowns)
     fit = _fit(runs, results, done, budget.inflation)
     grid_u = mean_grid_uncertainty(machine, unknowns, budget.whole)
     table = tabulate(machine, done, grid_u, config.unidentifiable_above)
@@ -286,4 +292,5 @@ def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> Calibratio
         failed_gates=(*words_of(remarks, GATE), *_failed_gates(fit)),
         config=config,
         origin=origins(r.recording for r in runs),
+        effects=taken.stated if taken is not None else (),
     )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from otf_core.budget.budget import Budget
 from otf_core.budget.typical import TypicalSystematic
 from otf_core.config import CalibrationConfig
+from otf_core.effects.stated import StatedEffect
 from otf_core.frames import RigidTransform
 from otf_core.noise import Misfit, NoiseModel
 from otf_core.pieces import Pieces
@@ -151,6 +152,8 @@ class CalibrationResult:
     config : CalibrationConfig
     origin : tuple of Origin
         The recordings.
+    effects : tuple of StatedEffect
+        Taken off the runs before the tables were solved for.
     """
 
     run_id: str
@@ -169,6 +172,7 @@ class CalibrationResult:
     failed_gates: tuple[str, ...]
     config: CalibrationConfig
     origin: tuple[Origin, ...] = ()
+    effects: tuple[StatedEffect, ...] = ()
 
     @property
     def T_machine_tracker(self) -> RigidTransform:

@@ -22,6 +22,7 @@ from otf_core.budget.report import budget_lines, budget_to_dict, expanded, forma
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration_result import GAUGE, CalibrationResult, RunResult
 from otf_core.driven_volume import driven_volume
+from otf_core.effects.stated import effects_to_list, format_effects
 from otf_core.io.csv_points import tidy, write_csv
 from otf_core.io.files import ensure_folder, write_text
 from otf_core.provenance import COVERAGE, provenance
@@ -63,6 +64,7 @@ def result_to_dict(result: CalibrationResult, verb: str = 'calibrate') -> dict[s
         ).to_dict(),
         'typical_systematic': typical_to_dict(result.typical),
         'not_identifiable': list(result.not_identifiable),
+        'effects': effects_to_list(result.effects),
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
         'config': asdict(result.config),
@@ -247,6 +249,7 @@ def format_result(result: CalibrationResult) -> str:
         '',
         format_tables(result),
         '',
+        *([format_effects(result.effects), ''] if result.effects else []),
         format_reversal(result.reversal),
         '',
         format_budget(result.tables, result.budget, budget_lines(result.tables, result.budget)),

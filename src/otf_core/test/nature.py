@@ -140,7 +140,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Extra:
-    """What a rigid machine lacks: drift of the target, lag of drives, errors of a scale's period.
+    """What a rigid machine lacks: drift, growth of axes, lag of drives, waves of a scale.
 
     Attributes
     ----------
@@ -152,6 +152,10 @@ class Extra:
     cyclic : vector (3,), m
         Amplitude of a wave of the position along each axis.
     period : float, m
+    growth : vector (3,), m
+        Each axis is longer by so much over its whole range at the end of the run. Two bodies
+        warm up one after the other: the course is half of (1 - exp(-t / a)) and half of
+        (1 - (1 + t / b) exp(-t / b)), a = 0.25 and b = 0.3 of the run.
     """
 
     drift: tuple = (0.0, 0.0, 0.0)
@@ -159,6 +163,16 @@ class Extra:
     lag: tuple = (0.0, 0.0, 0.0)
     cyclic: tuple = (0.0, 0.0, 0.0)
     period: float = 0.04
+    growth: tuple = (0.0, 0.0, 0.0)
+
+    def grown(self, share):
+        """Growth at shares of the run (n,), 1 at its end."""
+
+        def course(s):
+            late = s / 0.3
+            return 0.5 * (1 - np.exp(-s / 0.25)) + 0.5 * (1 - (1 + late) * np.exp(-late))
+
+        return course(share) / course(1.0)
 
 
 class Cell:
@@ -269,8 +283,10 @@ class Cell:
         actual = self.position(q) - np.array(self.extra.lag) * speed
         gone = 1.0 - np.exp(-time / self.extra.drift_time)
         actual += gone[:, None] * np.array(self.extra.drift)
+        longer = np.array(self.extra.growth) / (self.machine.upper - self.machine.lower)
+        actual += self.extra.grown(time / time[-1])[:, None] * longer * q
         xyz = self.measured(actual, noise, 1 / rate, rng)
-        clock = rng.uniform(0, 1e9) + time * (1.0 + rng.uniform(-2e-5, 2e-5))
+        clock = rng.uniform(0, 1e8) + time * (1.0 + rng.uniform(-2e-5, 2e-5))
         stamp = np.int64(1_700_000_000_000_000_000) + np.rint(clock * 1e9).astype(np.int64)
         return Recording(Samples(stamp, xyz), self.path, self.machine)
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +27,7 @@ from otf_core.unknowns import free_values
 
 Array = NDArray[np.float64]
 
-NOISE, MISFIT, SMOOTHNESS = 'noise', 'misfit', 'smoothness'
+NOISE, MISFIT, SMOOTHNESS, EFFECTS = 'noise', 'misfit', 'smoothness', 'effects'
 NAMES = (*SQUARENESS, *MOTIONS)
 
 
@@ -165,3 +165,10 @@ def make_budget(
         check.inflation,
         np.eye(done.unknowns.full),
     )
+
+
+def with_source(budget: Budget, name: str, covariance: Array) -> Budget:
+    """The budget with one more source after those of the data, (full, full), m and rad."""
+    own = len((NOISE, MISFIT, SMOOTHNESS))
+    source = Source(name, covariance, np.inf)
+    return replace(budget, sources=(*budget.sources[:own], source, *budget.sources[own:]))

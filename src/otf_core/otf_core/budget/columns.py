@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from otf_core.effects import State
 from otf_core.effects.state import state_on_path
+from otf_core.frames import RigidTransform
 from otf_core.joint import JointSolution, SolvedRun
 from otf_core.runs import Run
 from otf_core.tables import ErrorTables
@@ -30,15 +31,26 @@ def piece_state(
     run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
 ) -> State:
     """State of the pieces of one run; standstills count as points of the first leg."""
+    return state_at(run, solved.system.q, solved.pose, nodes, tables)
+
+
+def state_at(
+    run: Run,
+    q: Array,
+    pose: RigidTransform,
+    nodes: dict[str, Array],
+    tables: ErrorTables | None,
+) -> State:
+    """State of the pieces of one run, which lie at q (p, 3), m, on its path."""
     pieces = run.pieces
     return state_on_path(
         run.machine,
         run.alignment.corners,
         np.zeros_like(pieces.leg) if pieces.standstill else pieces.line,
-        solved.system.q,
+        q,
         pieces.speed,
         pieces.time,
-        solved.pose,
+        pose,
         nodes,
         tables,
         float(run.recording.samples.time[-1]),

@@ -139,6 +139,12 @@ def _parser() -> Parser:
         '--method', choices=('otf', 'standstill'), default='otf',
         help='on the fly, or from the stops at the corner points alone (default otf)',
     )  # fmt: skip
+    sub.add_argument(
+        '--effects', metavar='auto|FILE',
+        help='take effects off and state u with them: what a diagnosis finds, or those of an '
+        'effects.yaml, their coefficients estimated anew where the data see them; the plain '
+        'calibration stays in plain/',
+    )  # fmt: skip
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('diagnose', run_diagnose, 'Where and why a real run departs from its simulation.')

@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from otf_core.cli.options import output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
 from otf_core.runs import Recording
+
+if TYPE_CHECKING:
+    from otf_core.calibration_result import CalibrationResult
 
 DIAGNOSIS_PARAMETERS = tuple(p.name for p in CalibrationConfig.infos() if p.name != 'reversal')
 """Reversal is an effect like others there: tables are solved for without it."""
@@ -48,6 +52,8 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Error tables from recorded bags."""
     config = parameters(CalibrationConfig, arguments)
+    if arguments.effects:
+        return _calibrate_with_effects(arguments, config)
     from otf_core.calibrate import calibrate_runs
     from otf_core.results import format_result, write_calibration
     from otf_core.runs import prepare_runs
@@ -60,9 +66,32 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     with out.filled('calibrate') as folder:
         files = write_calibration(result, folder)
     say(format_result(result) + '\n' + listed(files, arguments.out))
+    return _judged(result)
+
+
+def _judged(result: CalibrationResult) -> int:
+    """Exit code of a calibration; says which quality gates failed."""
     for gate in result.failed_gates:
         note(f'otf: quality gate failed: {gate}')
     return QUALITY_GATE_FAILED if result.failed_gates else 0
+
+
+def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
+    """Error tables with effects taken off."""
+    from otf_core.calibrate_with_effects import AUTO, calibrate_with_effects, write_with_effects
+    from otf_core.results import format_result
+    from otf_core.sim.twin import twin_recording
+
+    own = () if arguments.effects == AUTO else (arguments.effects,)
+    out = output_folder(arguments, *arguments.bag, *arguments.machine, *own)
+    recordings = read_recordings(arguments)
+    done = calibrate_with_effects(
+        recordings, arguments.effects, twin_recording, config, method=arguments.method
+    )
+    with out.filled('calibrate') as folder:
+        files = write_with_effects(done, folder)
+    say(f'{format_result(done.result)}\n\n{done.words}\n{listed(files, arguments.out)}')
+    return _judged(done.result)
 
 
 def run_diagnose(arguments: argparse.Namespace) -> int:

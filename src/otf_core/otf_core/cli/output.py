@@ -49,4 +49,5 @@ def note(text: str) -> None:
 
 def listed(files: Sequence[Path], folder: str) -> str:
     """Say which files were written."""
-    return f'\nwritten: {", ".join(f.name for f in files)} in {folder}'
+    places = (f.relative_to(folder) if f.is_relative_to(folder) else f.name for f in files)
+    return f'\nwritten: {", ".join(map(str, places))} in {folder}'

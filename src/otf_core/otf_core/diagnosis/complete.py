@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from otf_core.calibrate import calibrate_prepared
 from otf_core.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig
+from otf_core.correction import TABLES_OWN, calibrate_without
 from otf_core.diagnosis.answer import DiagnosisData, answer, fitted_causes, run_views
 from otf_core.diagnosis.assess import gap_um
 from otf_core.diagnosis.diagnose import NO_GAP_SHARE, Findings, Twin, find
@@ -24,6 +25,8 @@ from otf_core.diagnosis.rows import Rows
 from otf_core.diagnosis.where import describe_structure, where_and_shape
 from otf_core.diagnosis.where_words import EVERYWHERE, NO_STRUCTURE
 from otf_core.effects import AppliedEffect
+from otf_core.effects.stated import FOUND
+from otf_core.effects.taken import taken
 from otf_core.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.io.effects_yaml import write_effects
 from otf_core.io.files import ensure_folder, write_text
@@ -37,27 +40,19 @@ from otf_core.threads import in_one_thread
 Array = NDArray[np.float64]
 
 
-def _displacement_of_pieces(rows: Rows, number: int, applied: Sequence[AppliedEffect]) -> Array:
-    """Mean displacement of the pieces of one run by fitted effects, shape (p, 3), m."""
-    pieces, total = rows.runs[number].pieces, np.zeros((len(rows.runs[number].pieces), 3))
-    for one in applied:
-        if one.effect.sample_resolution:
-            state = rows.sample_states[number]
-            total += pieces.mean_of(one.effect.displacement(state, one.parameters))
-        else:
-            total += one.effect.displacement(rows.states[number], one.parameters)
-    return total
-
-
 def _with_causes(
-    rows: Rows, applied: Sequence[Sequence[AppliedEffect]], config: CalibrationConfig
+    rows: Rows,
+    applied: Sequence[Sequence[AppliedEffect]],
+    plain: CalibrationResult,
+    config: CalibrationConfig,
 ) -> CalibrationResult:
-    """Calibrate again with fitted effects taken off the pieces."""
-    runs = []
-    for number, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True)):
-        shift = _displacement_of_pieces(rows, number, applied[number]) @ solved.pose.rotation
-        runs.append(replace(run, pieces=replace(run.pieces, xyz=run.pieces.xyz - shift)))
-    return calibrate_prepared(runs, rows.done.unknowns, config)
+    """Calibrate again with the causes taken off, reversal among them."""
+    found = [taken(list(one), FOUND) for one in zip(*applied, strict=True)]
+    taking = [one for one in found if one.effect.name not in TABLES_OWN]
+    if not taking:
+        return plain
+    config = replace(config, reversal='none')
+    return calibrate_without([r.recording for r in rows.runs], taking, config)[0]
 
 
 def _table_change_um(plain: CalibrationResult, other: CalibrationResult) -> float:
@@ -183,7 +178,7 @@ def write_diagnosis(
                 written.append(folder / effects_file(number))
                 write_effects(written[-1], applied, run.machine)
         plain = calibrate_prepared(rows.runs, rows.done.unknowns, config)
-        better = _with_causes(rows, data.applied, config)
+        better = _with_causes(rows, data.applied, plain, config)
         diagnosis = replace(diagnosis, table_change_um=_table_change_um(plain, better))
         write_calibration(plain, folder / 'calibration_plain', 'diagnose')
         write_calibration(better, folder / 'calibration_with_effects', 'diagnose')

@@ -149,6 +149,9 @@ class Effect(ABC):
     """True if every run has coefficients of its own, as what drifts since its start."""
     sample_resolution: ClassVar[bool] = False
     """True if means over path pieces wash it out."""
+    stays_in_place: ClassVar[bool] = False
+    """True if it displaces the target in the same way whenever it comes by a place, as tables do,
+    but no table can hold it."""
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Shapes worth trying in this run; one empty shape if there is nothing to choose."""

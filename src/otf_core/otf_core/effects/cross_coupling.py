@@ -52,6 +52,7 @@ class CrossCoupling(Effect):
         'lines at several levels of every axis; a second tracker place, as offsets of the tracker '
         'look alike from one'
     )
+    stays_in_place: ClassVar[bool] = True
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return X_XY ... Z_XYZ: direction, then the product of positions."""

@@ -43,6 +43,7 @@ class CyclicError(Effect):
     refine: ClassVar[str] = 'period'
     refine_width: ClassVar[float] = 0.01
     sample_resolution: ClassVar[bool] = True
+    stays_in_place: ClassVar[bool] = True
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Periods from four sample spacings up, as close as the longest axis can tell apart."""

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects as a calibration states them: taken off its data, their parameters with uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from otf_core.effects.base import Array
+
+FOUND, FILE = 'found', 'file'
+
+
+@dataclass(frozen=True)
+class StatedEffect:
+    """One effect that was taken off.
+
+    Attributes
+    ----------
+    effect : str
+    parameters, u : mapping of str to float
+        Standard uncertainties (k = 1) of those that were estimated.
+    units : mapping of str to str
+    how : str
+        'found' by a diagnosis, or named in a 'file'.
+    """
+
+    effect: str
+    parameters: Mapping[str, float]
+    u: Mapping[str, float]
+    units: Mapping[str, str]
+    how: str
+
+
+@dataclass(frozen=True)
+class TakenOff:
+    """Effects that were taken off, and what the unknowns are uncertain by for them.
+
+    Attributes
+    ----------
+    stated : tuple of StatedEffect
+    of_unknowns : ndarray, shape (full, full), m and rad
+        Covariance.
+    """
+
+    stated: tuple[StatedEffect, ...]
+    of_unknowns: Array
+
+
+def effects_to_list(stated: Sequence[StatedEffect]) -> list[dict[str, Any]]:
+    """Effects as plain data, as they stand in error_tables.json."""
+    return [asdict(one) for one in stated]
+
+
+def format_effects(stated: Sequence[StatedEffect]) -> str:
+    """Return effects as text, one line a parameter; empty if there are none."""
+    if not stated:
+        return ''
+    lines = ['effects taken off           value    u, k = 1  unit']
+    for one in stated:
+        lines.append(f'{one.effect} ({_HOW[one.how]})')
+        for name, value in one.parameters.items():
+            u = one.u.get(name)
+            known = f'{u:>12.3g}' if u is not None else f'{"as given":>12}'
+            lines.append(f'  {name:<18}{value:>13.5g}{known}  {one.units.get(name, "")}'.rstrip())
+    return '\n'.join(lines)
+
+
+_HOW = {FOUND: 'found by diagnosis', FILE: 'named in a file'}

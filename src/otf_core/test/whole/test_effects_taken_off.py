@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration with effects taken off, on a machine whose axis grows by a law of its own."""
+
+import json
+
+import pytest
+import yaml
+from nature import Cell, Extra, judge
+
+from otf_core import cli
+from otf_core.calibrate_with_effects import calibrate_with_effects
+from otf_core.config import CalibrationConfig
+from otf_core.io.bag import BagContent, write_bag
+from otf_core.prediction import predict
+from otf_core.results import unpack_covariance
+from otf_core.sim.twin import twin_recording
+from otf_core.tables import load_tables
+
+CELL = {
+    'seed': 5,
+    'size': (0.3, 0.25, 0.2),
+    'pitch': 0.05,
+    'path': 'short',
+    'feed': 0.15,
+    'dwell': 0.1,
+}
+GROWING = Cell(**CELL, extra=Extra(growth=(20e-6, 0, 0)))
+STEADY = Cell(**CELL)
+CONFIG = CalibrationConfig(piece_length=0.016)
+TOO_SMALL = [
+    {
+        'effect': 'thermal_axis_expansion',
+        'parameters': {'tau': 1e5, 'order': 3, 'S_X': 2e-5, 'S_X_2': 0.0, 'S_X_3': 0.0},
+    }
+]
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """What the command writes for a file that says a third of the true growth."""
+    base = tmp_path_factory.mktemp('effects')
+    recording = GROWING.recording(rate=40.0)
+    write_bag(base / 'bag', BagContent(recording.samples, recording.path))
+    (base / 'machine.yaml').write_text(yaml.safe_dump(GROWING.machine.to_dict()))
+    (base / 'effects.yaml').write_text(yaml.safe_dump(TOO_SMALL))
+    words = ['calibrate', base / 'bag', '--machine', base / 'machine.yaml', '--out', base / 'out']
+    words += ['--effects', base / 'effects.yaml', '--piece-length', '0.016']
+    assert cli.main([str(w) for w in words]) == 0
+    return base / 'out'
+
+
+def judged(file, cell):
+    known = load_tables(file)
+    count = 3 + sum(len(m.position) for m in known.tables.motions.values())
+    packed = json.loads(file.read_text())['covariance']
+    return judge(cell, known.tables, unpack_covariance(packed, count))
+
+
+def test_growth_taken_off_leaves_tables_as_of_the_start_of_the_run(folder):
+    plain = judged(folder / 'plain' / 'error_tables.json', GROWING)
+    better = judged(folder / 'error_tables.json', GROWING)
+    assert plain.left_percent > 2.0
+    assert better.left_percent < 0.25 * plain.left_percent
+    assert better.within_2u_percent > 80
+
+
+def test_file_and_summary_state_the_effect_with_its_uncertainty(folder):
+    data = json.loads((folder / 'error_tables.json').read_text())
+    (effect,) = data['effects']
+    assert effect['effect'] == 'thermal_axis_expansion' and effect['how'] == 'file'
+    grown = effect['parameters']['S_X'] + 2 * effect['parameters']['S_X_3']
+    u = effect['u']['S_X'] + 2 * effect['u']['S_X_3']
+    assert abs(grown - 20e-6 / 0.3) < 3 * u < 0.2 * grown
+    assert 'tau' not in effect['u'] and effect['units']['S_X'] == 'm/m'
+    plain = json.loads((folder / 'plain' / 'error_tables.json').read_text())
+    assert plain['effects'] == [] and plain['run_id'] != data['run_id']
+    assert 'effects' in data['budget']['dof'] and 'effects' not in plain['budget']['dof']
+    assert 'thermal_axis_expansion (named in a file)' in (folder / 'summary.txt').read_text()
+
+
+def test_what_was_taken_off_is_a_file_of_effects_again(folder):
+    again = yaml.safe_load((folder / 'effects_taken_off.yaml').read_text())
+    assert again[0]['effect'] == 'thermal_axis_expansion'
+    assert again[0]['parameters']['S_X'] == pytest.approx(64e-6, rel=0.05)
+
+
+def test_tables_with_an_effect_taken_off_predict(folder):
+    points = GROWING.lattice(2)
+    assert predict(folder / 'error_tables.json', points).error.shape == (8, 3)
+
+
+def test_growth_is_found_and_taken_off():
+    recording = GROWING.recording(rate=40.0)
+    done = calibrate_with_effects([recording], 'auto', twin_recording, CONFIG)
+    assert [e.effect for e in done.result.effects] == ['thermal_axis_expansion']
+    assert done.result.effects[0].how == 'found' and 'Taken off' in done.words
+    left = [judge(GROWING, r.tables, r.covariance).left_percent for r in (done.plain, done.result)]
+    assert left[1] < 0.25 * left[0]
+
+
+def test_nothing_is_taken_off_where_nothing_is_found():
+    done = calibrate_with_effects([STEADY.recording(rate=40.0)], 'auto', twin_recording, CONFIG)
+    assert done.result.effects == () and done.applied == ((),)
+    assert 'No gap' in done.words and 'No effect was taken off' in done.words
+    assert done.result.run_id == done.plain.run_id
