@@ -17,7 +17,7 @@ from otf_core.budget.typical import typical_systematic, typical_warnings
 from otf_core.calibration_result import CalibrationResult, Fit, RunResult
 from otf_core.config import CalibrationConfig
 from otf_core.extrapolation import prior_of
-from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
+from otf_core.joint import JointSolution, Progress, SolvedRun, settled, solve_robustly, tables_of
 from otf_core.machine import Machine
 from otf_core.noise import NoiseModel, sample_variance
 from otf_core.observation import Samples
@@ -227,7 +227,7 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
 
 
 def _assemble(solved: ReversalSolution, config: CalibrationConfig) -> CalibrationResult:
-    runs, done = solved.runs, solved.done
+    runs, done = solved.runs, settled(solved.done, config.unidentifiable_above)
     solution, unknowns = done.solution, done.unknowns
     results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
     machine = runs[0].machine

@@ -292,7 +292,8 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
         part = unknowns.free_blocks[motion]
         if part.stop > part.start:
             covariance = CoefficientPrior(motion, unknowns.bases[motion[2]]).at(logs)[0]
-            precision[part, part] = np.linalg.inv(covariance)
+            factor = linalg.cho_factor(covariance, lower=True)
+            precision[part, part] = linalg.cho_solve(factor, np.eye(len(covariance)))
     return np.asarray(precision / limit**2)
 
 

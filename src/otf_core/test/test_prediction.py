@@ -101,7 +101,7 @@ def test_without_a_prior_nothing_grows_and_the_note_says_so(tmp_path):
     ('prior', 'words'),
     [
         ([1.0], 'prior: expected motions'),
-        ({'EXX': 1.0}, 'prior: EXX: expected slope, intensity and sd, got 1.0'),
+        ({'EXX': 1.0}, 'prior: EXX: expected slope, intensity, sd, length, got 1.0'),
         ({'EXX': {'slope': '1'}}, "prior: EXX: slope: expected a number from 0 on, got '1'"),
         ({'EXX': {'slope': True}}, 'prior: EXX: slope: expected a number'),
         ({'ECZ': {'sd': -1e-5}}, 'prior: ECZ: sd: expected a number from 0 on, got -1e-05'),
@@ -117,7 +117,7 @@ def test_a_wrong_prior_is_named(prior, words):
 
 def test_a_prior_may_be_absent_or_hold_more():
     assert prior_from_dict(None, 'tables.json') == {}
-    more = {'law': 'integrated random walk', 'EXX': {'slope': 1, 'length': 0.1}}
+    more = {'law': 'integrated random walk', 'EXX': {'slope': 1, 'height': 0.1}}
     assert prior_from_dict(more, 'tables.json') == {'EXX': MotionPrior(slope=1.0)}
 
 
