@@ -23,7 +23,7 @@ from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.curve_lag import curve_remarks, moved_onto_curves
 from otf_core.effects.stated import TakenOff
 from otf_core.extrapolation import prior_of
-from otf_core.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
+from otf_core.joint import JointSolution, Progress, SolvedRun, settled, solve_robustly, tables_of
 from otf_core.machine import Machine
 from otf_core.noise import NoiseModel, sample_variance
 from otf_core.observation import Samples
@@ -243,7 +243,7 @@ def assemble(
     solved: ReversalSolution, config: CalibrationConfig, taken: TakenOff | None = None
 ) -> CalibrationResult:
     """Put a solution into a result, with the effects that were ``taken`` off its runs."""
-    runs, done = solved.runs, solved.done
+    runs, done = solved.runs, settled(solved.done, config.unidentifiable_above)
     solution, unknowns = done.solution, done.unknowns
     results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
     machine = runs[0].machine

@@ -34,8 +34,8 @@ WORTH = 0.3
 FRACTIONS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 MOST_NODES = 1600
 """Nodes of all motions together: their covariance is part of the file."""
-GRID = 6
-"""Places per axis at which the cost on the grid is judged; no nodes lie there as a rule."""
+PLACES = 216
+"""At which the cost on the grid is judged."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _cost(
     machine: Machine, done: JointSolution, nodes: Mapping[str, Array], values: Mapping[str, Array]
 ) -> TableCost:
     unknowns = done.unknowns
-    grid = _inner_lattice(*_ends(unknowns))
+    grid = _inner_places(*_ends(unknowns))
     field, motions = np.zeros_like(grid), {}
     for name in MOTIONS:
         basis, at = unknowns.bases[name[2]], nodes[name[2]]
@@ -130,11 +130,14 @@ def _cost(
     return TableCost(motions, mean_length(without_rigid_motion(field, grid)))
 
 
-def _inner_lattice(low: Array, high: Array) -> Array:
-    """Places whose spacing has no common measure with that of the nodes, shape (n, 3), m."""
-    golden = (np.arange(GRID) + 0.5) / GRID + 0.2 * np.sin(2.4 * np.arange(GRID)) / GRID
-    axes = [a + golden * (b - a) for a, b in zip(low, high, strict=True)]
-    return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing='ij')], axis=1)
+def _inner_places(low: Array, high: Array) -> Array:
+    """Places that fill the volume evenly and keep no step with nodes, shape (n, 3), m.
+
+    Multiples of the powers of the root of g^4 = g + 1, the remainders by 1 (additive recurrence).
+    """
+    steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+    share = (0.5 + np.arange(PLACES)[:, None] * steps) % 1.0
+    return np.asarray(low + share * (high - low))
 
 
 def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float) -> Tabulation:
@@ -203,7 +206,7 @@ def mean_grid_uncertainty(machine: Machine, unknowns: Unknowns, covariance: Arra
     unknowns : Unknowns
     covariance : ndarray, shape (full, full)
     """
-    grid = _inner_lattice(*_ends(unknowns))
+    grid = _inner_places(*_ends(unknowns))
     rows = model_rows(machine, unknowns, grid)
     free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
     variance = np.maximum(np.einsum('ij,ij->i', free @ covariance, free), 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Budget of uncertainty: sources add up, shared parameters act as they must, bends are found."""
+"""Budget of uncertainty: sources add up and are what they say, shared parameters act as they must."""
 
 import json
 from dataclasses import replace
@@ -9,26 +9,25 @@ import numpy as np
 import pytest
 import yaml
 from core_cells import some_machine
-from scipy.interpolate import CubicSpline
 
-from otf_core.budget.bend import node_operator
-from otf_core.budget.budget import NAMES, Budget, Source, make_budget, table_order
+from otf_core.budget.budget import NAMES, Budget, Source, make_budget
 from otf_core.budget.columns import across, piece_state, sensitivity
 from otf_core.budget.declared import KEYS, DeclaredUncertainty
 from otf_core.budget.freedom import coverage_factor, welch_satterthwaite
 from otf_core.budget.noise import noise_parts, slow_amplitudes
 from otf_core.budget.report import budget_lines, budget_to_dict, correlations, expanded
-from otf_core.budget.unseen import unseen_products
 from otf_core.calibrate import calibrate
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.errors import ConfigError
-from otf_core.joint import solve_jointly, tables_of
+from otf_core.joint import settled, solve_jointly, tables_of
 from otf_core.machine import load_machine, machine_from_dict
+from otf_core.noise import MISFIT_TIME
 from otf_core.results import format_result, result_to_dict
 from otf_core.runs import Recording, prepare_runs
+from otf_core.shape_choice import linear_bases
 from otf_core.sim.tracker import measure
-from otf_core.tables import MOTIONS, MotionTable
+from otf_core.tables import MOTIONS
 from otf_core.unknowns import layout
 
 DECLARED = {
@@ -55,28 +54,46 @@ def declared(cell):
     return calibrate(cell.recording.measured(cell.truth), cell.path, machine)
 
 
+MISFIT = (1e-7, 2e-7)
+"""m; independent and lasting misfit that the small cell is weighted with."""
+
+
 @pytest.fixture(scope='module')
 def solved(cell):
     """The small cell without noise, prepared and solved step by step."""
     samples = cell.recording.measured(cell.truth, noise=0.0)
     recording = Recording(samples, cell.path, cell.machine)
     config = CalibrationConfig(piece_length=0.02)
-    runs, nodes = prepare_runs([recording], config)
-    done = solve_jointly(runs, layout(nodes), config, lambda stage, fraction: None)
-    state = piece_state(runs[0], done.runs[0], nodes, cell.truth)
-    return SimpleNamespace(run=runs[0], done=done, state=state, config=config)
+    (run,), nodes = prepare_runs([recording], config)
+    logs = [0.0, 0.0, np.log(run.noise.correlation_time), *(2 * np.log(m) for m in MISFIT)]
+    run = replace(run, fitted=np.array(logs))
+    unknowns = layout(linear_bases(nodes))
+    done = solve_jointly([run], unknowns, config, lambda stage, fraction: None)
+    done = settled(done, config.unidentifiable_above)
+    state = piece_state(run, done.runs[0], nodes, cell.truth)
+    tables = tables_of(cell.machine, unknowns, done.solution)
+    budget = make_budget([run], done, tables, config.standstill_speed)
+    return SimpleNamespace(run=run, done=done, state=state, config=config, budget=budget)
+
+
+def nodes_of(done):
+    """Places of squareness and motions in the full vector."""
+    blocks = done.unknowns.blocks
+    return np.concatenate([np.arange(blocks[n].start, blocks[n].stop) for n in NAMES])
 
 
 def part(result, source):
     """Standard uncertainties of one source, by name of table."""
     chosen = [s for s in result.budget.sources if s.name == source]
-    u = np.sqrt(np.diag(sum(s.covariance for s in chosen)))
+    rows = result.budget.rows
+    u = np.sqrt(np.diag(rows @ sum(s.covariance for s in chosen) @ rows.T))
     sizes = [1, 1, 1, *(len(result.tables.motions[m].position) for m in MOTIONS)]
     return dict(zip(NAMES, np.split(u, np.cumsum(sizes)[:-1]), strict=True))
 
 
 def test_sources_add_up_in_quadrature_to_u(declared):
-    total = sum(np.diag(s.covariance) for s in declared.budget.sources)
+    rows = declared.budget.rows
+    total = sum(np.diag(rows @ s.covariance @ rows.T) for s in declared.budget.sources)
     stated = [[declared.tables.squareness[n].u] for n in NAMES[:3]]
     stated += [declared.tables.motions[m].u for m in MOTIONS]
     np.testing.assert_allclose(np.concatenate(stated) ** 2, total, rtol=1e-9, atol=1e-24)
@@ -122,8 +139,10 @@ def test_machine_temperature_acts_by_expansion_over_the_travel(declared):
     assert found['EXY'].max() < 1e-10
 
 
-def test_sensitivity_is_the_shift_of_the_tables_that_a_range_offset_makes(solved):
-    offset, order = 5e-6, table_order(solved.done.unknowns)
+def test_sensitivity_is_the_shift_of_the_tables_that_a_range_offset_makes(solved, monkeypatch):
+    held = SimpleNamespace(run=lambda start: solved.done.roughness)
+    monkeypatch.setattr('otf_core.joint.Search', lambda *_: held)
+    offset, order = 5e-6, nodes_of(solved.done)
     terms = REGISTRY['tracker_range_offset'].terms(solved.state, {})
     columns = across(solved.done.runs[0], terms.columns)
     expected = offset * sensitivity(solved.done, [columns])[order, 0]
@@ -150,69 +169,139 @@ def _weigh(solved, columns):
     return result.reshape(-1, columns.shape[2])
 
 
+def _between(run, amplitudes, correlation_time):
+    """Covariance of all rows, for amplitudes (c, p, k) of slow noise; and where legs differ."""
+    c, p, k = amplitudes.shape
+    flat = amplitudes.reshape(c * p, k)
+    time, leg = np.tile(run.pieces.time, c), np.tile(run.pieces.leg, c)
+    decay = np.exp(-np.abs(time[:, None] - time) / correlation_time)
+    return (flat @ flat.T) * decay * (leg[:, None] != leg)
+
+
+def _weighed_design(solved):
+    """W A, (rows, full)."""
+    c, p = solved.done.runs[0].system.deviation.shape
+    return _weigh(solved, solved.done.runs[0].system.design.toarray().reshape(c, p, -1))
+
+
 def test_noise_across_corners_is_that_of_all_pairs_of_legs(solved):
     run, done = solved.run, solved.done
-    amplitudes = slow_amplitudes(run, done.runs[0], solved.state)
-    c, p, _ = amplitudes.shape
-    flat = amplitudes.reshape(c * p, 3)
-    time, leg = np.tile(run.pieces.time, c), np.tile(run.pieces.leg, c)
-    decay = np.exp(-np.abs(time[:, None] - time) / run.noise.correlation_time)
-    between = (flat @ flat.T) * decay * (leg[:, None] != leg)
-    design = done.runs[0].system.design.toarray()
-    weighed = _weigh(solved, design.reshape(c, p, -1))
-    expected = weighed.T @ between @ weighed
-    found = noise_parts([run], done, [solved.state]).corners
-    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    weighed = _weighed_design(solved)
+    found = noise_parts([run], done, [solved.state])
+    half = 0.5 * run.pieces.duration / MISFIT_TIME
+    shared = done.runs[0].system.axes * (MISFIT[1] * np.sinh(half) / half)[:, None]
+    for amplitudes, time, part in (
+        (slow_amplitudes(run, done.runs[0], solved.state), run.noise.correlation_time,
+         found.corners),
+        (shared, MISFIT_TIME, found.misfit_corners),
+    ):  # fmt: skip
+        expected = weighed.T @ _between(run, amplitudes, time) @ weighed
+        np.testing.assert_allclose(part, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def _source(solved, name):
+    return next(s.covariance for s in solved.budget.sources if s.name == name)
+
+
+def _drawn(solved):
+    """What the uncertainty of the roughness adds."""
+    moved = solved.done.unknowns.gauge @ solved.done.roughness.drawn
+    return moved @ moved.T
+
+
+def _crossing(solved):
+    """C A'W S W A C for the noise that lines share across corners."""
+    own = solved.done.solution.covariance
+    parts = noise_parts([solved.run], solved.done, [solved.state])
+    return own @ (parts.corners + parts.misfit_corners) @ own
+
+
+def test_noise_misfit_and_smoothness_add_up_to_the_posterior_covariance(solved):
+    """No residual, so no inflation: C, what crosses corners, and what roughness leaves open."""
+    own = solved.done.solution.covariance
+    assert solved.budget.inflation == 1.0
+    assert [s.name for s in solved.budget.sources] == ['noise', 'misfit', 'smoothness']
+    expected = own + _crossing(solved) + _drawn(solved)
+    np.testing.assert_allclose(solved.budget.whole, expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_smoothness_is_what_data_and_noise_do_not_explain(solved):
+    """C K^-1 C = C - C A'W A C: the squared bias to expect of motions drawn from the prior."""
+    own = solved.done.solution.covariance
+    normal = solved.done.runs[0].system.design.T @ _weighed_design(solved)
+    found = _source(solved, 'smoothness') - _drawn(solved)
+    np.testing.assert_allclose(found, own - own @ normal @ own, atol=1e-9 * np.abs(own).max())
+    assert np.linalg.eigvalsh(found).min() > -1e-9 * np.abs(own).max()
+    assert np.abs(found).max() > 1e-4 * np.abs(own).max()
+
+
+def test_smoothness_is_the_expected_squared_bias(solved):
+    """Without noise motions c drawn from the prior come out as C N c: off by (C N - 1) c."""
+    done, gauge = solved.done, solved.done.unknowns.gauge
+    use = np.flatnonzero(np.diag(done.solution.covariance)[done.unknowns.kept])
+    place = np.ix_(use, use)
+    covariance = done.solution.covariance[np.ix_(done.unknowns.kept, done.unknowns.kept)][place]
+    root = np.linalg.cholesky(np.linalg.inv(done.roughness.precision[place]))
+    drawn = root @ np.random.default_rng(1).standard_normal((use.size, 4000))
+    bias = (covariance @ done.normal.matrix[place] - np.eye(use.size)) @ drawn
+    found = (_source(solved, 'smoothness') - _drawn(solved))[
+        np.ix_(done.unknowns.kept, done.unknowns.kept)
+    ]
+    assert gauge.shape[1] == len(found)
+    # 4000 draws: variances within 2.2 %, k = 1
+    np.testing.assert_allclose(np.mean(bias**2, axis=1), np.diag(found[place]), rtol=0.12)
+
+
+def test_misfit_is_its_part_of_the_weights_alone(solved):
+    """C A'W S W A C, S of the misfit written out from its two sizes."""
+    run, own = solved.run, solved.done.solution.covariance
+    c, p = solved.done.runs[0].system.deviation.shape
+    time, half = run.pieces.time, 0.5 * run.pieces.duration / MISFIT_TIME
+    smoothed = np.sinh(half) / half
+    lasting = np.exp(-np.abs(time[:, None] - time) / MISFIT_TIME) * np.outer(smoothed, smoothed)
+    x = 2 * half
+    np.fill_diagonal(lasting, 2 * (x - 1 + np.exp(-x)) / x**2)
+    lasting *= run.pieces.leg[:, None] == run.pieces.leg
+    one = MISFIT[0] ** 2 * np.eye(p) + MISFIT[1] ** 2 * lasting
+    weighed = _weighed_design(solved).reshape(c, p, -1)
+    within = own @ sum(part.T @ one @ part for part in weighed) @ own
+    parts = noise_parts([run], solved.done, [solved.state])
+    expected = within + own @ parts.misfit_corners @ own
+    found = _source(solved, 'misfit')
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_residuals_beyond_the_weights_enter_as_misfit(solved):
+    loud = [replace(s, residual=1e-6 * np.ones_like(s.residual)) for s in solved.done.runs]
+    done = replace(solved.done, runs=tuple(loud))
+    tables = tables_of(solved.run.machine, done.unknowns, done.solution)
+    budget = make_budget([solved.run], done, tables, solved.config.standstill_speed)
+    assert budget.inflation > 5.0
+    data = done.solution.covariance - (_source(solved, 'smoothness') - _drawn(solved))
+    added = budget.whole - solved.budget.whole
+    np.testing.assert_allclose(
+        added, (budget.inflation - 1.0) * data, atol=1e-9 * np.abs(added).max()
+    )
 
 
 def test_scatter_over_draws_of_coloured_noise_agrees_with_the_linear_u(cell, solved):
-    """Monte Carlo (JCGM 101), few draws; bench/coverage.py --same-machine has many."""
+    """Monte Carlo (JCGM 101), few draws; bench/coverage.py --same-machine has many.
+
+    The truth stays, so that the bias of the prior does not scatter: noise alone does.
+    """
     config = SimulationConfig(rate=100.0)  # its colour is the one assumed without standstill
-    run, unknowns = solved.run, solved.done.unknowns
-    xyz, values = run.recording.samples.xyz, []
+    run, values = solved.run, []
+    xyz, order = run.recording.samples.xyz, nodes_of(solved.done)
     for draw in range(8):
         noise = measure(xyz, cell.machine, config, np.random.default_rng([5, draw])) - xyz
         moved = run.pieces.xyz + run.pieces.mean_of(noise[run.pieces.samples])
-        done = solve_again(solved, moved)
-        values.append(done.solution.value[table_order(unknowns)])
-    tables = tables_of(cell.machine, unknowns, solved.done.solution)
-    budget = make_budget([run], solved.done, tables, solved.config.standstill_speed)
-    stated = np.diag(budget.covariance)
+        values.append(solve_again(solved, moved).solution.value[order])
+    stated = np.diag(_source(solved, 'noise'))[order]
     seen = stated > 1e-18
     ratio = np.var(values, axis=0, ddof=1)[seen] / stated[seen]
     # 7 degrees of freedom of some 70 correlated nodes, about 25 free: 11 %; 4 of it
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.44)
-
-
-def smooth(tables):
-    motions = {}
-    for name, table in tables.motions.items():
-        position = np.linspace(table.position[0], table.position[-1], 121)
-        value = CubicSpline(table.position, table.value)(position)
-        motions[name] = MotionTable(position, value, np.zeros(121))
-    return replace(tables, motions=motions)
-
-
-def test_smooth_truth_widens_u_and_straight_truth_does_not(cell, calibrated):
-    assert part(calibrated, 'bend between nodes')['EXX'].max() == 0.0
-    assert abs(calibrated.budget.bend_factor) < 4 * calibrated.budget.u_bend_factor
-    bent = calibrate(cell.recording.measured(smooth(cell.truth)), cell.path, cell.machine)
-    assert bent.budget.bend_factor == pytest.approx(1.0, abs=0.25)
-    assert bent.budget.bend_factor > 10 * bent.budget.u_bend_factor
-    assert part(bent, 'bend between nodes')['EXX'].max() > 1e-7
-
-
-def test_least_squares_table_of_a_parabola_is_off_by_a_twelfth_of_its_second_difference():
-    nodes = np.linspace(0.0, 0.4, 9)
-    error = node_operator(nodes) @ nodes**2
-    np.testing.assert_allclose(error, -2 * 0.05**2 / 12, rtol=0.005)  # 1 / 16 of the step
-
-
-def test_rotations_with_their_own_travel_as_lever_are_told_from_others():
-    carried = some_machine('w-X-Y-b-Z-t')
-    assert unseen_products(carried, ()) == ['EBX', 'ECX', 'EAY', 'ECY']
-    assert unseen_products(carried, ('EBX', 'ECX', 'EAY')) == ['ECY']
-    assert unseen_products(some_machine('w-b-X-Y-Z-t'), ()) == []
+    assert np.all(stated <= np.diag(solved.budget.whole)[order])
 
 
 def test_few_degrees_of_freedom_make_the_coverage_factor_large():
@@ -223,7 +312,7 @@ def test_few_degrees_of_freedom_make_the_coverage_factor_large():
     assert freedom[0] == pytest.approx(32.0)
     one = Source('one', np.diag([1.0, 4.0]), 8.0)
     other = Source('other', np.diag([1.0, 0.0]), np.inf)
-    budget = Budget((one, other), (), 0.0, np.inf, 1.0, np.zeros((2, 2)))
+    budget = Budget((one, other), (), 1.0, np.eye(2))
     assert budget.expansion(budget.variances()) == (pytest.approx(2.306, abs=1e-3), 8.0)
 
 

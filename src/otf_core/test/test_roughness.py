@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Roughness of the motions: the likelihood is that of a Gaussian process, the search finds it.
+
+Rows are explicit here: noise of unit variance, every row sees motions at random positions.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal
+
+from otf_core.basis import cubic
+from otf_core.normal import NormalEquations
+from otf_core.roughness import (
+    HIGHEST,
+    LOWEST,
+    CoefficientPrior,
+    Search,
+    _Point,
+    expected_precision,
+    kernel,
+    waves_of,
+)
+from otf_core.solution import solve
+from otf_core.tables import unit_of
+from otf_core.unknowns import layout
+
+LIMIT = 1e-4
+BASES = {
+    'X': cubic(np.array([0.0, 0.5]), 8),
+    'Y': cubic(np.array([-0.1, 0.3]), 6),
+    'Z': cubic(np.array([0.0, 0.2]), 5),
+}
+ACCEPTED = ('C0Y', 'EXX', 'EYX', 'EXY', 'EAX', 'EBY')
+NOISE = 1e-6
+
+
+def problem(accepted=ACCEPTED, rows=60, functions=None, bases=BASES, seed=1, blind=()):
+    """Rows that see every motion at positions of its own, and their sums; noise ``NOISE``.
+
+    Motions without a function are zero; those in ``blind`` act on no row.
+    """
+    rng, unknowns = np.random.default_rng(seed), layout(bases)
+    design, observed = np.zeros((rows, unknowns.full)), NOISE * rng.standard_normal(rows)
+    for name in accepted:
+        if name in bases or name in blind:
+            continue
+        share = rng.standard_normal(rows)
+        block = unknowns.blocks[name]
+        if name == 'C0Y':
+            design[:, block.start] = share
+            continue
+        basis = bases[name[2]]
+        q = rng.uniform(basis.knots[0], basis.knots[-1], rows)
+        design[:, block] = share[:, None] * basis.matrix(q)
+        if functions and name in functions:
+            observed += share * functions[name](q)
+    A = (design @ unknowns.gauge) / NOISE
+    y = observed / NOISE
+    normal = NormalEquations(A.T @ A, A.T @ y, float(y @ y), rows)
+    return SimpleNamespace(
+        A=A, y=y, normal=normal, unknowns=unknowns, accepted=accepted,
+        search=Search(normal, unknowns, accepted, LIMIT),
+    )  # fmt: skip
+
+
+def rough(search, seed=2):
+    """Logarithms of every motion, here and there."""
+    rng = np.random.default_rng(seed)
+    middle = np.array([-6.0, np.log(0.2), -7.0])
+    return {m: middle + 0.7 * rng.standard_normal(3) for m in search.places}
+
+
+def full_logs(search, flat):
+    return dict(zip(search.places, flat.reshape(-1, 3), strict=True))
+
+
+@pytest.fixture(scope='module')
+def some():
+    return problem(functions={m: lambda q: 2e-5 * np.sin(12 * q) for m in ACCEPTED[1:]})
+
+
+def test_kernel_is_waves_and_an_integrated_wiener_process_with_its_derivatives():
+    basis, logs = BASES['X'], np.array([-2.0, -1.0, -3.0])
+    found, slopes = kernel(basis, logs)
+    x = basis.centres / 0.5
+    for i, j in ((0, 0), (3, 7), (10, 4), (10, 10)):
+        walk = quad(lambda u: (x[i] - u) * (x[j] - u), 0.0, min(x[i], x[j]))[0]
+        waves = np.exp(-0.5 * ((x[i] - x[j]) / np.exp(-1.0)) ** 2)
+        assert found[i, j] == pytest.approx(np.exp(-2.0) * waves + np.exp(-3.0) * walk, rel=1e-9)
+    for k, slope in enumerate(slopes):
+        step = 1e-5 * np.eye(3)[k]
+        near = (kernel(basis, logs + step)[0] - kernel(basis, logs - step)[0]) / 2e-5
+        np.testing.assert_allclose(slope, near, atol=1e-9)
+
+
+@pytest.mark.parametrize('motion', ['EYX', 'EXX', 'ECY'])
+def test_prior_of_the_coefficients_is_that_of_the_motion_in_its_gauge(motion):
+    """Draws of the process, put into the gauge by hand, have the stated covariance."""
+    basis, rng = BASES[motion[2]], np.random.default_rng(4)
+    logs = np.array([-1.0, np.log(0.3), -2.0])
+    x = (basis.centres - basis.knots[0]) / np.ptp(basis.knots)
+    root = np.linalg.cholesky(kernel(basis, logs)[0] + 1e-12 * np.eye(basis.size))
+    draws = root @ rng.standard_normal((basis.size, 40_000))
+    if motion == 'EYX':
+        draws = draws - np.outer(1 - x, draws[0]) - np.outer(x, draws[-1])
+        coefficients = (basis.from_values @ draws)[1:-1]
+    else:
+        draws = draws + 10.0 * np.outer(x, rng.standard_normal(draws.shape[1]))
+        zero = 0.0 if motion == 'ECY' else basis.knots[0]
+        whole = basis.from_values @ draws
+        whole = whole - basis.matrix(np.array([zero]))[0] @ whole
+        dropped = int(np.argmax(basis.matrix(np.array([zero]))[0]))
+        coefficients = np.delete(whole, dropped, axis=0)
+    stated = CoefficientPrior(motion, basis).at(logs)[0]
+    size = np.sqrt(np.diag(stated))
+    # 40 000 draws: correlations within 0.005, k = 1
+    off = (coefficients @ coefficients.T / draws.shape[1] - stated) / np.outer(size, size)
+    assert np.abs(off).max() < 0.03
+    np.testing.assert_allclose(np.mean(coefficients**2, axis=1) / size**2, 1.0, atol=0.03)
+
+
+def covariance(some, logs):
+    """Covariance of the solved-for unknowns before any data, written as one dense matrix."""
+    search = some.search
+    found = np.diag(np.full(len(search.use), 1e4 * LIMIT**2))
+    for motion, place in search.places.items():
+        found[place, place] = search.priors[motion].at(logs[motion])[0] * LIMIT**2
+    return found
+
+
+def test_likelihood_is_the_density_of_the_rows_with_everything_integrated_out(some):
+    A = some.A[:, some.search.use]
+    values = []
+    for seed in (2, 3, 4):
+        logs = rough(some.search, seed)
+        own = np.eye(len(A)) + A @ covariance(some, logs) @ A.T
+        dense = multivariate_normal.logpdf(some.y, cov=own)
+        values.append((_Point(some.search, logs).likelihood, dense))
+    found, dense = np.diff(np.array(values), axis=0).T
+    assert np.abs(dense).min() > 1.0
+    np.testing.assert_allclose(found, dense, atol=1e-5 * np.abs(dense).max())
+
+
+def test_solution_is_the_posterior_of_the_gaussian_process(some):
+    search = some.search
+    A, rough_now = some.A[:, search.use], search.run()
+    prior = covariance(some, rough_now.logs)
+    whole = np.eye(len(A)) + A @ prior @ A.T
+    mean = prior @ A.T @ np.linalg.solve(whole, some.y)
+    cover = prior - prior @ A.T @ np.linalg.solve(whole, A @ prior)
+    found = solve(some.normal, some.unknowns, LIMIT, some.accepted, rough_now.precision)
+    free = found.value[some.unknowns.kept]
+    own = found.covariance[np.ix_(some.unknowns.kept, some.unknowns.kept)]
+    place = np.ix_(search.use, search.use)
+    np.testing.assert_allclose(free[search.use], mean, atol=1e-6 * np.abs(mean).max())
+    np.testing.assert_allclose(own[place], cover, atol=1e-6 * np.abs(cover).max())
+    assert np.all(np.delete(free, search.use) == 0.0)
+    np.testing.assert_allclose(
+        rough_now.square, some.y @ np.linalg.solve(whole, some.y), rtol=1e-8
+    )
+
+
+def test_score_and_moves_are_finite_differences(some):
+    search = some.search
+    logs = rough(search)
+    centres = {m: np.array([-5.0, -1.5, -6.0]) for m in logs}
+    flat = np.concatenate(list(logs.values()))
+    score, information, moves = _Point(search, logs).slopes(centres)
+    assert np.linalg.eigvalsh(information).min() > 0
+    for j in range(len(flat)):
+        step = 1e-4 * np.eye(len(flat))[j]
+        high, low = (_Point(search, full_logs(search, flat + s)) for s in (step, -step))
+        near = (high.penalised(centres) - low.penalised(centres)) / 2e-4
+        assert score[j] == pytest.approx(near, abs=1e-4 * max(1.0, np.abs(score).max()))
+        moved = (high.value - low.value) / 2e-4
+        np.testing.assert_allclose(moves[:, j], moved, atol=1e-4 * np.abs(moves).max())
+
+
+def test_information_is_the_scatter_of_the_score():
+    """Over rows drawn from the model itself the score has mean zero and that covariance."""
+    some, rng = problem(), np.random.default_rng(7)
+    search = some.search
+    logs = rough(search)
+    A = some.A[:, search.use]
+    root = np.linalg.cholesky(np.eye(len(A)) + A @ covariance(some, logs) @ A.T)
+    scores = []
+    for _ in range(200):
+        y = root @ rng.standard_normal(len(A))
+        normal = NormalEquations(some.normal.matrix, some.A.T @ y, float(y @ y), len(A))
+        again = Search(normal, some.unknowns, some.accepted, LIMIT)
+        score, information, _ = _Point(again, logs).slopes(logs)
+        scores.append(score)
+    data = information - np.diag(np.tile([1 / 9, 1.0, 1 / 9], len(search.places)))
+    scores = np.array(scores)
+    u = np.sqrt(np.diag(data))
+    # mean of 200 within 0.07 u, variance within 10 % and more for the skew ones; 4 of it
+    assert np.abs(scores.mean(axis=0) / u).max() < 0.28
+    np.testing.assert_allclose(scores.var(axis=0) / u**2, 1.0, atol=0.6)
+
+
+def test_the_search_ends_where_nothing_is_to_be_gained(some):
+    found = some.search.run()
+    point = _Point(some.search, found.logs)
+    score, information, _ = point.slopes(some.search._centres(found.logs))
+    flat = np.concatenate(list(found.logs.values()))
+    inside = (flat > np.tile(LOWEST, len(found.logs))) & (flat < np.tile(HIGHEST, len(found.logs)))
+    score, information = score[inside], information[np.ix_(inside, inside)]
+    assert inside.sum() > 0.7 * len(flat)
+    assert 0.5 * score @ np.linalg.solve(information, score) < 0.2
+    start = _Point(some.search, {m: np.array([-2.3, -1.9, -4.6]) for m in found.logs})
+    assert found.log_likelihood > start.likelihood + 5.0
+
+
+FINE = {axis: cubic(basis.knots, 20) for axis, basis in BASES.items()}
+SEEN = ('EXX', 'EYX', 'EZX', 'EXY', 'EYY')
+
+
+def drawn(rng, size, length, basis):
+    """A smooth draw: waves of a size and a length in shares of the range."""
+    low, span = basis.knots[0], np.ptp(basis.knots)
+    x = np.linspace(0.0, 1.0, 201)
+    own = np.exp(-0.5 * ((x[:, None] - x) / length) ** 2) + 1e-9 * np.eye(201)
+    value = size * (np.linalg.cholesky(own) @ rng.standard_normal(201))
+    return lambda q: np.interp((q - low) / span, x, value)
+
+
+@pytest.mark.parametrize('length', [0.08, 0.3])
+def test_size_and_length_of_drawn_waves_are_found(length):
+    rng = np.random.default_rng(11)
+    functions = {m: drawn(rng, 2e-5, length, FINE[m[2]]) for m in SEEN}
+    found = problem(SEEN, 800, functions, FINE).search.run()
+    logs = np.array(list(found.logs.values()))
+    waves = [waves_of(found.logs[m], FINE[m[2]].knots, LIMIT) for m in SEEN]
+    spans = [np.ptp(FINE[m[2]].knots) for m in SEEN]
+    # a motion holds 1 / length waves, five motions at least 15: 20 % each, and l with s
+    assert np.exp(np.median(logs[:, 1])) == pytest.approx(length, rel=0.35)
+    lengths = [w.length / s for w, s in zip(waves, spans, strict=True)]
+    assert np.median(lengths) == pytest.approx(np.exp(np.median(logs[:, 1])))
+    assert 1e-5 < np.median([w.sd for w in waves]) < 4e-5
+
+
+@pytest.mark.parametrize('waves', [1.5, 4.0])
+def test_a_wave_gives_a_length_of_its_own_order(waves):
+    functions = {
+        m: lambda q, m=m: 2e-5 * np.sin(2 * np.pi * waves * q / np.ptp(FINE[m[2]].knots))
+        for m in SEEN
+    }
+    found = problem(SEEN, 800, functions, FINE).search.run()
+    length = np.exp(np.median([v[1] for v in found.logs.values()]))
+    # radius of a sine is 1 / (2 pi waves); the process takes up to three of it
+    assert 0.7 < length * 2 * np.pi * waves < 4.0
+
+
+def test_motions_that_no_row_sees_are_as_rough_as_the_others():
+    rng = np.random.default_rng(12)
+    functions = {m: drawn(rng, 2e-5, 0.2, FINE[m[2]]) for m in SEEN}
+    found = problem((*SEEN, 'EZY', 'EAX'), 800, functions, FINE, blind=('EZY', 'EAX')).search.run()
+    others = np.median([found.logs[m] for m in SEEN], axis=0)
+    np.testing.assert_allclose(found.logs['EZY'], others, atol=0.3)
+    # the only one of its unit stays where it started
+    np.testing.assert_allclose(found.logs['EAX'], np.log([0.1, 0.15, 0.01]), atol=1e-6)
+
+
+def test_smoother_motions_leave_less_uncertain():
+    functions = {m: lambda q: 2e-5 * np.sin(5 * q) for m in SEEN}
+    u = []
+    for size in (1e-6, 1e-4):
+        one = problem(SEEN, 40, functions)
+        precision = expected_precision(one.unknowns, LIMIT, size)
+        done = solve(one.normal, one.unknowns, LIMIT, SEEN, precision)
+        u.append(np.sqrt(np.diag(done.covariance).sum()))
+    assert u[0] < 0.5 * u[1]
+
+
+def test_expected_precision_is_of_motions_of_the_size_asked_for():
+    unknowns, size = layout(FINE), 7e-6
+    precision = expected_precision(unknowns, LIMIT, size)
+    for motion in ('EYX', 'EZY'):
+        place = unknowns.free_blocks[motion]
+        spread = np.sqrt(np.diag(np.linalg.inv(precision[place, place])))
+        assert unit_of(motion) == 'm'
+        # less the line through both ends: up to 1.3 of the size amid the range
+        assert 0.8 * size < np.median(spread) < 1.4 * size
+    poses = precision[unknowns.free_blocks['pose 0'], unknowns.free_blocks['pose 0']]
+    np.testing.assert_allclose(poses, 1e-4 / LIMIT**2 * np.eye(6))
+    assert np.linalg.eigvalsh(precision).min() > 0
+
+
+def test_waves_have_the_units_of_the_axis():
+    found = waves_of(np.log([0.04, 0.25, 0.5]), np.array([0.1, 0.3, 0.9]), 1e-4)
+    assert found.sd == pytest.approx(2e-5)
+    assert found.length == pytest.approx(0.2)
+    # w at the far end of the range has the variance k / 3 in both units
+    assert found.intensity * 0.8**3 / 3 == pytest.approx(0.5e-8 / 3)
