@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Budget of uncertainty: sources add up and are what they say, shared parameters act as they must."""
+"""Budget of uncertainty: sources add up and are what they say; how shared parameters act."""
 
 import json
 from dataclasses import replace

@@ -71,7 +71,8 @@ def why_no_match(samples: Samples, track: Track, corners: Array, tolerance: floa
     if not 0.3 < ratio < 3:
         factor = 1000.0 if ratio > 1 else 0.001
         fits = 0.5 < ratio / factor < 2
-        unit = f'; is the {"track" if ratio > 1 else "path"} in mm?' if fits else ''
+        which = 'points seem' if ratio > 1 else 'path seems'
+        unit = f'; the {which} to be in mm, expected m' if fits else ''
         return f'the measured track is {ratio:.3g} times as large as the path{unit}'
     match = mirrored_match(track, corners, tolerance)
     if match is not None and explained(match, track) > WHOLE:
