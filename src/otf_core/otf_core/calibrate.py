@@ -254,7 +254,7 @@ def assemble(
     fit = _fit(runs, results, done, budget.inflation)
     grid_u = mean_grid_uncertainty(machine, unknowns, budget.whole)
     table = tabulate(machine, done, grid_u, config.unidentifiable_above)
-    whole, budget = budget.whole, replace(budget, rows=table.rows)
+    whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
     covariance = budget.covariance
     tables = with_uncertainty(table.tables, covariance)
     typical = typical_systematic(runs, done, tables, table.rows, covariance)

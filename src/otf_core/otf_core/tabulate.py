@@ -34,6 +34,8 @@ WORTH = 0.3
 FRACTIONS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 MOST_NODES = 1600
 """Nodes of all motions together: their covariance is part of the file."""
+FIXED = 1e-12
+"""Nodes that depend less on the unknowns are fixed by the gauge."""
 PLACES = 216
 """At which the cost on the grid is judged."""
 
@@ -58,6 +60,18 @@ class Tabulation:
     rows: Array
     fraction: int
     costs: Mapping[int, TableCost]
+
+    @property
+    def straight(self) -> Array:
+        """Variance of the nodes that stands for what straight lines miss, shape (m,).
+
+        Independent nodes of variance v make 2/3 v on the average over the places between them.
+        """
+        cost, motions = self.costs[self.fraction].motions, self.tables.motions
+        parts = [np.zeros(len(SQUARENESS))]
+        parts += [np.full(len(motions[m].position), 1.5 * cost[m] ** 2) for m in MOTIONS]
+        free = np.abs(self.rows).max(axis=1) > FIXED
+        return np.asarray(np.concatenate(parts) * free)
 
 
 @dataclass(frozen=True)

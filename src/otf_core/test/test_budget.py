@@ -312,7 +312,7 @@ def test_few_degrees_of_freedom_make_the_coverage_factor_large():
     assert freedom[0] == pytest.approx(32.0)
     one = Source('one', np.diag([1.0, 4.0]), 8.0)
     other = Source('other', np.diag([1.0, 0.0]), np.inf)
-    budget = Budget((one, other), (), 1.0, np.eye(2))
+    budget = Budget((one, other), (), 1.0, np.eye(2), np.zeros(2))
     assert budget.expansion(budget.variances()) == (pytest.approx(2.306, abs=1e-3), 8.0)
 
 

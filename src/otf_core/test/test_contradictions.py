@@ -92,9 +92,9 @@ def test_units_are_named():
     a = recorded()
     path = NominalPath(a.path.points * 1000)
     large = again(a, xyz=a.samples.xyz * 1000)
-    assert 'is the track in mm?' in refused(large)
-    assert 'is the path in mm?' in refused(replace(a, path=path))
-    assert 'is the path in mm?' in refused(replace(large, path=path))
+    assert 'the points seem to be in mm' in refused(large)
+    assert 'the path seems to be in mm, expected m' in refused(replace(a, path=path))
+    assert 'the path seems to be in mm, expected m' in refused(replace(large, path=path))
 
 
 def test_the_path_of_another_machine_is_no_matter_of_tolerance():

@@ -28,6 +28,7 @@ from otf_core.unknowns import free_values
 Array = NDArray[np.float64]
 
 NOISE, MISFIT, SMOOTHNESS, EFFECTS = 'noise', 'misfit', 'smoothness', 'effects'
+STRAIGHT = 'straight lines'
 NAMES = (*SQUARENESS, *MOTIONS)
 
 
@@ -63,12 +64,20 @@ class Budget:
         Factor on the covariance that the residuals still call for.
     rows : ndarray, shape (m, full)
         Squareness and nodes of the tables from all unknowns, see ``tabulate.Tabulation``.
+    straight : ndarray, shape (m,), m^2 and rad^2
+        Variance of the nodes that stands for what straight lines between them miss.
     """
 
     sources: tuple[Source, ...]
     not_stated: tuple[str, ...]
     inflation: float
     rows: Array
+    straight: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all sources of the tables."""
+        return (*(s.name for s in self.sources), STRAIGHT)
 
     @property
     def whole(self) -> Array:
@@ -78,12 +87,12 @@ class Budget:
     @cached_property
     def covariance(self) -> Array:
         """Combined covariance of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ, shape (m, m)."""
-        return np.asarray(self.rows @ self.whole @ self.rows.T)
+        return np.asarray(self.rows @ self.whole @ self.rows.T + np.diag(self.straight))
 
     @property
     def freedoms(self) -> Array:
         """Degrees of freedom of every source, shape (sources,)."""
-        return np.array([s.dof for s in self.sources])
+        return np.array([*(s.dof for s in self.sources), np.inf])
 
     def variances(self, rows: Array | None = None) -> Array:
         """Variance by source of every value, or of linear combinations ``rows`` (n, m) of them.
@@ -94,6 +103,7 @@ class Budget:
         """
         whole = self.rows if rows is None else rows @ self.rows
         found = [np.einsum('ij,ij->i', whole @ s.covariance, whole) for s in self.sources]
+        found.append(self.straight if rows is None else rows**2 @ self.straight)
         return np.asarray(np.maximum(np.array(found), 0.0))
 
     def expansion(self, variances: Array) -> tuple[float, float]:
@@ -164,6 +174,7 @@ def make_budget(
         tuple(s.source for s in SYSTEMATIC if s not in declared),
         check.inflation,
         np.eye(done.unknowns.full),
+        np.zeros(done.unknowns.full),
     )
 
 

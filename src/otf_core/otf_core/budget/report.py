@@ -25,6 +25,7 @@ STRONG = 0.5
 LISTED = 20
 SHORT = {
     'smoothness': 'smooth',
+    'straight lines': 'lines',
     'tracker scale': 'scale',
     'tracker range offset': 'offset',
     'tracker angles': 'angles',
@@ -73,7 +74,7 @@ def _places(tables: ErrorTables) -> dict[str, slice]:
 def _line(budget: Budget, name: str, unit: str, variances: Array, components: int = 1) -> Line:
     known = variances[:, variances.sum(axis=0) > 0]
     mean = np.sqrt(components * known.mean(axis=1)) if known.size else np.zeros(len(variances))
-    parts = {s.name: float(v) for s, v in zip(budget.sources, mean, strict=True)}
+    parts = {n: float(v) for n, v in zip(budget.names, mean, strict=True)}
     return Line(name, unit, float(np.sqrt(np.sum(mean**2))), parts, *budget.expansion(known))
 
 
@@ -164,7 +165,9 @@ def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[Line]) -> di
     return {
         'budget': {
             'coverage_probability': COVERAGE,
-            'dof': {s.name: _finite(s.dof) for s in budget.sources},
+            'dof': {
+                n: _finite(v) for n, v in zip(budget.names, budget.freedoms.tolist(), strict=True)
+            },
             'not_stated': list(budget.not_stated),
             'u_rms': {n.name: {'unit': n.unit, 'u': n.u, 'sources': n.parts} for n in lines},
         },
@@ -178,7 +181,7 @@ def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[Line]) -> di
 
 def format_budget(tables: ErrorTables, budget: Budget, lines: list[Line]) -> str:
     """Return the budget as text."""
-    sources = [s.name for s in budget.sources if any(n.parts[s.name] for n in lines)]
+    sources = [name for name in budget.names if any(n.parts[name] for n in lines)]
     head = ''.join(f'{SHORT.get(name, name):>9}' for name in sources)
     text = [f'budget, um and urad, rms of nodes{"U (95 %)":>10}{"u, k = 1":>10}{head}']
     for line in lines:

@@ -33,7 +33,7 @@ def _check(recording: Recording) -> None:
         worst = int(np.argmax(travel))
         raise InputError(
             f'path: spans {travel[worst]:g} m in {AXES[worst]} where {machine.name} travels '
-            f'{size[worst]:g} m; is the path in mm? The unit is m'
+            f'{size[worst]:g} m; the path seems to be in mm, expected m'
         )
     outside = np.maximum(machine.lower - low, high - machine.upper)
     worst = int(np.argmax(outside))
