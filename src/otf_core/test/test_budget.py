@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Budget of uncertainty: sources add up and are what they say, shared parameters act as they must."""
+"""Budget of uncertainty: sources add up and are what they say, shared parameters act."""
 
 import json
 from dataclasses import replace
@@ -244,8 +244,9 @@ def test_smoothness_is_the_expected_squared_bias(solved):
     root = np.linalg.cholesky(np.linalg.inv(done.roughness.precision[place]))
     drawn = root @ np.random.default_rng(1).standard_normal((use.size, 4000))
     bias = (covariance @ done.normal.matrix[place] - np.eye(use.size)) @ drawn
-    found = (_source(solved, 'smoothness') - _drawn(solved))[np.ix_(done.unknowns.kept,
-                                                                    done.unknowns.kept)]
+    found = (_source(solved, 'smoothness') - _drawn(solved))[
+        np.ix_(done.unknowns.kept, done.unknowns.kept)
+    ]
     assert gauge.shape[1] == len(found)
     # 4000 draws: variances within 2.2 %, k = 1
     np.testing.assert_allclose(np.mean(bias**2, axis=1), np.diag(found[place]), rtol=0.12)

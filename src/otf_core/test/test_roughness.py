@@ -87,7 +87,7 @@ def test_kernel_is_waves_and_an_integrated_wiener_process_with_its_derivatives()
     found, slopes = kernel(basis, logs)
     x = basis.centres / 0.5
     for i, j in ((0, 0), (3, 7), (10, 4), (10, 10)):
-        walk = quad(lambda u: (x[i] - u) * (x[j] - u), 0.0, min(x[i], x[j]))[0]
+        walk = quad(lambda u, a, b: (a - u) * (b - u), 0.0, min(x[i], x[j]), (x[i], x[j]))[0]
         waves = np.exp(-0.5 * ((x[i] - x[j]) / np.exp(-1.0)) ** 2)
         assert found[i, j] == pytest.approx(np.exp(-2.0) * waves + np.exp(-3.0) * walk, rel=1e-9)
     for k, slope in enumerate(slopes):

@@ -73,7 +73,7 @@ def test_twelve_waves_over_an_axis_call_for_finer_splines():
 def test_stops_choose_among_all_functions_and_find_smooth_motions_smooth():
     machine = some_machine()
     points = np.concatenate([edge_points(machine, 40), spread_points(machine, 60)])
-    nodes, found = chosen(small(path=points, passes=1, feed=0.5, dwell=0.8), prepare_stops)
+    _, found = chosen(small(path=points, passes=1, feed=0.5, dwell=0.8), prepare_stops)
     assert set(found.evidence) == {'smooth', 'smooth, twice as fine', 'straight between nodes'}
     assert max(found.evidence.values()) == 0.0
     assert found.evidence['straight between nodes'] < 0.0
