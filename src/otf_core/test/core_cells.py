@@ -186,7 +186,7 @@ def pieces_of(machine, path, tables, pose, size=0.01, count=10):
         count=np.full(n, count),
         time=np.arange(n) * 0.01,
         duration=0.01 * ones,
-        speed=0.25 * ones,
+        speed=0.0 * ones,  # points on the path, not means along it
         used=n * count,
         outliers=0,
     )

@@ -43,7 +43,18 @@ def test_smooth_errors_are_found_better_than_by_least_squares_and_as_well_as_sta
     result = calibrate_runs([cell.recording(100.0)], CONFIG)
     found = judge(cell, result.tables, result.covariance)
     assert found.before_um > 30.0
-    assert found.left_percent < 1.5
-    assert found.left_percent < 0.75 * ordinary_least_squares(cell, result.runs[0])
+    assert found.left_percent < 1.2
+    assert found.left_percent < 0.3 * ordinary_least_squares(cell, result.runs[0])
     # 648 components that hang together: some 25 free ones of 95 %, 4 % each way, 2.5 of it
     assert 85.0 <= found.within_2u_percent <= 100.0
+
+
+def test_more_samples_do_not_make_it_worse():
+    """Slow noise does not average out, so that 25 times the samples win little: but lose none."""
+    cell = small('w-Y-b-X-Z-t')
+    left = []
+    for rate in (20.0, 500.0):
+        result = calibrate_runs([cell.recording(rate)], CONFIG)
+        left.append(judge(cell, result.tables, result.covariance).left_um)
+    # another draw of the noise: some 25 free components, so 14 % of the length either time
+    assert left[1] <= 1.15 * left[0]
