@@ -15,7 +15,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
 from otf_core.machine import Machine
-from otf_core.noise_fit import fit_noise
+from otf_core.noise_fit import FittedNoise, fit_noise
 from otf_core.normal import NormalEquations, Whitener, normal_equations
 from otf_core.pieces import RAYLEIGH_MEDIAN
 from otf_core.roughness import Roughness, Search
@@ -174,18 +174,24 @@ def solve_robustly(
         ]
         fitted = [fitted_noise(r, s, done) for r, s in zip(runs, done.runs, strict=True)]
         if not any(d.any() for d in drop) and all(
-            r.fitted is not None and np.abs(f - r.fitted).max() < NOISE_SETTLED
+            r.fitted is not None and _same_noise(f, r.fitted)
             for f, r in zip(fitted, runs, strict=True)
         ):
             return runs, done
         runs = [
-            replace(r, pieces=r.pieces.without(d), fitted=f, pose=s.pose)
+            replace(r, pieces=r.pieces.without(d), fitted=f.logs, pose=s.pose)
             for r, d, f, s in zip(runs, drop, fitted, done.runs, strict=True)
         ]
     return runs, solve_jointly(runs, unknowns, config, progress, start)
 
 
-def fitted_noise(run: Run, solved: SolvedRun, done: JointSolution) -> Array:
+def _same_noise(found: FittedNoise, before: Array) -> bool:
+    """Tell whether noise has settled: it changed by little, or by less than is known of it."""
+    change = np.abs(found.logs - before)
+    return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * found.u)))
+
+
+def fitted_noise(run: Run, solved: SolvedRun, done: JointSolution) -> FittedNoise:
     """What the residuals of one run say of noise and misfit, see ``noise_fit.fit_noise``."""
     return fit_noise(
         solved.system,

@@ -49,8 +49,25 @@ LINES, PIECES = 48, 100
 """Lines and pieces of each that are looked at: five numbers need no more."""
 STEPS = 6
 LONGEST_STEP = 1.5
-SETTLED = 0.03
+SETTLED, CERTAIN = 0.03, 0.3
+"""Steps that are smaller, or than this share of their standard deviation, end the search."""
 _DERIVATIVE = 1e-3
+
+
+@dataclass(frozen=True)
+class FittedNoise:
+    """Sizes of noise and misfit.
+
+    Attributes
+    ----------
+    logs : ndarray, shape (5,)
+        For ``noise.scaled`` and ``noise.misfit_of``.
+    u : ndarray, shape (5,)
+        Their standard uncertainties.
+    """
+
+    logs: Array
+    u: Array
 
 
 @dataclass(frozen=True)
@@ -114,7 +131,7 @@ def fit_noise(
     noise: NoiseModel,
     covariance: Array,
     start: Array | None = None,
-) -> Array:
+) -> FittedNoise:
     """Fit the sizes of noise and misfit to the residuals of a run.
 
     Parameters
@@ -130,8 +147,7 @@ def fit_noise(
 
     Returns
     -------
-    ndarray, shape (5,)
-        Logarithms for ``scaled`` and ``misfit_of``.
+    FittedNoise
     """
     floor = 2.0 * np.log(MODEL_FLOOR)
     prior = np.array([0.0, 0.0, np.log(noise.correlation_time), floor, floor])
@@ -144,7 +160,8 @@ def fit_noise(
         step = np.linalg.solve(information, score)
         step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
         moved = np.clip(logs + step, LOWEST, HIGHEST)
-        change, logs = float(np.abs(moved - logs).max()), moved
-        if change < SETTLED:
+        change, logs = np.abs(moved - logs), moved
+        known = np.sqrt(np.diag(np.linalg.inv(information)))
+        if np.all(change < np.maximum(SETTLED, CERTAIN * known)):
             break
-    return logs
+    return FittedNoise(logs, known)

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,32 +157,29 @@ class _Point:
 
     def slopes(self, centres: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """Score (j,), information (j, j), and moves V E c (use, j) of all logarithms."""
-        places = self._search.places
-        V = self.factor.inverse
-        keys, weighted, score, moves = [], [], [], []
+        places, V = self._search.places, self.factor.inverse
+        width = len(START)
+        weighted, score, moves = {}, [], []
         for motion, place in places.items():
             inverse, own = self.inverse[motion], self.value[place]
             rest = self.covariance[motion] - V[place, place]
             away = (self.logs[motion] - centres[motion]) / np.square(TOGETHER)
-            for change, pull in zip(self.changes[motion], away, strict=True):
-                E = inverse @ change @ inverse
-                keys.append(motion)
-                weighted.append(E)
-                score.append(0.5 * float(own @ E @ own - np.sum(E * rest)) - pull)
-                moves.append(V[:, place] @ (E @ own))
-        count = len(keys)
+            E = inverse @ np.stack(self.changes[motion]) @ inverse
+            weighted[motion] = E
+            score.append(0.5 * (E @ own @ own - np.sum(E * rest, axis=(1, 2))) - away)
+            moves.append(V[:, place] @ (E @ own).T)
         information = np.diag(np.tile(1.0 / np.square(TOGETHER), len(places)))
-        for i, j in product(range(count), repeat=2):
-            if j < i:
-                continue
-            D = -V[places[keys[i]], places[keys[j]]]
-            if keys[i] == keys[j]:
-                D = D + self.covariance[keys[i]]
-            shared = 0.5 * float(np.sum((weighted[i] @ D @ weighted[j]) * D))
-            information[i, j] += shared
+        for (i, one), (j, other) in combinations_with_replacement(enumerate(places), 2):
+            D = -V[places[one], places[other]]
+            if one == other:
+                D = D + self.covariance[one]
+            left, right = weighted[one] @ D, D @ weighted[other]
+            shared = 0.5 * left.reshape(width, -1) @ right.reshape(width, -1).T
+            a, b = slice(width * i, width * (i + 1)), slice(width * j, width * (j + 1))
+            information[a, b] += shared
             if i != j:
-                information[j, i] += shared
-        return np.array(score), information, np.stack(moves, axis=1)
+                information[b, a] += shared.T
+        return np.concatenate(score), information, np.concatenate(moves, axis=1)
 
 
 class Search:

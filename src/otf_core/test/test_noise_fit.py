@@ -114,7 +114,7 @@ def test_sizes_are_found_again_within_their_uncertainty(long):
     ratios = []
     for seed in range(4):
         residual = drawn(long, TRUTH, seed)
-        found = fit_noise(long.system, long.pieces, residual, NOISE, nothing)
+        found = fit_noise(long.system, long.pieces, residual, NOISE, nothing).logs
         lines = _lines(long.system, long.pieces, residual, nothing)
         data = _slopes(long.system, long.pieces, NOISE, found, lines)[1]
         u = np.sqrt(np.diag(np.linalg.inv(data + np.diag(1 / PRIOR**2))))
@@ -127,7 +127,7 @@ def test_sizes_are_found_again_within_their_uncertainty(long):
 
 def test_white_and_slow_noise_as_stated_stay(long):
     nothing = np.zeros((long.unknowns.full,) * 2)
-    found = fit_noise(long.system, long.pieces, drawn(long, START, 9), NOISE, nothing)
+    found = fit_noise(long.system, long.pieces, drawn(long, START, 9), NOISE, nothing).logs
     assert np.abs(found[[WHITE, SLOW, TIME]] - START[[WHITE, SLOW, TIME]]).max() < 0.5
     assert misfit_of(found).independent < 4e-7
     assert misfit_of(found).slow < 4e-7
@@ -147,7 +147,7 @@ def test_estimates_that_took_up_noise_are_allowed_for():
         residual = (y - A @ (own @ (A.T @ weight @ y))).reshape(2, -1)
         for told in found:
             cover = gauge @ own @ gauge.T if told else 0.0 * gauge @ gauge.T
-            logs = fit_noise(rows.system, rows.pieces, residual, NOISE, cover, loud)
+            logs = fit_noise(rows.system, rows.pieces, residual, NOISE, cover, loud).logs
             found[told].append(np.log(np.trace(dense(rows, logs))))
     lost = np.log(np.trace(dense(rows, loud))) - np.mean(found[True])
     # slow noise and pose look alike here: one draw is good to 0.5, five to 0.2; 2 of it
@@ -159,12 +159,12 @@ def test_the_prior_holds_what_residuals_do_not_show(short):
     white = replace(NOISE, white_range=1.0, white_angle=1.0)
     nothing = np.zeros((short.unknowns.full,) * 2)
     residual = 3e-6 * np.random.default_rng(3).standard_normal((2, len(short.pieces)))
-    found = fit_noise(short.system, short.pieces, residual, white, nothing)
+    found = fit_noise(short.system, short.pieces, residual, white, nothing).logs
     assert found[SLOW] == 0.0
     assert found[TIME] == pytest.approx(np.log(0.3))
     few = rows_of(ZIGZAG[:2], 0.2)
     zero = np.zeros((few.unknowns.full,) * 2)
-    alone = fit_noise(few.system, few.pieces, drawn(few, START, 4), NOISE, zero)
+    alone = fit_noise(few.system, few.pieces, drawn(few, START, 4), NOISE, zero).logs
     assert np.abs(alone - START)[[WHITE, SLOW, TIME]].max() < 0.7
 
 
@@ -172,7 +172,7 @@ def test_the_prior_holds_what_residuals_do_not_show(short):
 def test_sizes_stay_in_their_bounds(short, size):
     nothing = np.zeros((short.unknowns.full,) * 2)
     residual = size * np.random.default_rng(5).standard_normal((2, len(short.pieces)))
-    found = fit_noise(short.system, short.pieces, residual, NOISE, nothing)
+    found = fit_noise(short.system, short.pieces, residual, NOISE, nothing).logs
     assert np.all(found >= LOWEST)
     assert np.all(found <= HIGHEST)
     assert misfit_of(found).independent >= 2e-8 * (1 - 1e-12)
