@@ -166,8 +166,8 @@ class ForecastConfig(Parameters):
     rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
     acceleration: float = parameter(2.0, 'acceleration of the drives', 'm/s^2', 0.01, 100)
     error_size: float = parameter(
-        2e-5, 'standard deviation of the error motions expected, which are taken as smooth',
-        'm or rad', 1e-7, 1e-2,
+        2e-5, 'mean volumetric error expected, of motions that are taken as smooth', 'm',
+        1e-7, 1e-1,
     )  # fmt: skip
     grid: int = parameter(7, 'points per axis of the grid that is judged', '', 2, 15)
     min_range: float = parameter(

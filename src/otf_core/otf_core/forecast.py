@@ -161,8 +161,8 @@ def beside(machine: Machine) -> Array:
 
 def _leg_pieces(
     times: DriveTimes, ends: Array, leg: int, nodes: tuple[Array, ...], setup: Setup
-) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-    """Middle (m), mean time, duration (s) and samples of the pieces of one leg."""
+) -> tuple[Array, Array, Array, NDArray[np.int64], Array]:
+    """Middle (m), mean time, duration (s), samples and length (m) of the pieces of one leg."""
     length, rate = times.length[leg], setup.config.rate
     margin = min(setup.calibration.corner_exclusion, 0.25 * length)
     start, end = times.at(leg, np.array([margin, length - margin]))
@@ -174,7 +174,8 @@ def _leg_pieces(
     inside = np.clip(marks, margin, length - margin)
     middle, mean = 0.5 * (inside[1:] + inside[:-1]), 0.5 * (moment[1:] + moment[:-1])
     kept = count > 0
-    return middle[kept], mean[kept], count[kept] / rate, count[kept]
+    width = inside[1:] - inside[:-1]
+    return middle[kept], mean[kept], count[kept] / rate, count[kept], width[kept]
 
 
 def lay_out(
@@ -200,7 +201,7 @@ def lay_out(
     parts = [
         _leg_pieces(times, np.stack([starts[j], ends[j]]), int(j), tables, setup) for j in legs
     ]
-    middle, time, duration, count = (np.concatenate(p) for p in zip(*parts, strict=True))
+    middle, time, duration, count, width = (np.concatenate(p) for p in zip(*parts, strict=True))
     leg = np.repeat(legs, [len(p[0]) for p in parts])
     direction = (ends[leg] - starts[leg]) / times.length[leg, None]
     return Pieces(
@@ -213,6 +214,7 @@ def lay_out(
         time=time,
         duration=duration,
         speed=times.peak[leg],
+        spread=width / np.sqrt(12.0),
         samples=np.arange(count.sum()),
         piece=np.repeat(np.arange(len(count)), count),
         used=int(count.sum()),

@@ -16,8 +16,8 @@ from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
 from otf_core.machine import Machine
 from otf_core.noise_fit import FittedNoise, fit_noise
-from otf_core.normal import NormalEquations, Whitener, normal_equations
-from otf_core.pieces import RAYLEIGH_MEDIAN
+from otf_core.normal import NormalEquations, Whitener, leg_bounds, normal_equations
+from otf_core.pieces import GROSS, RAYLEIGH_MEDIAN
 from otf_core.roughness import Roughness, Search
 from otf_core.runs import Run, blamed
 from otf_core.solution import Solution, identifiable_blocks, solve
@@ -204,14 +204,17 @@ def fitted_noise(run: Run, solved: SolvedRun, done: JointSolution) -> FittedNois
 
 
 def _far_pieces(residual: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
-    """Pieces far from the solution, and what trails off beside them on the same leg.
+    """Pieces far from the solution, or from their leg, and what trails off beside them.
 
-    A corner that the control rounds fades out along the leg: its last part is no outlier by
-    itself.
+    What holds for a whole leg is no bad piece but an effect. A corner that the control rounds
+    fades out along the leg: its last part is no outlier by itself.
     """
-    distance = np.linalg.norm(residual, axis=0)
-    sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
-    far = distance > max(limit * sigma, LEAST)
+    own = residual.copy()
+    for low, high in leg_bounds(leg):
+        own[:, low:high] -= np.median(residual[:, low:high], axis=1, keepdims=True)
+    distance, beyond = (np.linalg.norm(v, axis=0) for v in (own, residual))
+    sigma, whole = (float(np.median(v)) / RAYLEIGH_MEDIAN for v in (distance, beyond))
+    far = (distance > max(limit * sigma, LEAST)) | (beyond > max(limit * whole, GROSS))
     same = leg[1:] == leg[:-1]
     beside = np.zeros_like(far)
     beside[1:] |= far[:-1] & same

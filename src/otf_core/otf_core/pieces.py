@@ -76,6 +76,8 @@ class Pieces:
         Chord of the path on which the piece begins; empty if that is its leg.
     bend : ndarray, shape (p, 3), m/s^2
         Acceleration towards the inside of curves, machine frame; empty if there are none.
+    spread : ndarray, shape (p,), m
+        Standard deviation of the samples along the line; empty if pieces are points.
     """
 
     xyz: Array
@@ -94,6 +96,7 @@ class Pieces:
     piece: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     chord: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     bend: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    spread: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def line(self) -> Index:
@@ -127,6 +130,7 @@ class Pieces:
             piece=(np.cumsum(~drop) - 1)[self.piece[stays]],
             chord=self.chord[~drop] if len(self.chord) else self.chord,
             bend=self.bend[~drop] if len(self.bend) else self.bend,
+            spread=self.spread[~drop] if len(self.spread) else self.spread,
             used=self.used - lost,
             outliers=self.outliers + lost,
         )
@@ -298,7 +302,7 @@ def reduce_to_pieces(
     place = (lines.start[leg] - lines.start[group]) + along
     place = np.where(shape.curved[leg], np.maximum(place, 0.0), place)
     piece = np.searchsorted(bounds, shift[np.searchsorted(first, group)] + place, side='right') - 1
-    pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, outliers)
+    pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, place, outliers)
     return pieces if shape.straight else _on_curves(pieces, lines, alignment, along, speed)
 
 
@@ -340,6 +344,7 @@ def _collect(
     alignment: Alignment,
     unit: Array,
     speed: Array,
+    place: Array,
     outliers: int,
 ) -> Pieces:
     names, dense = np.unique(piece, return_inverse=True)
@@ -363,4 +368,5 @@ def _collect(
         piece=np.asarray(dense, dtype=np.int64),
         used=len(chosen),
         outliers=outliers,
+        spread=np.sqrt(np.maximum(means.mean(place**2) - means.mean(place) ** 2, 0.0)),
     )

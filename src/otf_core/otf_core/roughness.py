@@ -49,6 +49,8 @@ LOWEST = (-16.0, np.log(0.03), -18.0)
 HIGHEST = (8.0, np.log(3.0), 8.0)
 SLOPE = 10.0
 """Standard deviation of the free slope over the range, in units of the limit: hardly any prior."""
+IN_A_VECTOR = 12
+"""Motions that an error vector is the sum of: a translation and levered rotations a component."""
 JITTER = 1e-10
 """Independent variance of the coefficients, in units of the squared limit: numerical rank."""
 TRACE = 1e-4
@@ -101,7 +103,7 @@ def kernel(basis: Basis, logs: Array) -> tuple[Array, list[Array]]:
 class CoefficientPrior:
     """Covariance of the free coefficients of one motion, in units of the squared limit."""
 
-    def __init__(self, motion: str, basis: Basis) -> None:
+    def __init__(self, motion: str, basis: Basis, slope_size: float = SLOPE) -> None:
         self.basis, size = basis, basis.size
         low, high = basis.knots[0], basis.knots[-1]
         x = (basis.centres - low) / max(high - low, 1e-12)
@@ -118,7 +120,7 @@ class CoefficientPrior:
         slope = gauge[kept] @ x
         self._fixed = JITTER * np.eye(len(kept))
         if not is_straightness(motion):
-            self._fixed += SLOPE**2 * np.outer(slope, slope)
+            self._fixed += slope_size**2 * np.outer(slope, slope)
 
     def at(self, logs: Array) -> tuple[Array, list[Array]]:
         """Covariance, shape (free, free), and its derivatives by the logarithms."""
@@ -275,19 +277,23 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
     limit : float
         m and rad.
     size : float
-        m and rad; standard deviation of the motions.
+        m; mean volumetric error. It is the length of a vector of three sums of some four motions
+        of one size, which is the standard deviation of a motion (m and rad) and half of that of
+        its slope over the range.
 
     Returns
     -------
     ndarray, shape (free, free), 1 / (m, rad)^2
     """
     precision = TRACE * np.eye(unknowns.free)
+    size = size / np.sqrt(IN_A_VECTOR)
     own = 2.0 * np.log(size / limit)
     logs = np.array([own, START[1], own + START[2] - START[0]])
     for motion in MOTIONS:
         part = unknowns.free_blocks[motion]
         if part.stop > part.start:
-            covariance = CoefficientPrior(motion, unknowns.bases[motion[2]]).at(logs)[0]
+            usual = CoefficientPrior(motion, unknowns.bases[motion[2]], 2.0 * size / limit)
+            covariance = usual.at(logs)[0]
             precision[part, part] = Positive(covariance).inverse
     return np.asarray(precision / limit**2)
 

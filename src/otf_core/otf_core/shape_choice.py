@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which functions the error motions are made of: smooth, finer, or straight between the nodes.
 
-Smooth functions over ``INTERVALS`` parts of every axis come first. Where neighbouring pieces of
-a line differ by more than the noise allows, they cannot follow something: then splines over twice
-as many parts, and tables that are linear between the nodes of machine.yaml (a machine that its
-control compensates with such tables has kinks there), are solved for as well, and the functions
-with the largest restricted likelihood are taken, the size of the residuals left free:
+Smooth functions over ``INTERVALS`` parts of every axis are compared with tables that are linear
+between the nodes of machine.yaml: a machine that its control compensates with such tables has
+kinks there. Where neighbouring pieces of a line differ by more than the noise allows, the smooth
+functions cannot follow something, and splines over twice as many parts are tried as well. The
+functions with the largest restricted likelihood are taken, the size of the residuals left free:
 
     L = -1/2 ( n log S + log det(N + K^-1) + log det K ),   S weighted sum of squares of n rows
 """
@@ -38,6 +38,8 @@ from otf_core.unknowns import layout
 Array = NDArray[np.float64]
 Bases = dict[str, Basis]
 
+SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
+STRAIGHT = 'straight between nodes'
 INTERVALS = 20
 """Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
 SIGNIFICANT = 4.0
@@ -57,8 +59,7 @@ class ShapeChoice:
         With the poses of the first solution.
     start : Start
     evidence : mapping of name to float
-        Restricted log likelihood of everything that was tried, less the best; empty if the
-        first choice left nothing to explain.
+        Restricted log likelihood of everything that was tried, less the best.
     """
 
     bases: Bases
@@ -109,11 +110,12 @@ def choose_shapes(
     bases = smooth_bases(nodes)
     done = solve_jointly(runs, layout(bases, len(runs)), config, progress)
     moved = [replace(r, pose=s.pose) for r, s in zip(runs, done.runs, strict=True)]
-    if not any(_steps_unexplained(solved) for solved in done.runs):
-        return ShapeChoice(bases, moved, Start.after(done), {})
+    names = [SMOOTH, STRAIGHT]
+    if any(_steps_unexplained(solved) for solved in done.runs):
+        names.append(FINER)
     tried: dict[str, tuple[float, Bases, Roughness]] = {}
-    for name, make in _CHOICES.items():
-        trial = make(nodes)
+    for name in names:
+        trial = _CHOICES[name](nodes)
         rough = _tried(moved, trial, done, config)
         tried[name] = (_likelihood(rough, done.normal.rows), trial, rough)
     best = max(tried.values(), key=lambda entry: entry[0])
@@ -123,9 +125,9 @@ def choose_shapes(
 
 
 _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
-    'smooth': smooth_bases,
-    'smooth, twice as fine': partial(smooth_bases, parts=2 * INTERVALS),
-    'straight between nodes': linear_bases,
+    SMOOTH: smooth_bases,
+    FINER: partial(smooth_bases, parts=2 * INTERVALS),
+    STRAIGHT: linear_bases,
 }
 
 

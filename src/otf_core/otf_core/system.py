@@ -93,17 +93,6 @@ def _axes(pieces: Pieces, beam: Array) -> Array:
     return np.stack([beam, *path_frame(beam, helper)])
 
 
-def _reach(pieces: Pieces) -> Array:
-    """Distance from the centre of every piece to its two Gauss points, shape (p, 1), m.
-
-    A piece is a mean over n samples, not the value at its centre: from a curved motion the two
-    differ by h^2 f'' / 24, and nothing in the residuals shows it. The mean of f at both points
-    is right to the third order.
-    """
-    spread = (1.0 - 1.0 / np.square(pieces.count)) / 3.0
-    return np.asarray((0.5 * pieces.speed * pieces.duration * np.sqrt(spread))[:, None])
-
-
 def _design(
     machine: Machine,
     unknowns: Unknowns,
@@ -186,8 +175,12 @@ def build_system(
     beam = pose.rotate(pieces.xyz / distance[:, None])
     axes = _axes(pieces, beam)
     along, across = beam_shares(distance, beam, axes)
-    reach = 0.0 if nodal_lever else _reach(pieces) * pieces.direction
-    shifts = [reach, -reach] if np.any(reach) else [np.zeros(3)]
+    # a piece is a mean over samples, not the value at its centre: from a curved motion the two
+    # differ by h^2 f'' / 24; the mean of f at both Gauss points is right to the third order
+    shifts = [np.zeros(3)]
+    if len(pieces.spread) and not nodal_lever:
+        reach = pieces.spread[:, None] * pieces.direction
+        shifts = [reach, -reach]
     halves = [
         _design(machine, unknowns, run, q + s, points + s, axes, pieces, nodal_lever)
         for s in shifts

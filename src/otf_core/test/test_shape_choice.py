@@ -42,7 +42,8 @@ def same(bases, others):
 
 def test_smooth_motions_need_nothing_else():
     nodes, found = chosen(small())
-    assert found.evidence == {}
+    assert found.evidence['smooth'] == 0.0
+    assert set(found.evidence) == {'smooth', 'straight between nodes'}
     assert same(found.bases, smooth_bases(nodes))
     assert {len(found.bases[a].knots) for a in 'XYZ'} == {INTERVALS + 1}
     assert {found.bases[a].degree for a in 'XYZ'} == {CUBIC}

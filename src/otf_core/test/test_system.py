@@ -154,8 +154,8 @@ def test_a_piece_is_a_mean_over_its_samples_not_the_value_at_its_centre(count, b
     machine = some_machine()
     points, unknowns, at_centres = system_of(machine, zero_tables(machine), bases=smooth_bases)
     size = len(points)
-    means = replace(points, speed=np.full(size, 0.3), duration=np.full(size, 0.1),
-                    count=np.full(size, count))  # fmt: skip
+    shares = (np.arange(count) + 0.5) / count - 0.5
+    means = replace(points, spread=np.full(size, 0.03 * np.std(shares)))
     found = build_system(machine, means, transform_pose(machine, 0), unknowns)
     values = np.zeros(unknowns.full)
     for k, name in enumerate(MOTIONS):
@@ -164,7 +164,7 @@ def test_a_piece_is_a_mean_over_its_samples_not_the_value_at_its_centre(count, b
         values[unknowns.blocks[name]] = 1e-5 * (basis.from_values @ np.sin(wave + k))
     inner = np.all((found.q - 0.02 > machine.lower) & (found.q + 0.02 < machine.upper), axis=1)
     true = np.zeros((2, size))
-    for share in (np.arange(count) + 0.5) / count - 0.5:
+    for share in shares:
         rows = model_rows(machine, unknowns, found.q + 0.03 * share * means.direction)
         true += np.einsum('cij,ij->ci', found.axes, rows @ values) / count
     off, plain = (

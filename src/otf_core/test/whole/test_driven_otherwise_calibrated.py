@@ -110,7 +110,7 @@ def test_circles_of_chords_beside_lines_leave_no_more_than_lines(chord, lines_on
     run, found = left(path, path)
     assert found.left_percent < 1.2 * lines_only.left_percent
     assert found.within_2u_percent > 80
-    assert not run.warnings
+    assert not run.warnings[1:]  # the first says what u contains
 
 
 def test_a_helix_beside_lines_leaves_no_more_than_lines(lines_only):
@@ -125,7 +125,7 @@ def test_arcs_driven_where_chords_are_published_are_recognised(chord, lines_only
     run, found = left(driven, published)
     # taken for chords, a sagitta of 35 um (5 mm) would leave twenty times as much
     assert found.left_percent < 1.2 * lines_only.left_percent
-    assert not run.warnings
+    assert not run.warnings[1:]  # the first says what u contains
 
 
 def test_circles_alone_give_tables_where_they_were_driven():

@@ -19,7 +19,6 @@ from effect_cells import (
 )
 
 from otf_core import cli
-from otf_core.calibrate import calibrate
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.effects import REGISTRY, AppliedEffect, total_displacement
 from otf_core.effects.state import state_on_path
@@ -27,15 +26,16 @@ from otf_core.errors import ConfigError
 from otf_core.frames import RigidTransform
 from otf_core.io.bag import read_bag
 from otf_core.io.effects_yaml import read_effects, write_effects
+from otf_core.joint import solve_jointly, tables_of
 from otf_core.normal import Whitener, sum_groups
 from otf_core.path import NominalPath
 from otf_core.planning import Plan
+from otf_core.runs import Recording, prepare_runs
 from otf_core.shape_choice import linear_bases
 from otf_core.sim.cell import simulate
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, run_state
 from otf_core.solution import TIE_BREAK, smoothness
-from otf_core.system import build_system
 from otf_core.unknowns import layout
 
 displacing = pytest.mark.parametrize('name', DISPLACING)
@@ -267,15 +267,14 @@ def information(name, machine, plan, samples):
     Returns the matrix S and the vector b of S c = b, and the terms.
     """
     config = CalibrationConfig(piece_length=SHORT_PIECES.get(name, 8e-3))
-    result = calibrate(samples, plan.path, machine, config)
-    run = result.runs[0]
-    nodes = {a: result.tables.motions[f'EX{a}'].position for a in 'XYZ'}
+    runs, nodes = prepare_runs([Recording(samples, plan.path, machine)], config)
     unknowns = layout(linear_bases(nodes))
-    pose = run.T_machine_tracker
-    system = build_system(machine, run.pieces, pose, unknowns, result.tables)
+    done = solve_jointly(runs, unknowns, config, lambda stage, fraction: None)
+    run, pose, system = runs[0], done.runs[0].pose, done.runs[0].system
+    tables = tables_of(machine, unknowns, done.solution)
     state = state_on_path(
         machine, plan.path.corners()[0], run.pieces.leg, system.q, run.pieces.speed,
-        run.pieces.time, pose, nodes, result.tables, samples.time[-1],
+        run.pieces.time, pose, nodes, tables, samples.time[-1],
     )  # fmt: skip
     shape = shape_of(name) | ({'order': 2.0} if 'tau' in EXAMPLES[name] else {})
     terms = REGISTRY[name].terms(state, shape)
@@ -284,7 +283,7 @@ def information(name, machine, plan, samples):
     group = np.zeros(len(whitener.bounds), dtype=int)
     normal = sum_groups(system, unknowns, whitener, group, extra)[0]
     matrix, f = normal.matrix, unknowns.free
-    blocks = [b for n, b in unknowns.free_blocks.items() if n not in result.not_identifiable]
+    blocks = [unknowns.free_blocks[n] for n in done.solution.accepted]
     use = np.concatenate([np.arange(b.start, b.stop) for b in blocks])
     ridge = TIE_BREAK * smoothness(unknowns) / config.unidentifiable_above**2
     base = (matrix[:f, :f] + ridge)[np.ix_(use, use)]
