@@ -277,8 +277,9 @@ def test_smoother_motions_leave_less_uncertain():
 
 
 def test_expected_precision_is_of_motions_of_the_size_asked_for():
-    unknowns, size = layout(FINE), 7e-6
-    precision = expected_precision(unknowns, LIMIT, size)
+    # a vector of three sums of four motions of one size: its mean length
+    unknowns, size = layout(FINE), 2e-6
+    precision = expected_precision(unknowns, LIMIT, size * np.sqrt(12.0))
     for motion in ('EYX', 'EZY'):
         place = unknowns.free_blocks[motion]
         spread = np.sqrt(np.diag(np.linalg.inv(precision[place, place])))

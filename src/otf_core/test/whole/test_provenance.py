@@ -29,7 +29,7 @@ from otf_core.provenance import moment, origin_of, provenance
 from otf_core.result_words import squareness_words, volumetric_error
 from otf_core.tables import load_tables
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 SIGN = 'error = actual minus nominal, of the target relative to the table, in machine coordinates'
 QUICK = ('--levels', '2', '--passes', '1', '--rate', '100', '--corner-dwell', '0.2')
 

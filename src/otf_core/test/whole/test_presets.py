@@ -23,7 +23,7 @@ from otf_core.machine import machine_from_dict
 from otf_core.plan_report import PlanReport, format_report, report_to_dict
 from otf_core.results import format_result, result_to_dict
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 
 
 def described(tracker=None, uncertainty=None):
