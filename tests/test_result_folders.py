@@ -30,6 +30,7 @@ def test_calibrations_of_one_run_get_folders_of_their_own(tmp_path):
     samples = simulate(machine, plan, SimulationConfig(rate=50.0)).samples
     files = SimpleNamespace(
         machine_file=str(machine_file), output_directory=str(tmp_path / 'out'), method='otf',
+        effects='none',
         save_bag=True,
     )  # fmt: skip
     worker = Worker(print)

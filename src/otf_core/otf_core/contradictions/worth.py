@@ -20,42 +20,18 @@ Array = NDArray[np.float64]
 
 COUNT = 4
 """Points per axis of the lattice that is looked at."""
-LEAST_SHOWN = 0.5
-"""Share of the nodes that the data are to determine."""
 REST = 5.0
 """Uncertainty over the noise of a sample below which small errors mean a good machine."""
 
 
-def _determined(tables: ErrorTables, name: str) -> NDArray[np.bool_]:
-    table = tables.motions[name]
-    known = table.node_identifiable
-    return np.ones(len(table.position), bool) if known is None else np.asarray(known)
-
-
 def lattice_of(tables: ErrorTables) -> Array:
-    """Lattice of nodes that the data determine, shape (n, 3), m.
-
-    Single nodes that nothing shows are named in warnings; they are no measure of the rest.
-    """
+    """Lattice over the range of the tables, shape (n, 3), m."""
     lines = []
     for axis in AXES:
-        names = [n for n in MOTIONS if n[2] == axis and tables.motions[n].identifiable]
         position = tables.motions[f'E{axis}{axis}'].position
-        shown = np.ones(len(position), bool)
-        for name in names:
-            shown &= _determined(tables, name)
-        use = position[shown] if shown.sum() > 1 else position
-        lines.append(use[np.unique(np.linspace(0, len(use) - 1, COUNT).astype(int))])
+        lines.append(position[np.unique(np.linspace(0, len(position) - 1, COUNT).astype(int))])
     grids = np.meshgrid(*lines, indexing='ij')
     return np.stack([g.ravel() for g in grids], axis=1)
-
-
-def shown_share(tables: ErrorTables) -> float:
-    """Share of the nodes of identifiable motions that the data determine."""
-    names = [n for n in MOTIONS if tables.motions[n].identifiable]
-    return float(
-        np.mean(np.concatenate([np.ones(1, bool), *(_determined(tables, n) for n in names)]))
-    )
 
 
 def _influence(tables: ErrorTables, q: Array) -> Array:
@@ -75,8 +51,8 @@ def _influence(tables: ErrorTables, q: Array) -> Array:
 def volumetric(tables: ErrorTables, covariance: Array) -> tuple[float, float]:
     """Error that the tables state and its uncertainty, m.
 
-    Root mean square of the length, and median over the volume, so that single nodes that nothing
-    shows do not count; the rigid motion is taken out of both.
+    Root mean square of the length, and median over the volume; the rigid motion is taken out of
+    both.
 
     Parameters
     ----------
@@ -117,13 +93,6 @@ def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Fi
     noise : float
         m; of a sample.
     """
-    shown = shown_share(tables)
-    if shown < LEAST_SHOWN:
-        return [Finding('worth', GATE, (
-            f'the data determine {100 * shown:.0f} % of the nodes of the tables only, the others '
-            f'are interpolated: take a larger table_pitch, drive a path with more lines or stops '
-            f'(plan), or calibrate on the fly (--method otf) if the run was driven without stops'
-        ))]  # fmt: skip
     error, u = volumetric(tables, covariance)
     if u < error:
         return []
