@@ -44,7 +44,7 @@ STEEP, CLEAR = 0.8, 5.0
 """What a step near the peak explains of it at most, and how many standard deviations of a sample
 it measures, where there may be several; noise that wanders gives small and broad peaks."""
 MAX_STEPS = 5
-"""Steps that are looked for in one run."""
+"""Steps that are looked for in one run; as many are none: something changes all the time."""
 MIN_PIECES = 60
 """Pieces on either side of a step."""
 
@@ -206,6 +206,7 @@ def settle_steps(
     findings : list of Finding
     """
     found: list[Finding] = []
+    whole = model
     begin = int(model.runs[0].recording.samples.stamp_ns[0])
     name = model.runs[0].recording.name
     for _ in range(MAX_STEPS):
@@ -222,7 +223,18 @@ def settle_steps(
             break
         runs = [*model.runs[: step.run], *parts, *model.runs[step.run + 1 :]]
         model = Model.of(runs)
+    if len(found) == MAX_STEPS:
+        return whole, [_restless(name)]
     return model, found
+
+
+def _restless(name: str) -> Finding:
+    """What is said where steps have no end: no single move explains the run."""
+    return Finding('moved', WARNING, (
+        f'{name + ": " if name else ""}what the tables leave changes over time, at {MAX_STEPS} '
+        f'moments and more, as no single move of tracker or target does: an effect that the model '
+        f'lacks; ./otf diagnose looks for it'
+    ))  # fmt: skip
 
 
 def _finding(name: str, step: Step, mended: bool, *, mend: bool) -> Finding:

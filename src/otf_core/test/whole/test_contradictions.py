@@ -3,6 +3,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from nature import Extra, judge
 
 from otf_core import cli
 from otf_core.calibrate import calibrate_runs
+from otf_core.config import CalibrationConfig
+from otf_core.contradictions import moved
 from otf_core.contradictions.worth import check_worth, volumetric
 from otf_core.errors import InputError
 from otf_core.io.bag import BagContent, write_bag
@@ -290,3 +293,18 @@ def test_a_step_between_breaks_is_no_shift_of_the_beam():
     a = recorded(40, passes=2)
     (found,) = asked(stepped(broken(a, 15, 0.0), (20e-6, 0.0, 0.0), at=0.6))
     assert found.check == 'moved'
+
+
+def test_steps_without_end_are_no_moves(monkeypatch):
+    class Whole:
+        runs = (SimpleNamespace(recording=recorded()),)
+
+    whole = Whole()
+    step = moved.Step(0, 1.0, np.zeros(3), 1e-5, 0.0, 0.1)
+    monkeypatch.setattr(moved, 'find_step', lambda model, run: step)
+    monkeypatch.setattr(moved, 'split', lambda run, *_: (run, run))
+    monkeypatch.setattr(moved.Model, 'of', lambda runs: SimpleNamespace(runs=tuple(runs)))
+    model, findings = moved.settle_steps(whole, (), CalibrationConfig(), mend=True)
+    assert model is whole
+    assert [f.check for f in findings] == ['moved']
+    assert 'as no single move' in findings[0].words
