@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from otf_core.contradictions.finding import GATE, WARNING, Finding
 from otf_core.evaluation import rigid_columns
-from otf_core.kinematics import displacement, motion_influence, squareness_influence
+from otf_core.kinematics import displacement
 from otf_core.machine import AXES
 from otf_core.runs import Run
-from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
-from otf_core.unknowns import interval
+from otf_core.tables import MOTIONS, ErrorTables
+from otf_core.uncertainty import prediction_rows
 
 Array = NDArray[np.float64]
 
@@ -34,20 +34,6 @@ def lattice_of(tables: ErrorTables) -> Array:
     return np.stack([g.ravel() for g in grids], axis=1)
 
 
-def _influence(tables: ErrorTables, q: Array) -> Array:
-    """Displacement per unit of squareness and nodes, shape (n, 3, m)."""
-    parts = [squareness_influence(n, q)[:, :, None] for n in SQUARENESS]
-    for name in MOTIONS:
-        position = tables.motions[name].position
-        index, fraction = interval(position, q[:, AXES.index(name[2])])
-        weight = np.zeros((len(q), len(position)))
-        place = np.arange(len(q))
-        weight[place, index] = 1.0 - fraction
-        weight[place, np.minimum(index + 1, len(position) - 1)] += fraction
-        parts.append(motion_influence(tables.machine, name, q)[:, :, None] * weight[:, None])
-    return np.concatenate(parts, axis=2)
-
-
 def volumetric(tables: ErrorTables, covariance: Array) -> tuple[float, float]:
     """Error that the tables state and its uncertainty, m.
 
@@ -61,7 +47,8 @@ def volumetric(tables: ErrorTables, covariance: Array) -> tuple[float, float]:
         Of squareness and nodes in the order of ``tables.MOTIONS``.
     """
     q = lattice_of(tables)
-    columns = _influence(tables, q).reshape(3 * len(q), -1)
+    nodes = {name: tables.motions[name].position for name in MOTIONS}
+    columns = prediction_rows(tables.machine, nodes, q).reshape(3 * len(q), -1)
     basis, _ = np.linalg.qr(rigid_columns(q).reshape(-1, 6))
 
     def free(values: Array) -> Array:
