@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from otf_core.arcs import Bulge, bulge_of, with_arcs
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.no_match import why_no_match
+from otf_core.contradictions.no_match import MIRRORED, why_no_match
 from otf_core.curves import SHORT_CURVE, Lines, Shape, straight_shape
 from otf_core.driven import Driven, as_planned, driven_path, sample_chords, visits
 from otf_core.errors import InputError
 from otf_core.frames import RigidTransform
 from otf_core.guide import Guide
 from otf_core.matching import ENOUGH, LEAST, cut_track
-from otf_core.misfit import MIRRORED, mirrored
+from otf_core.misfit import mirrored
 from otf_core.observation import Samples
 from otf_core.order import FORWARD, OFF_PATH, Match, follow
 from otf_core.path import NominalPath

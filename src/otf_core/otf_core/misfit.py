@@ -6,8 +6,6 @@ from __future__ import annotations
 from otf_core.guide import Guide
 from otf_core.track import Track
 
-MIRRORED = 'the track fits only mirrored: are the tracker coordinates left-handed?'
-
 
 def mirrored(track: Track, guide: Guide, tolerance: float) -> float:
     """Share of the measured length that follows the path if it is mirrored."""

@@ -10,6 +10,7 @@ weighting (Eq. 4-6).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -84,7 +85,7 @@ class Whitener:
         self.bounds = leg_bounds(pieces.leg)
         self._factors = [
             [
-                _factor(leg_covariance(system, pieces, noise, misfit, component, low, high), leg)
+                _factor(leg_parts(system, pieces, noise, misfit, component, low, high), leg)
                 for component in range(len(system.deviation))
             ]
             for low, high in self.bounds
@@ -144,23 +145,9 @@ def leg_parts(
     return covariance_parts(noise, misfit, shares, windows)
 
 
-def leg_covariance(
-    system: System,
-    pieces: Pieces,
-    noise: NoiseModel,
-    misfit: Misfit,
-    component: int,
-    low: int,
-    high: int,
-) -> Array:
-    """Covariance of successive pieces of one leg in one component, shape (m, m), m^2."""
-    parts = leg_parts(system, pieces, noise, misfit, component, low, high)
-    return np.asarray(sum(parts))
-
-
-def _factor(covariance: Array, leg: int) -> Array:
+def _factor(parts: Sequence[Array], leg: int) -> Array:
     try:
-        return np.asarray(cholesky(covariance, lower=True, check_finite=False))
+        return np.asarray(cholesky(sum(parts), lower=True, check_finite=False))
     except LinAlgError:
         raise InputError(
             f'leg {leg} of the path: its samples belong to two passes; '

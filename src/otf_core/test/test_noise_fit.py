@@ -23,7 +23,7 @@ from otf_core.noise import (
     scaled,
 )
 from otf_core.noise_fit import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
-from otf_core.normal import leg_bounds, leg_covariance
+from otf_core.normal import leg_bounds, leg_parts
 from otf_core.system import build_system
 from otf_core.unknowns import layout
 
@@ -54,7 +54,7 @@ def dense(rows, logs, noise=NOISE):
         for c in range(2):
             part = slice(c * count + low, c * count + high)
             parts = (rows.system, rows.pieces, scaled(noise, logs), misfit_of(logs))
-            total[part, part] = leg_covariance(*parts, c, low, high)
+            total[part, part] = sum(leg_parts(*parts, c, low, high))
     return total
 
 
@@ -75,7 +75,7 @@ def drawn(rows, logs, seed):
     for low, high in leg_bounds(rows.pieces.leg):
         for c in range(2):
             parts = (rows.system, rows.pieces, scaled(NOISE, logs), misfit_of(logs))
-            root = np.linalg.cholesky(leg_covariance(*parts, c, low, high))
+            root = np.linalg.cholesky(sum(leg_parts(*parts, c, low, high)))
             found[c, low:high] = root @ rng.standard_normal(high - low)
     return found
 

@@ -71,11 +71,6 @@ def top_speed(samples: Samples) -> float:
     return float(np.percentile(moved / span, 75))
 
 
-def _roughness(xyz: Array) -> float:
-    bend = xyz[2:] - 2.0 * xyz[1:-1] + xyz[:-2]
-    return float(np.median(np.linalg.norm(bend, axis=1)))
-
-
 def two_streams(samples: Samples) -> str:
     """Say that samples alternate between two streams; empty if they do not."""
     xyz = samples.xyz
