@@ -24,12 +24,12 @@ from rclpy.node import Node
 
 from otf_bringup.domain import free_domain
 from otf_bringup.processes import NodeProcess, ended_together
-from otf_core.io.bag import BagContent, write_bag
-from otf_core.io.files import ensure_folder, write_text
-from otf_core.machine import load_machine
-from otf_core.observation import SampleBuffer
+from otf_core.bags.bag import BagContent, write_bag
+from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.machine import load_machine
+from otf_core.model.observation import SampleBuffer
+from otf_core.model.tables import tables_to_dict
 from otf_core.sim.cell import random_tables
-from otf_core.tables import tables_to_dict
 from otf_msgs.msg import TrackerStatus
 from otf_ros import convert, qos
 from otf_ros.app import running_ros

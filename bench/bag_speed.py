@@ -19,10 +19,10 @@ from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from otf_core.io.bag import BagContent, read_bag, write_bag
-from otf_core.io.cdr import encode_path, encode_points
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
+from otf_core.bags.bag import BagContent, read_bag, write_bag
+from otf_core.bags.cdr import encode_path, encode_points
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
 
 TOPICS = {
     '/planner/path': 'nav_msgs/msg/Path',

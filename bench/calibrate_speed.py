@@ -22,14 +22,14 @@ from typing import Any
 
 from bag_speed import REPEATS, read_with_rosbags
 
-from otf_core.calibrate import calibrate
-from otf_core.calibration_result import CalibrationResult
+from otf_core.bags.bag import BagContent, read_bag, write_bag
+from otf_core.calibration.calibrate import calibrate
+from otf_core.calibration.result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
-from otf_core.io.bag import BagContent, read_bag, write_bag
-from otf_core.io.files import write_text
-from otf_core.machine import load_machine
-from otf_core.planning import plan_path
-from otf_core.results import write_calibration
+from otf_core.files.writing import write_text
+from otf_core.model.machine import load_machine
+from otf_core.planning.creator import plan_path
+from otf_core.reports.calibration import write_calibration
 from otf_core.sim.cell import simulate
 
 SEED = 20_260_011

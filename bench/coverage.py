@@ -27,20 +27,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from otf_core.budget.report import budget_lines, expanded
-from otf_core.calibrate import calibrate
-from otf_core.calibration_result import CalibrationResult
+from otf_core.calibration.calibrate import calibrate
+from otf_core.calibration.result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
-from otf_core.evaluation import lattice, rigid_columns, without_rigid_motion
-from otf_core.forecast import free_rows
-from otf_core.kinematics import displacement
-from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
-from otf_core.planning import plan_path
+from otf_core.model.evaluation import lattice, rigid_columns, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable
+from otf_core.planning.creator import plan_path
+from otf_core.planning.forecast import free_rows
+from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.reports.budget import budget_lines, expanded
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.tracker import measure
-from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable
-from otf_core.uncertainty import prediction_rows
-from otf_core.unknowns import layout
+from otf_core.solving.unknowns import layout
 
 Array = NDArray[np.float64]
 

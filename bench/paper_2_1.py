@@ -26,16 +26,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from otf_core.calibrate import calibrate
-from otf_core.calibration_result import CalibrationResult
+from otf_core.calibration.calibrate import calibrate
+from otf_core.calibration.result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
-from otf_core.evaluation import lattice, without_rigid_motion
-from otf_core.forecast import grid_uncertainty
-from otf_core.kinematics import displacement
-from otf_core.machine import AXES, Machine
-from otf_core.planning import plan_path
+from otf_core.model.evaluation import lattice, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.tables import ErrorTables, MotionTable
+from otf_core.planning.creator import plan_path
+from otf_core.planning.forecast import grid_uncertainty
 from otf_core.sim.cell import random_tables, simulate
-from otf_core.tables import ErrorTables, MotionTable
 from otf_core.validation.laboratory import paper_machine
 from otf_core.validation.simulative import ERROR_SIZE, GRID, Replication, replication
 

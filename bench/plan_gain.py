@@ -16,16 +16,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.calibrate import calibrate
+from otf_core.calibration.calibrate import calibrate
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
-from otf_core.drive_time import drive_times
-from otf_core.evaluation import lattice, without_rigid_motion
-from otf_core.forecast import Setup, forecast, grid_uncertainty
-from otf_core.kinematics import displacement
-from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
-from otf_core.optimised_planning import PathOptimiser
-from otf_core.path import NominalPath
-from otf_core.planning import Plan, plan_for_path, plan_path
+from otf_core.model.evaluation import lattice, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan, plan_for_path
+from otf_core.planning.creator import plan_path
+from otf_core.planning.drive_time import drive_times
+from otf_core.planning.forecast import Setup, forecast, grid_uncertainty
+from otf_core.planning.optimised import PathOptimiser
 from otf_core.sim.cell import simulate
 
 RANGES = {'X': (0.0, 0.6), 'Y': (0.0, 0.5), 'Z': (-0.4, 0.0)}

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.calibrate import calibrate
+from otf_core.calibration.calibrate import calibrate
 from otf_core.config import PlannerConfig, SimulationConfig
-from otf_core.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.io.files import write_text
-from otf_core.kinematics import displacement, exact_position
-from otf_core.machine import load_machine
-from otf_core.planning import plan_path
+from otf_core.files.writing import write_text
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.kinematics import displacement, exact_position
+from otf_core.model.machine import load_machine
+from otf_core.planning.creator import plan_path
 from otf_core.sim.cell import simulate
 
 Array = NDArray[np.float64]

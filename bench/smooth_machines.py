@@ -38,7 +38,7 @@ from nature import Cell, Judgement, judge
 from nature_forms import FORMS
 from nature_tracker import Noise
 
-from otf_core.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_runs
 
 CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
 RATES = (20.0, 200.0, 1000.0)

@@ -34,7 +34,7 @@ from markdown import heading, row, texts
 from nature import Cell, Extra, Judgement, judge
 from nature_tracker import Noise
 
-from otf_core.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.errors import OtfError
 
 CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')

@@ -6,11 +6,11 @@ import json
 import numpy as np
 import yaml
 
-from otf_core.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.kinematics import displacement, exact_position
-from otf_core.machine import load_machine
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.kinematics import displacement, exact_position
+from otf_core.model.machine import load_machine
+from otf_core.model.tables import load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
-from otf_core.tables import load_tables, tables_to_dict
 
 ERROR_SIZE = 5e-5
 MACHINE = {

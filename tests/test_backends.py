@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from otf_core.config import SimulationConfig
-from otf_core.observation import Samples
+from otf_core.model.observation import Samples
 from otf_tracker_driver.backends import BACKENDS, create_backend
 from otf_tracker_driver.backends.paced import PacedBackend
 from otf_tracker_driver.params import DriverConfig

@@ -7,7 +7,7 @@ import pytest
 from cells import share_left
 from graph import offline, without_date
 
-from otf_core.io.bag import read_bag
+from otf_core.bags.bag import read_bag
 
 BAGS = sorted(path.parent for path in Path(__file__).parents[1].glob('bags/*/machine.yaml'))
 

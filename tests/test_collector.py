@@ -6,7 +6,7 @@ import pytest
 
 from otf_calibrator.collector import LATE, Collector
 from otf_core.config import CalibrationConfig
-from otf_core.path import NominalPath
+from otf_core.model.path import NominalPath
 
 PATH = NominalPath(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0]]))
 

@@ -15,10 +15,10 @@ from graph import PATIENCE, offline_diagnosis, without_date
 from otf_calibrator.diagnosis_job import DiagnosisJob
 from otf_calibrator.diagnosis_task import Failure
 from otf_core.config import CalibrationConfig
-from otf_core.machine import load_machine
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.runs import Recording
+from otf_core.model.machine import load_machine
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.pieces.runs import Recording
 from otf_msgs.msg import GapReport
 from otf_ros import qos
 

@@ -14,11 +14,11 @@ from cells import MACHINE
 from otf_calibrator.diagnosis_job import DiagnosisJob
 from otf_calibrator.job import Request, Worker, free_folder
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
-from otf_core.machine import load_machine
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.planning import plan_path
-from otf_core.runs import Recording
+from otf_core.model.machine import load_machine
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.pieces.runs import Recording
+from otf_core.planning.creator import plan_path
 from otf_core.sim.cell import simulate
 
 

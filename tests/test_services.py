@@ -6,8 +6,8 @@ from cells import FAST, SHORT, write_machine
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
 from otf_msgs.msg import Plan
 from otf_ros import convert, qos
 

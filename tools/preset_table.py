@@ -20,7 +20,7 @@ def with_table(text: str) -> str:
     folder = str(ROOT / 'src' / 'otf_core')
     if folder not in sys.path:
         sys.path.append(folder)
-    from otf_core.budget.presets import preset_table
+    from otf_core.model.presets import preset_table
 
     head, _, rest = text.partition(BEGIN)
     _, found, tail = rest.partition(END)

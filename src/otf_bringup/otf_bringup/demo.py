@@ -23,14 +23,14 @@ from ament_index_python.packages import get_package_share_directory
 
 from otf_bringup.domain import free_domain
 from otf_bringup.processes import NodeProcess, ended_together
+from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError, OtfError
-from otf_core.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.io.effects_yaml import read_effects
-from otf_core.io.files import ensure_folder, write_text
-from otf_core.kinematics import displacement, exact_position
-from otf_core.machine import load_machine
+from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.kinematics import displacement, exact_position
+from otf_core.model.machine import load_machine
+from otf_core.model.tables import ErrorTables, load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
-from otf_core.tables import ErrorTables, load_tables, tables_to_dict
 from otf_msgs.msg import GapReport
 
 ERROR_SIZE = 1e-4

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from otf_core.config import CalibrationConfig
-from otf_core.observation import SampleBuffer, Samples
-from otf_core.path import NominalPath
-from otf_core.path_watch import PathWatcher
+from otf_core.model.observation import SampleBuffer, Samples
+from otf_core.model.path import NominalPath
+from otf_core.tracking.path_watch import PathWatcher
 
 JUMP_BACK_NS = 1_000_000_000
 """ns; stamps that go back by more belong to another recording."""

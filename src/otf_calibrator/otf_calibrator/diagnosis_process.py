@@ -16,8 +16,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from otf_calibrator.diagnosis_task import Failure, Task
-from otf_core.diagnosis.complete import diagnose, write_diagnosis
+from otf_core.diagnosis.complete import diagnose
 from otf_core.errors import OtfError
+from otf_core.reports.diagnosis import write_diagnosis
 from otf_core.sim.twin import twin_recording
 
 SPANS = {'solving': (0.0, 0.15), 'simulating': (0.15, 0.3), 'diagnosing': (0.3, 0.8)}

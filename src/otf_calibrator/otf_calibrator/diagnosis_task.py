@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from otf_core.config import CalibrationConfig
-from otf_core.runs import Recording
+from otf_core.pieces.runs import Recording
 
 
 @dataclass(frozen=True)

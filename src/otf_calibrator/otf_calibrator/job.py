@@ -13,27 +13,23 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from otf_calibrator.params import CalibratorConfig
-from otf_core.calibrate import calibrate_runs
-from otf_core.calibrate_with_effects import (
-    AUTO,
-    NONE,
-    calibrate_with_effects,
-    write_with_effects,
-)
-from otf_core.calibration_result import CalibrationResult
+from otf_core.bags.bag import BagContent, write_bag
+from otf_core.bags.sample_order import in_time_order
+from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
+from otf_core.diagnosis.calibrate_with_effects import AUTO, NONE, calibrate_with_effects
+from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
-from otf_core.io.bag import BagContent, write_bag
-from otf_core.io.effects_yaml import read_effects
-from otf_core.io.output import OutputFolder
-from otf_core.io.sample_order import in_time_order
-from otf_core.machine import load_machine
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.results import write_calibration
-from otf_core.runs import Recording, prepare_runs
+from otf_core.files.output import OutputFolder
+from otf_core.model.machine import load_machine
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.pieces.runs import Recording, prepare_runs
+from otf_core.pieces.standstill_method import prepare_stops
+from otf_core.reports.calibration import write_calibration
+from otf_core.reports.with_effects import write_with_effects
 from otf_core.sim.twin import twin_recording
-from otf_core.standstill_method import prepare_stops
 
 Writer = Callable[[Path], list[Path]]
 

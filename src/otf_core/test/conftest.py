@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from core_cells import record, small_plan, some_machine
 
-from otf_core.calibrate import calibrate
+from otf_core.calibration.calibrate import calibrate
 from otf_core.sim.cell import random_tables
 
 

@@ -10,8 +10,8 @@ from nature import Cell
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
-from otf_core.observation import Samples
-from otf_core.runs import prepare_runs
+from otf_core.model.observation import Samples
+from otf_core.pieces.runs import prepare_runs
 
 CONFIG = CalibrationConfig(piece_length=0.02, reversal='none')
 SMALL = {'size': (0.3, 0.25, 0.2), 'path': 'short', 'dwell': 0.05, 'passes': 1}

@@ -9,22 +9,23 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from otf_core.config import PlannerConfig
-from otf_core.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.frames import RigidTransform
-from otf_core.kinematics import displacement, exact_position
-from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
-from otf_core.noise import NoiseModel
-from otf_core.normal import NormalEquations, Whitener, normal_equations
-from otf_core.observation import Samples
-from otf_core.path import NominalPath, sides_of_travel
-from otf_core.pieces import Pieces
-from otf_core.planning import plan_path
-from otf_core.shape_choice import linear_bases
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.frames import RigidTransform
+from otf_core.model.kinematics import displacement, exact_position
+from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.nodes import table_nodes
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath, sides_of_travel
+from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.noise.model import NoiseModel
+from otf_core.pieces.pieces import Pieces
+from otf_core.planning.creator import plan_path
 from otf_core.sim.drive import Drive
-from otf_core.solution import TIE_BREAK, Solution, identifiable_blocks, smoothness, solve
-from otf_core.system import System, build_system
-from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
-from otf_core.unknowns import Unknowns, layout, table_nodes
+from otf_core.solving.normal import NormalEquations, Whitener, normal_equations
+from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.solution import TIE_BREAK, Solution, identifiable_blocks, smoothness, solve
+from otf_core.solving.system import System, build_system
+from otf_core.solving.unknowns import Unknowns, layout
 
 CONTRACT_CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
 RANGES = ((0.0, 0.3), (0.0, 0.25), (-0.2, 0.0))

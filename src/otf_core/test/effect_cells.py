@@ -6,7 +6,7 @@ from core_cells import small_plan, some_machine
 from scipy.spatial.transform import Rotation
 
 from otf_core.effects import REGISTRY, AppliedEffect, State
-from otf_core.frames import RigidTransform
+from otf_core.model.frames import RigidTransform
 from otf_core.sim.cell import random_tables
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import run_state

@@ -22,11 +22,11 @@ from nature_forms import draw_curve
 from nature_tracker import Noise, spoiled
 
 from otf_core.config import PlannerConfig
-from otf_core.machine import machine_from_dict
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.planning import plan_path
-from otf_core.runs import Recording
+from otf_core.model.machine import machine_from_dict
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.pieces.runs import Recording
+from otf_core.planning.creator import plan_path
 
 LETTERS = 'XYZ'
 NAMES = tuple(f'E{d}{a}' for a in LETTERS for d in 'XYZABC')

@@ -12,9 +12,9 @@ from itertools import pairwise
 import numpy as np
 from nature_tracker import Noise
 
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.runs import Recording
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.pieces.runs import Recording
 
 STOP_ANGLE = np.radians(35.0)
 ACCELERATION = 1.5

@@ -9,16 +9,16 @@ from core_cells import Recording, corner_path, record, small_plan, some_machine,
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from otf_core.alignment import align, line_step
 from otf_core.config import CalibrationConfig, PlannerConfig
 from otf_core.errors import InputError
-from otf_core.frames import rigid_fit
-from otf_core.matching import OFF_PATH
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.planning import plan_for_path
+from otf_core.model.frames import rigid_fit
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import plan_for_path
 from otf_core.sim.cell import random_tables
-from otf_core.track import simplify
+from otf_core.tracking.alignment import align, line_step
+from otf_core.tracking.matching import OFF_PATH
+from otf_core.tracking.track import simplify
 
 CONFIG = CalibrationConfig()
 # m; thousands of samples with 2 um of noise place the tracker far better, errors of the machine

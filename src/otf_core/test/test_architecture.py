@@ -36,7 +36,7 @@ def definitions(tree):
 
 
 def test_the_package_was_found():
-    assert {'cli/__init__.py', 'kinematics.py', 'sim/cell.py', 'io/bag.py'} <= set(NAMES)
+    assert {'cli/__init__.py', 'model/kinematics.py', 'sim/cell.py', 'bags/bag.py'} <= set(NAMES)
 
 
 @every_file

@@ -16,13 +16,13 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagWriter
 from rosbags.typesys import Stores, get_typestore
 
+from otf_core.bags import mcap_messages
+from otf_core.bags.bag import BagContent, read_bag, read_points, write_bag
+from otf_core.bags.cdr import decode_points, encode_path, encode_points, point_dtype
+from otf_core.bags.mcap_messages import McapMessages
 from otf_core.errors import ConfigError, InputError
-from otf_core.io import mcap_messages
-from otf_core.io.bag import BagContent, read_bag, read_points, write_bag
-from otf_core.io.cdr import decode_points, encode_path, encode_points, point_dtype
-from otf_core.io.mcap_messages import McapMessages
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 POINT_TYPE, PATH_TYPE = 'geometry_msgs/msg/PointStamped', 'nav_msgs/msg/Path'

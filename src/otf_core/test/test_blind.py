@@ -17,7 +17,7 @@ from otf_core.blind.trace import sample_state
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS, since_reversal
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.errors import InputError
-from otf_core.planning import check_inside
+from otf_core.model.plan import check_inside
 
 
 def part(effect, size_um=2.0, snr=50.0, raw_um=4.0):

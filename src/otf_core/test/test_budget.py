@@ -11,24 +11,24 @@ import yaml
 from core_cells import some_machine
 
 from otf_core.budget.budget import NAMES, Budget, Source, make_budget
-from otf_core.budget.columns import across, piece_state, sensitivity
-from otf_core.budget.declared import KEYS, DeclaredUncertainty
 from otf_core.budget.freedom import coverage_factor, welch_satterthwaite
 from otf_core.budget.noise import noise_parts, slow_amplitudes
-from otf_core.budget.report import budget_lines, budget_to_dict, correlations, expanded
-from otf_core.calibrate import calibrate
+from otf_core.calibration.calibrate import calibrate
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.errors import ConfigError
-from otf_core.joint import settled, solve_jointly, tables_of
-from otf_core.machine import load_machine, machine_from_dict
-from otf_core.noise import MISFIT_TIME
-from otf_core.results import format_result, result_to_dict
-from otf_core.runs import Recording, prepare_runs
-from otf_core.shape_choice import linear_bases
+from otf_core.model.declared import KEYS, DeclaredUncertainty
+from otf_core.model.machine import load_machine, machine_from_dict
+from otf_core.model.tables import MOTIONS
+from otf_core.noise.model import MISFIT_TIME
+from otf_core.pieces.runs import Recording, prepare_runs
+from otf_core.reports.budget import budget_lines, budget_to_dict, correlations, expanded
+from otf_core.reports.calibration import format_result, result_to_dict
 from otf_core.sim.tracker import measure
-from otf_core.tables import MOTIONS
-from otf_core.unknowns import layout
+from otf_core.solving.columns import across, piece_state, sensitivity
+from otf_core.solving.joint import settled, solve_jointly, tables_of
+from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.unknowns import layout
 
 DECLARED = {
     'tracker_scale': 2e-6,
@@ -141,7 +141,7 @@ def test_machine_temperature_acts_by_expansion_over_the_travel(declared):
 
 def test_sensitivity_is_the_shift_of_the_tables_that_a_range_offset_makes(solved, monkeypatch):
     held = SimpleNamespace(run=lambda start: solved.done.roughness)
-    monkeypatch.setattr('otf_core.joint.Search', lambda *_: held)
+    monkeypatch.setattr('otf_core.solving.joint.Search', lambda *_: held)
     offset, order = 5e-6, nodes_of(solved.done)
     terms = REGISTRY['tracker_range_offset'].terms(solved.state, {})
     columns = across(solved.done.runs[0], terms.columns)

@@ -16,10 +16,10 @@ from core_cells import CONTRACT_CHAINS, error_by_hand, some_machine
 
 import otf_core
 from otf_core import cli
-from otf_core.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.io.files import whole_file, write_text
+from otf_core.files.writing import whole_file, write_text
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.tables import MOTIONS, load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
-from otf_core.tables import MOTIONS, load_tables, tables_to_dict
 
 QUICK = ('--levels', '2', '--passes', '1', '--rate', '200', '--corner-dwell', '0.05',
          '--end-dwell', '3')  # fmt: skip
@@ -291,7 +291,7 @@ def planned(tmp_path_factory):
 
 
 def test_simulated_plan_drives_its_path_feeds_and_dwells_before_its_tracker(planned, tmp_path):
-    from otf_core.io.bag import read_bag
+    from otf_core.bags.bag import read_bag
 
     plan = json.loads((planned / 'plan' / 'plan.json').read_text())
     code = run('simulate', '--machine', planned / 'machine.yaml', '--path',
@@ -493,7 +493,7 @@ def test_bag_of_another_machine_is_exit_code_3_and_leaves_nothing(done, tmp_path
 def test_half_a_path_is_calibrated_with_exit_code_4(machine_file, capsys):
     from core_cells import record, small_plan
 
-    from otf_core.io.bag import BagContent, write_bag
+    from otf_core.bags.bag import BagContent, write_bag
 
     machine = some_machine()
     plan = small_plan(machine)

@@ -10,22 +10,22 @@ import yaml
 from core_cells import CONTRACT_CHAINS, constant_tables, some_machine, zero_tables
 
 from otf_core import cli
-from otf_core.comparison import (
+from otf_core.comparison.compare import (
     compare,
     normalised_error,
     source_of_measurement,
     source_of_tables,
 )
-from otf_core.comparison_report import comparison_to_dict, format_comparison
-from otf_core.direct_measurement import motion_readings
+from otf_core.comparison.direct_csv import read_direct_csv, write_direct_csv
 from otf_core.errors import ConfigError, InputError
-from otf_core.evaluation import mean_length
-from otf_core.io.direct_csv import read_direct_csv, write_direct_csv
-from otf_core.kinematics import displacement
-from otf_core.machine import AXES
+from otf_core.model.direct_measurement import motion_readings
+from otf_core.model.evaluation import mean_length
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES
+from otf_core.model.tables import MOTIONS, Squareness, is_straightness, tables_to_dict
+from otf_core.reports.comparison import comparison_to_dict, format_comparison
 from otf_core.sim.cell import random_tables
 from otf_core.sim.direct_instrument import InstrumentNoise, measure_directly
-from otf_core.tables import MOTIONS, Squareness, is_straightness, tables_to_dict
 
 PERFECT = InstrumentNoise(0.0, 0.0, 0.0, 0.0, 0.0)
 

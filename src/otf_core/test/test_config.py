@@ -12,7 +12,7 @@ from otf_core.config import (
     PlannerConfig,
     SimulationConfig,
     parameter,
-)  # fmt: skip
+)
 from otf_core.errors import ConfigError
 
 KINDS = [CalibrationConfig, PlannerConfig, SimulationConfig]

@@ -9,13 +9,13 @@ import pytest
 from nature import Cell
 from programs import arc, drive, helix, record
 
-from otf_core.alignment import align
-from otf_core.arcs import bulge_of, with_arcs
 from otf_core.config import CalibrationConfig
-from otf_core.curve_pieces import MAX_TURN, curve_boundaries
-from otf_core.curves import GROUP_LENGTH, Lines, shape_of
-from otf_core.order import OFF_PATH
-from otf_core.pieces import reduce_to_pieces
+from otf_core.pieces.pieces import reduce_to_pieces
+from otf_core.tracking.alignment import align
+from otf_core.tracking.arcs import bulge_of, with_arcs
+from otf_core.tracking.curve_pieces import MAX_TURN, curve_boundaries
+from otf_core.tracking.curves import GROUP_LENGTH, Lines, shape_of
+from otf_core.tracking.order import OFF_PATH
 
 CONFIG = CalibrationConfig()
 X, Y, Z = np.eye(3)

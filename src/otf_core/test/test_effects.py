@@ -22,7 +22,7 @@ from otf_core.effects.beam import beam_of
 from otf_core.effects.catalogue import catalogue_markdown
 from otf_core.effects.state import probe_state, state_on_path
 from otf_core.errors import ConfigError
-from otf_core.frames import RigidTransform
+from otf_core.model.frames import RigidTransform
 
 CONTRACT = [
     'backlash',

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from core_cells import some_machine, zero_tables
 
-from otf_core.extrapolation import USUAL, prior_of
-from otf_core.shape_choice import smooth_bases
-from otf_core.tables import MOTIONS, SQUARENESS, Squareness
-from otf_core.unknowns import layout, table_nodes
+from otf_core.model.nodes import table_nodes
+from otf_core.model.tables import MOTIONS, SQUARENESS, Squareness
+from otf_core.solving.extrapolation import USUAL, prior_of
+from otf_core.solving.shape_choice import smooth_bases
+from otf_core.solving.unknowns import layout
 
 LIMIT = 1e-4
 LOGS = np.log([0.04, 0.25, 1e-4])  # 20 um, a quarter of the range

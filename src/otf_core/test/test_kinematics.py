@@ -10,9 +10,9 @@ from core_cells import constant_tables, error_by_hand, some_machine, zero_tables
 from scipy.linalg import expm
 
 from otf_core.errors import ShapeError
-from otf_core.kinematics import displacement, exact_position, lever, motion_influence
+from otf_core.model.kinematics import displacement, exact_position, lever, motion_influence
+from otf_core.model.tables import MotionTable
 from otf_core.sim.cell import random_tables
-from otf_core.tables import MotionTable
 
 # T = (0.02, -0.03, -0.15) and q = (0.1, 0.2, -0.1); e_x x L = (0, -Lz, Ly),
 # e_y x L = (Lz, 0, -Lx), e_z x L = (-Ly, Lx, 0)

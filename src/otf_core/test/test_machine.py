@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from otf_core.errors import ConfigError
-from otf_core.machine import Chain, load_machine, machine_from_dict
+from otf_core.model.machine import Chain, load_machine, machine_from_dict
 
 GOOD = """name: cell-600
 chain: w-b-X-Y-Z-t

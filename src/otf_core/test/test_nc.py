@@ -13,10 +13,10 @@ from core_cells import small_plan, some_machine
 
 from otf_core import cli
 from otf_core.errors import ConfigError
-from otf_core.nc import DIALECTS, on_increment, program
-from otf_core.nc.base import plain
-from otf_core.path import NominalPath
-from otf_core.planning import Plan
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan
+from otf_core.planning.nc import DIALECTS, on_increment, program
+from otf_core.planning.nc.base import plain
 
 POINTS = np.array([[0.0, 0.0, -0.1], [0.1, 0.05, -0.1], [0.1, 0.05, 0.0125]])
 EXPECTED = {

@@ -6,8 +6,14 @@ import pytest
 from core_cells import some_machine
 
 from otf_core.config import SimulationConfig
-from otf_core.machine import TrackerSpec
-from otf_core.noise import NoiseModel, beam_shares, mean_covariance, path_frame, sample_variance
+from otf_core.model.machine import TrackerSpec
+from otf_core.noise.model import (
+    NoiseModel,
+    beam_shares,
+    mean_covariance,
+    path_frame,
+    sample_variance,
+)
 from otf_core.sim.tracker import coloured_noise, measure
 
 

@@ -9,8 +9,7 @@ import pytest
 from core_cells import corner_path, pieces_of, some_machine, transform_pose, zero_tables
 from scipy.stats import multivariate_normal
 
-from otf_core.basis import cubic
-from otf_core.noise import (
+from otf_core.noise.model import (
     INDEPENDENT,
     LASTING,
     SLOW,
@@ -22,10 +21,11 @@ from otf_core.noise import (
     misfit_of,
     scaled,
 )
-from otf_core.noise_fit import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
-from otf_core.normal import leg_bounds, leg_parts
-from otf_core.system import build_system
-from otf_core.unknowns import layout
+from otf_core.solving.basis import cubic
+from otf_core.solving.noise_fit import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
+from otf_core.solving.normal import leg_bounds, leg_parts
+from otf_core.solving.system import build_system
+from otf_core.solving.unknowns import layout
 
 NOISE = NoiseModel(1e-6, 2e-6, 0.5, 0.4, 0.3)
 START = np.array([0.0, 0.0, np.log(0.3), 2 * np.log(5e-8), 2 * np.log(5e-8)])

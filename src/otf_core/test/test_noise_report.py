@@ -8,15 +8,15 @@ import pytest
 from core_cells import START_NS, some_machine
 
 from otf_core import cli
+from otf_core.bags.bag_writer import write_recording
 from otf_core.config import SimulationConfig
 from otf_core.errors import InputError
-from otf_core.io.bag_writer import write_recording
-from otf_core.noise_files import format_noise, noise_to_dict
-from otf_core.noise_report import noise_report
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.noise.report import noise_report
+from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
+from otf_core.reports.noise import format_noise, noise_to_dict
 from otf_core.sim.tracker import measure
-from otf_core.standstill import find_standstills, noise_model, standstill_noise
 
 SPEED = 0.002
 RATE = 500.0

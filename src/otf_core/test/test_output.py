@@ -11,8 +11,8 @@ import pytest
 
 import otf_core
 from otf_core.errors import ConfigError
-from otf_core.io.manifest import MANIFEST, foreign
-from otf_core.io.output import OutputFile, OutputFolder
+from otf_core.files.manifest import MANIFEST, foreign
+from otf_core.files.output import OutputFile, OutputFolder
 
 
 def fill(folder, content='first', **options):
@@ -185,7 +185,7 @@ def test_folder_filled_meanwhile_is_not_mixed(out):
 
 SLOW = """
 import sys, time
-from otf_core.io.output import OutputFolder
+from otf_core.files.output import OutputFolder
 with OutputFolder(sys.argv[1]).filled('test') as new:
     (new / 'a.json').write_text('half')
     print('begun', flush=True)

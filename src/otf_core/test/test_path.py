@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from otf_core.errors import InputError, ShapeError
-from otf_core.path import NominalPath, sides_of_travel
+from otf_core.model.path import NominalPath, sides_of_travel
 
 # along X, a dwell, on along X, a repeated end, then up Y
 L_SHAPE = [[0, 0, 0], [0.1, 0, 0], [0.1, 0, 0], [0.3, 0, 0], [0.3, 0.4, 0], [0.3, 0.4, 0]]

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from core_cells import corner_path, record, some_machine, transform_pose, zero_tables
 
-from otf_core.alignment import Alignment
 from otf_core.config import CalibrationConfig, PlannerConfig
 from otf_core.errors import InputError
-from otf_core.machine import AXES
-from otf_core.matching import OFF_PATH
-from otf_core.observation import Samples
-from otf_core.pieces import reduce_to_pieces
-from otf_core.planning import plan_for_path
-from otf_core.tables import MotionTable
-from otf_core.unknowns import table_nodes
+from otf_core.model.machine import AXES
+from otf_core.model.nodes import table_nodes
+from otf_core.model.observation import Samples
+from otf_core.model.plan import plan_for_path
+from otf_core.model.tables import MotionTable
+from otf_core.pieces.pieces import reduce_to_pieces
+from otf_core.tracking.alignment import Alignment
+from otf_core.tracking.matching import OFF_PATH
 
 CONFIG = CalibrationConfig()
 SHARES = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 0.5, 1), (0, 0, 0))

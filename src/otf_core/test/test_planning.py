@@ -7,10 +7,11 @@ from core_cells import fit_pieces, pieces_of, some_machine, transform_pose, zero
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
-from otf_core.path import NominalPath
-from otf_core.planning import check_inside, plan_for_path, plan_path
-from otf_core.solution import determined_by_data
-from otf_core.tables import MOTIONS, SQUARENESS
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import check_inside, plan_for_path
+from otf_core.model.tables import MOTIONS, SQUARENESS
+from otf_core.planning.creator import plan_path
+from otf_core.solving.solution import determined_by_data
 
 # A rotation can be told from a translation of the same axis only through the travel of another
 # axis in its lever arm, and not if that travel is parallel to its own axis of rotation; with

@@ -13,13 +13,18 @@ import pytest
 from core_cells import error_by_hand, some_machine, zero_tables
 
 from otf_core import cli
-from otf_core.driven_volume import DrivenVolume, driven_from_dict, driven_volume, table_ranges
 from otf_core.errors import ConfigError
-from otf_core.evaluation import lattice
-from otf_core.prediction import predict
-from otf_core.results import result_to_dict
-from otf_core.table_prior import MotionPrior, prior_from_dict
-from otf_core.tables import MOTIONS, MotionTable, tables_to_dict
+from otf_core.model.evaluation import lattice
+from otf_core.model.tables import MOTIONS, MotionTable, tables_to_dict
+from otf_core.prediction.driven_volume import (
+    DrivenVolume,
+    driven_from_dict,
+    driven_volume,
+    table_ranges,
+)
+from otf_core.prediction.predict import predict
+from otf_core.prediction.table_prior import MotionPrior, prior_from_dict
+from otf_core.reports.calibration import result_to_dict
 
 OFFSET = np.array([0.02, -0.03, -0.15])
 

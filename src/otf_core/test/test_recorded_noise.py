@@ -8,9 +8,9 @@ import pytest
 from core_cells import START_NS, some_machine
 
 from otf_core.config import SimulationConfig
-from otf_core.noise_files import format_noise
-from otf_core.noise_report import noise_report
-from otf_core.observation import Samples
+from otf_core.model.observation import Samples
+from otf_core.noise.report import noise_report
+from otf_core.reports.noise import format_noise
 from otf_core.sim.tracker import measure
 
 DATA = Path(__file__).parent / 'data'

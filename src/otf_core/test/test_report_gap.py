@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from gap_cells import along, run_view
 
+from otf_core.diagnosis.place.where import describe_structure, where_of
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
-from otf_core.diagnosis.where import describe_structure, where_of
-from otf_core.report_gap import report_html, write_report
-from otf_core.report_words import confidence_words, next_measurements, quantity
+from otf_core.reports.gap import report_html, write_report
+from otf_core.reports.gap_words import confidence_words, next_measurements, quantity
 
 VOID = {'meta', 'br', 'hr', 'img', 'link', 'input'}
 HIDDEN = (
@@ -123,7 +123,7 @@ def page(view, data):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Pictures take most of the time."""
-    monkeypatch.setattr('otf_core.report_gap.figures', lambda views, causes: '')
+    monkeypatch.setattr('otf_core.reports.gap.figures', lambda views, causes: '')
 
 
 def test_page_is_well_formed(page):

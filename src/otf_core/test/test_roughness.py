@@ -11,9 +11,10 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from otf_core.basis import cubic
-from otf_core.normal import NormalEquations
-from otf_core.roughness import (
+from otf_core.model.tables import unit_of
+from otf_core.solving.basis import cubic
+from otf_core.solving.normal import NormalEquations
+from otf_core.solving.roughness import (
     HIGHEST,
     LOWEST,
     CoefficientPrior,
@@ -23,9 +24,8 @@ from otf_core.roughness import (
     kernel,
     waves_of,
 )
-from otf_core.solution import solve
-from otf_core.tables import unit_of
-from otf_core.unknowns import layout
+from otf_core.solving.solution import solve
+from otf_core.solving.unknowns import layout
 
 LIMIT = 1e-4
 BASES = {

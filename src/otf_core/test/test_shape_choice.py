@@ -6,12 +6,12 @@ from core_cells import some_machine
 from nature import LETTERS, NAMES, Cell
 from nature_forms import DENSE, Curve
 
-from otf_core.basis import CUBIC, LINEAR
 from otf_core.config import CalibrationConfig
-from otf_core.runs import prepare_runs
-from otf_core.shape_choice import INTERVALS, choose_shapes, linear_bases, smooth_bases
-from otf_core.standstill_method import prepare_stops
-from otf_core.standstill_plan import edge_points, spread_points
+from otf_core.pieces.runs import prepare_runs
+from otf_core.pieces.standstill_method import prepare_stops
+from otf_core.planning.standstill_plan import edge_points, spread_points
+from otf_core.solving.basis import CUBIC, LINEAR
+from otf_core.solving.shape_choice import INTERVALS, choose_shapes, linear_bases, smooth_bases
 
 CONFIG = CalibrationConfig(piece_length=0.015)
 SIZE = (0.3, 0.25, 0.2)

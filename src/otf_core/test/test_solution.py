@@ -18,15 +18,15 @@ from core_cells import (
     zero_tables,
 )  # fmt: skip
 
-from otf_core.calibrate import calibrate
+from otf_core.calibration.calibrate import calibrate
 from otf_core.config import PlannerConfig
-from otf_core.kinematics import displacement
-from otf_core.machine import Axis
-from otf_core.pieces import Pieces
-from otf_core.planning import plan_for_path
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import Axis
+from otf_core.model.plan import plan_for_path
+from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness
+from otf_core.pieces.pieces import Pieces
 from otf_core.sim.cell import random_tables
-from otf_core.solution import determined_by_data
-from otf_core.tables import MOTIONS, SQUARENESS, is_straightness
+from otf_core.solving.solution import determined_by_data
 
 POSE_SEED = 3
 

@@ -8,9 +8,9 @@ import pytest
 from core_cells import some_machine
 
 from otf_core.errors import ConfigError
-from otf_core.kinematics import displacement
+from otf_core.model.kinematics import displacement
+from otf_core.model.tables import MOTIONS, load_tables, tables_from_dict, tables_to_dict
 from otf_core.sim.cell import random_tables
-from otf_core.tables import MOTIONS, load_tables, tables_from_dict, tables_to_dict
 
 Q = np.array([[0.1, 0.2, -0.1], [0.3, 0.0, -0.2]])
 

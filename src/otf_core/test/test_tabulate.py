@@ -9,16 +9,17 @@ import pytest
 from core_cells import some_machine
 from nature import Cell, judge
 
-from otf_core.basis import cubic, linear
 from otf_core.config import CalibrationConfig
-from otf_core.evaluation import mean_length, without_rigid_motion
-from otf_core.joint import solve_jointly, tables_of
-from otf_core.kinematics import displacement
-from otf_core.normal import NormalEquations
-from otf_core.runs import prepare_runs
-from otf_core.shape_choice import smooth_bases
-from otf_core.tables import MOTIONS, SQUARENESS, is_straightness
-from otf_core.tabulate import (
+from otf_core.model.evaluation import mean_length, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.nodes import table_nodes
+from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness
+from otf_core.pieces.runs import prepare_runs
+from otf_core.solving.basis import cubic, linear
+from otf_core.solving.joint import solve_jointly, tables_of
+from otf_core.solving.normal import NormalEquations
+from otf_core.solving.shape_choice import smooth_bases
+from otf_core.solving.tabulate import (
     FRACTIONS,
     MOST_NODES,
     WORTH,
@@ -28,7 +29,7 @@ from otf_core.tabulate import (
     table_rows,
     tabulate,
 )
-from otf_core.unknowns import layout, reference_position, table_nodes
+from otf_core.solving.unknowns import layout, reference_position
 
 LIMIT = 1e-4
 RANGE = np.array([0.0, 1.0])

@@ -3,7 +3,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from otf_core.track import reversals, simplify
+from otf_core.tracking.track import reversals, simplify
 
 
 def driven(corners, step=1e-3):

@@ -16,11 +16,12 @@ from core_cells import (
     zero_tables,
 )  # fmt: skip
 
-from otf_core.evaluation import lattice
-from otf_core.kinematics import displacement
+from otf_core.model.evaluation import lattice
+from otf_core.model.kinematics import displacement
+from otf_core.model.tables import MOTIONS, SQUARENESS, MotionTable, Squareness
+from otf_core.prediction.uncertainty import prediction_rows, prediction_uncertainty
 from otf_core.sim.cell import random_tables
-from otf_core.tables import MOTIONS, SQUARENESS, MotionTable, Squareness
-from otf_core.uncertainty import check_residuals, prediction_rows, prediction_uncertainty
+from otf_core.solving.residual_check import check_residuals
 
 SEEDS = 30
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from gap_cells import NOISE, SIZE, along, run_view
 
-from otf_core.diagnosis.groupings import by_feed, by_line, by_region, by_time
-from otf_core.diagnosis.groups import normal_score, partition
-from otf_core.diagnosis.result import Where
-from otf_core.diagnosis.structure import find_structures
-from otf_core.diagnosis.where import describe_structure, where_of
+from otf_core.diagnosis.place.groupings import by_feed, by_line, by_region, by_time
+from otf_core.diagnosis.place.groups import normal_score, partition
+from otf_core.diagnosis.place.structure import find_structures
+from otf_core.diagnosis.place.where import Where, describe_structure, where_of
 
 LISTS = (
     'by_time',

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
-from otf_core.io.csv_points import read_points_csv
-from otf_core.machine import Machine, load_machine
-from otf_core.path import NominalPath
-from otf_core.planning import Plan, check_inside, plan_for_path, plan_path
+from otf_core.files.csv_points import read_points_csv
+from otf_core.model.machine import Machine, load_machine
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan, check_inside, plan_for_path
+from otf_core.planning.creator import plan_path
 from otf_path_planner.params import PlannerFiles
 
 

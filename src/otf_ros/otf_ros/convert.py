@@ -13,10 +13,10 @@ from nav_msgs.msg import Path
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
-from otf_core.frames import RigidTransform
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.planning import Plan
+from otf_core.model.frames import RigidTransform
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan
 from otf_msgs.msg import Plan as PlanMessage
 
 MACHINE_FRAME = 'machine'

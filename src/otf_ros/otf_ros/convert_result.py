@@ -6,8 +6,8 @@ from __future__ import annotations
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 
-from otf_core.calibration_result import CalibrationResult
-from otf_core.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
+from otf_core.calibration.result import CalibrationResult
+from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable
 from otf_ros.convert import TRACKER_FRAME, header, transform_to_message

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from otf_core.io.files import ensure_folder, write_text
+from otf_core.files.writing import ensure_folder, write_text
 
 Answer = dict[str, Any]
 

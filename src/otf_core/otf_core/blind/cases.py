@@ -18,7 +18,7 @@ from otf_core.blind.draw_effects import HARD_TO_SEE, draw_effect, scaled
 from otf_core.blind.trace import Ruler, make_ruler
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
 from otf_core.effects import REGISTRY, AppliedEffect
-from otf_core.kinematics import displacement
+from otf_core.model.kinematics import displacement
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.effects.tracker_noise import TrackerNoise
-from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
-from otf_core.path import NominalPath
-from otf_core.planning import Plan, plan_path
+from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.nodes import axis_nodes
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan
+from otf_core.model.tables import ErrorTables, MotionTable
+from otf_core.planning.creator import plan_path
 from otf_core.sim.cell import SimulatedRun, random_tables, simulate
-from otf_core.tables import ErrorTables, MotionTable
-from otf_core.unknowns import axis_nodes
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator

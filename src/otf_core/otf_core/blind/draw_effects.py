@@ -12,7 +12,7 @@ from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.cross_coupling import POWERS
 from otf_core.effects.state import probe_state
-from otf_core.machine import AXES, Machine
+from otf_core.model.machine import AXES, Machine
 
 Rng = np.random.Generator
 Parameters = dict[str, float]

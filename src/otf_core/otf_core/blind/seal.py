@@ -17,13 +17,13 @@ from typing import Any
 
 import yaml
 
+from otf_core.bags.bag import BagContent, write_bag
 from otf_core.blind.cases import Case, Part, draw_case, kinds_of
 from otf_core.effects import REGISTRY
 from otf_core.errors import InputError
-from otf_core.io.bag import BagContent, write_bag
-from otf_core.io.files import ensure_folder, write_text
-from otf_core.io.manifest import MANIFEST
-from otf_core.provenance import provenance
+from otf_core.files.manifest import MANIFEST
+from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.provenance import provenance
 
 KEY, SEAL = 'key.json', 'key.sha256'
 SCHEMA = 'otf-blind-key/1'

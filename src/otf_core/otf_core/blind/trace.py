@@ -12,17 +12,17 @@ from scipy.linalg import cho_solve
 
 from otf_core.blind.draw import Trial
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.rows import Rows, build_rows
+from otf_core.diagnosis.engine.rows import Rows, build_rows
 from otf_core.effects import AppliedEffect, State
-from otf_core.frames import RigidTransform
-from otf_core.joint import solve_jointly
-from otf_core.runs import Recording, prepare_runs
-from otf_core.shape_choice import linear_bases
+from otf_core.model.frames import RigidTransform
+from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import SimulatedRun
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import displaced, run_state
+from otf_core.solving.joint import solve_jointly
+from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.unknowns import layout
 from otf_core.threads import one_thread
-from otf_core.unknowns import layout
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from otf_core.blind.recovery import Recovery, recover, ruler_of
 from otf_core.blind.score import leave_one_out_report, report, score_to_dict
 from otf_core.blind.seal import KEY, SEAL, Entry, Order, open_key, orders, seal
 from otf_core.errors import ConfigError
-from otf_core.io.files import ensure_folder, write_text
-from otf_core.io.manifest import MANIFEST, write_manifest, written_files
-from otf_core.provenance import provenance
+from otf_core.files.manifest import MANIFEST, write_manifest, written_files
+from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.provenance import provenance
 
 Progress = Callable[[str], None]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.base import Array
-from otf_core.machine import AXES
+from otf_core.model.machine import AXES
 
 
 class UnknownEffect(Effect):

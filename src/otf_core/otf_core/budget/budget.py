@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.columns import piece_state
 from otf_core.budget.freedom import (
     coverage_factor,
     residual_freedom,
@@ -19,11 +18,12 @@ from otf_core.budget.freedom import (
 )
 from otf_core.budget.noise import noise_parts
 from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
-from otf_core.joint import JointSolution
-from otf_core.runs import Run
-from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
-from otf_core.uncertainty import ResidualCheck, check_residuals
-from otf_core.unknowns import free_values
+from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.pieces.runs import Run
+from otf_core.solving.columns import piece_state
+from otf_core.solving.joint import JointSolution
+from otf_core.solving.residual_check import ResidualCheck, check_residuals
+from otf_core.solving.unknowns import free_values
 
 Array = NDArray[np.float64]
 

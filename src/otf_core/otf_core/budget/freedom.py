@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from otf_core.joint import JointSolution
-from otf_core.runs import Run
-from otf_core.standstill import MIN_TOTAL, find_standstills
+from otf_core.noise.standstill import MIN_TOTAL, find_standstills
+from otf_core.pieces.runs import Run
+from otf_core.solving.joint import JointSolution
 
 Array = NDArray[np.float64]
 

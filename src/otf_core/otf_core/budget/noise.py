@@ -22,10 +22,10 @@ from scipy.linalg import cho_solve
 
 from otf_core.effects import State
 from otf_core.effects.beam import beam_of
-from otf_core.joint import JointSolution, SolvedRun
-from otf_core.noise import MISFIT_TIME
-from otf_core.normal import fill_rows, leg_parts
-from otf_core.runs import Run
+from otf_core.noise.model import MISFIT_TIME
+from otf_core.pieces.runs import Run
+from otf_core.solving.joint import JointSolution, SolvedRun
+from otf_core.solving.normal import fill_rows, leg_parts
 
 Array = NDArray[np.float64]
 

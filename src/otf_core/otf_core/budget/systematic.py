@@ -22,12 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.columns import across, piece_state, sensitivity
-from otf_core.budget.declared import DeclaredUncertainty
 from otf_core.effects import REGISTRY, Shape, State, Terms
-from otf_core.joint import JointSolution
-from otf_core.runs import Run
-from otf_core.tables import ErrorTables
+from otf_core.model.declared import DeclaredUncertainty
+from otf_core.model.tables import ErrorTables
+from otf_core.pieces.runs import Run
+from otf_core.solving.columns import across, piece_state, sensitivity
+from otf_core.solving.joint import JointSolution
 
 Array = NDArray[np.float64]
 

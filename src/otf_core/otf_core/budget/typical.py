@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.declared import KEYS, DeclaredUncertainty
-from otf_core.budget.presets import TYPICAL, typical_values
 from otf_core.budget.systematic import SYSTEMATIC, Systematic, systematic_sensitivity
-from otf_core.evaluation import driven_grid, free_rows
-from otf_core.joint import JointSolution
-from otf_core.runs import Run
-from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.model.declared import KEYS, DeclaredUncertainty
+from otf_core.model.evaluation import driven_grid, free_rows
+from otf_core.model.presets import TYPICAL, typical_values
+from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.pieces.runs import Run
+from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.solving.joint import JointSolution
 from otf_core.threads import one_thread
-from otf_core.uncertainty import prediction_rows
 
 Array = NDArray[np.float64]
 

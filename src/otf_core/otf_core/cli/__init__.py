@@ -24,12 +24,7 @@ from otf_core.cli.options import add_out, add_parameters
 from otf_core.cli.output import OutputFull, bounded, note
 from otf_core.cli.parser import Parser, asked
 from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
-from otf_core.config import (
-    CalibrationConfig,
-    ForecastConfig,
-    PlannerConfig,
-    SimulationConfig,
-)
+from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import OtfError
 
 LARGEST_SEED = 10_000_000

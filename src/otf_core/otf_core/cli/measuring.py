@@ -11,10 +11,10 @@ from otf_core.cli.options import output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
-from otf_core.runs import Recording
+from otf_core.pieces.runs import Recording
 
 if TYPE_CHECKING:
-    from otf_core.calibration_result import CalibrationResult
+    from otf_core.calibration.result import CalibrationResult
 
 DIAGNOSIS_PARAMETERS = tuple(p.name for p in CalibrationConfig.infos() if p.name != 'reversal')
 """Reversal is an effect like others there: tables are solved for without it."""
@@ -30,8 +30,8 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     InputError
         Names the bag that cannot be read.
     """
-    from otf_core.io.bag import read_bag
-    from otf_core.machine import load_machine
+    from otf_core.bags.bag import read_bag
+    from otf_core.model.machine import load_machine
 
     bags, files = arguments.bag, arguments.machine
     if len(files) not in (1, len(bags)):
@@ -54,10 +54,10 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     config = parameters(CalibrationConfig, arguments)
     if arguments.effects:
         return _calibrate_with_effects(arguments, config)
-    from otf_core.calibrate import calibrate_runs
-    from otf_core.results import format_result, write_calibration
-    from otf_core.runs import prepare_runs
-    from otf_core.standstill_method import prepare_stops
+    from otf_core.calibration.calibrate import calibrate_runs
+    from otf_core.pieces.runs import prepare_runs
+    from otf_core.pieces.standstill_method import prepare_stops
+    from otf_core.reports.calibration import format_result, write_calibration
 
     out = output_folder(arguments, *arguments.bag, *arguments.machine)
     prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[arguments.method]
@@ -78,8 +78,9 @@ def _judged(result: CalibrationResult) -> int:
 
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
     """Error tables with effects taken off."""
-    from otf_core.calibrate_with_effects import AUTO, calibrate_with_effects, write_with_effects
-    from otf_core.results import format_result
+    from otf_core.diagnosis.calibrate_with_effects import AUTO, calibrate_with_effects
+    from otf_core.reports.calibration import format_result
+    from otf_core.reports.with_effects import write_with_effects
     from otf_core.sim.twin import twin_recording
 
     own = () if arguments.effects == AUTO else (arguments.effects,)
@@ -97,9 +98,10 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
 def run_diagnose(arguments: argparse.Namespace) -> int:
     """Where and why real runs depart from their simulation."""
     config = parameters(CalibrationConfig, arguments, DIAGNOSIS_PARAMETERS)
-    from otf_core.diagnosis.complete import diagnose, write_diagnosis
+    from otf_core.diagnosis.complete import diagnose
     from otf_core.diagnosis.result import format_diagnosis
     from otf_core.effects import REGISTRY
+    from otf_core.reports.diagnosis import write_diagnosis
     from otf_core.sim.twin import twin_recording
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
@@ -121,10 +123,10 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 
 def run_noise(arguments: argparse.Namespace) -> int:
     """Tracker noise in the standstills of a bag."""
-    from otf_core.io.bag import read_points
-    from otf_core.noise_files import format_noise, write_noise
-    from otf_core.noise_report import noise_report
-    from otf_core.provenance import origin_of, provenance
+    from otf_core.bags.bag import read_points
+    from otf_core.model.provenance import origin_of, provenance
+    from otf_core.noise.report import noise_report
+    from otf_core.reports.noise import format_noise, write_noise
 
     out = output_folder(arguments, arguments.bag)
     speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
@@ -144,9 +146,9 @@ def run_predict(arguments: argparse.Namespace) -> int:
     """Volumetric errors at points, from error tables."""
     import numpy as np
 
-    from otf_core.io.csv_points import begins_with, read_points_csv, write_csv
-    from otf_core.io.output import OutputFile
-    from otf_core.prediction import predict
+    from otf_core.files.csv_points import begins_with, read_points_csv, write_csv
+    from otf_core.files.output import OutputFile
+    from otf_core.prediction.predict import predict
 
     header = 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
     out = OutputFile(
@@ -169,11 +171,11 @@ def run_predict(arguments: argparse.Namespace) -> int:
 
 def run_compare(arguments: argparse.Namespace) -> int:
     """Error tables or direct measurements, motion by motion."""
-    from otf_core.comparison import compare, load_source
-    from otf_core.comparison_report import format_comparison, write_comparison
-    from otf_core.io.csv_points import read_points_csv
-    from otf_core.machine import load_machine
-    from otf_core.provenance import COVERAGE, provenance
+    from otf_core.comparison.compare import compare, load_source
+    from otf_core.files.csv_points import read_points_csv
+    from otf_core.model.machine import load_machine
+    from otf_core.model.provenance import COVERAGE, provenance
+    from otf_core.reports.comparison import format_comparison, write_comparison
 
     given = [arguments.a, arguments.b, arguments.machine, arguments.points]
     out = output_folder(arguments, *(name for name in given if name))

@@ -9,7 +9,7 @@ from typing import Any
 
 from otf_core.config import ParameterInfo, Parameters
 from otf_core.errors import ConfigError
-from otf_core.io.output import OutputFolder
+from otf_core.files.output import OutputFolder
 
 CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
 """Options stated in another unit than the parameter, as machine users do: name, factor."""

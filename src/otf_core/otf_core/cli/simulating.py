@@ -16,10 +16,11 @@ from otf_core.errors import ConfigError, OtfError
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
     """Plan, and the place of the tracker that it assumes or None; as plan.json has them."""
-    from otf_core.io.csv_points import read_points_csv
-    from otf_core.io.plan_json import PlanFile, looks_like_json, read_plan
-    from otf_core.path import NominalPath
-    from otf_core.planning import check_inside, plan_for_path, plan_path
+    from otf_core.files.csv_points import read_points_csv
+    from otf_core.model.path import NominalPath
+    from otf_core.model.plan import check_inside, plan_for_path
+    from otf_core.planning.creator import plan_path
+    from otf_core.planning.plan_json import PlanFile, looks_like_json, read_plan
 
     name = arguments.path
     if name is None:
@@ -60,11 +61,11 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     """Bag of a simulated run."""
     config = parameters(SimulationConfig, arguments)
     planning = parameters(PlannerConfig, arguments)
-    from otf_core.io.effects_yaml import read_effects
-    from otf_core.machine import load_machine
+    from otf_core.effects.effects_yaml import read_effects
+    from otf_core.model.machine import load_machine
+    from otf_core.model.tables import load_tables
     from otf_core.sim.bag_files import SimulatedBag
     from otf_core.sim.cell import simulate
-    from otf_core.tables import load_tables
 
     read = {w: getattr(arguments, w) for w in ('machine', 'tables', 'path', 'effects')}
     inputs = [name for name in read.values() if name]
@@ -90,11 +91,11 @@ def run_plan(arguments: argparse.Namespace) -> int:
     """Path for a machine, forecast of what it can see, NC program."""
     config = parameters(PlannerConfig, arguments)
     judged = parameters(ForecastConfig, arguments)
-    from otf_core.machine import load_machine
-    from otf_core.nc import DIALECTS
-    from otf_core.plan_report import format_report, write_report
-    from otf_core.planning_job import PlanRequest, make_plan, read_noise, read_place
-    from otf_core.provenance import provenance
+    from otf_core.model.machine import load_machine
+    from otf_core.model.provenance import provenance
+    from otf_core.planning.job import PlanRequest, make_plan, read_noise, read_place
+    from otf_core.planning.nc import DIALECTS
+    from otf_core.reports.plan import format_report, write_report
 
     given = (arguments.machine, arguments.path, arguments.noise)
     out = output_folder(arguments, *(name for name in given if name))
@@ -123,8 +124,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 def run_validate(arguments: argparse.Namespace) -> int:
     """The paper's comparisons on simulated cells."""
+    from otf_core.reports.validation import write_validation
     from otf_core.sim.laboratory import SimulatedLaboratory
-    from otf_core.validation.files import write_validation
     from otf_core.validation.laboratory import scale
     from otf_core.validation.run import validate
     from otf_core.validation.table import format_rows

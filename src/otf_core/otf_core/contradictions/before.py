@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from otf_core.contradictions.same_samples import check_same_samples
 from otf_core.contradictions.stamps import check_stamps
 from otf_core.contradictions.units import check_path_in_machine
-from otf_core.runs import Recording
+from otf_core.pieces.runs import Recording
 
 CHECKS: tuple[Callable[[Sequence[Recording]], None], ...] = (
     check_same_samples,

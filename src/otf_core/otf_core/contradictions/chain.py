@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from itertools import permutations
 
-from otf_core.contradictions.finding import GATE, Finding
 from otf_core.contradictions.model import Model
-from otf_core.machine import AXES, Chain
+from otf_core.model.machine import AXES, Chain
+from otf_core.pieces.finding import GATE, Finding
 
 BAD = 1.3
 """Residual over noise from which on other chains are tried."""

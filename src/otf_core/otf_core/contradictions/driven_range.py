@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from otf_core.contradictions.finding import WARNING, Finding
 from otf_core.contradictions.model import Model
-from otf_core.machine import AXES
+from otf_core.model.machine import AXES
+from otf_core.pieces.finding import WARNING, Finding
 
 LEAST = 0.8
 """Share of the range of an axis that is to be driven."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from otf_core.contradictions.finding import WARNING, Finding
 from otf_core.contradictions.model import Model
 from otf_core.contradictions.segments import (
     MAX_COLUMNS,
@@ -19,7 +18,8 @@ from otf_core.contradictions.segments import (
     membership,
     segment_of_samples,
 )
-from otf_core.runs import Run
+from otf_core.pieces.finding import WARNING, Finding
+from otf_core.pieces.runs import Run
 
 EVIDENCE = 0.03
 """Logarithm of the odds per row from which on offsets are real; other misfit gave up to 0.02."""

@@ -18,8 +18,8 @@ from otf_core.contradictions.rows import (
     reversal_columns,
     table_columns,
 )
-from otf_core.machine import Chain
-from otf_core.runs import Run
+from otf_core.model.machine import Chain
+from otf_core.pieces.runs import Run
 
 MAX_PIECES = 4000
 """Pieces that are looked at where many models are compared."""

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.finding import GATE, WARNING, Finding
 from otf_core.contradictions.model import Model
 from otf_core.contradictions.rows import pose_columns
 from otf_core.contradictions.steps import Profile, step_profile
 from otf_core.errors import InputError
-from otf_core.machine import AXES
-from otf_core.pieces import reduce_to_pieces
-from otf_core.runs import Run, rigid_pose
+from otf_core.model.machine import AXES
+from otf_core.pieces.finding import GATE, WARNING, Finding
+from otf_core.pieces.pieces import reduce_to_pieces
+from otf_core.pieces.runs import Run, rigid_pose
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

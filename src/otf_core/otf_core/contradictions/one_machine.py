@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from otf_core.contradictions.finding import GATE, WARNING, Finding
 from otf_core.contradictions.model import Model
 from otf_core.errors import InputError
-from otf_core.runs import Run
+from otf_core.pieces.finding import GATE, WARNING, Finding
+from otf_core.pieces.runs import Run
 
 WORSE = 1.3
 """Residual together over alone from which on something is said."""

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from otf_core.kinematics import squareness_influence
-from otf_core.machine import AXES, Chain, Machine
-from otf_core.noise import beam_shares, path_frame
-from otf_core.runs import Run
-from otf_core.tables import SQUARENESS
-from otf_core.unknowns import interval
+from otf_core.model.kinematics import squareness_influence
+from otf_core.model.machine import AXES, Chain, Machine
+from otf_core.model.nodes import interval
+from otf_core.model.tables import SQUARENESS
+from otf_core.noise.model import beam_shares, path_frame
+from otf_core.pieces.runs import Run
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

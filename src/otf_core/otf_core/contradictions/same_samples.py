@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import InputError
-from otf_core.observation import Samples
-from otf_core.runs import Recording
+from otf_core.model.observation import Samples
+from otf_core.pieces.runs import Recording
 
 SAME_PLACE = 1e-7
 """m; measured twice, a point differs by more: noise."""

@@ -18,9 +18,9 @@ from scipy import linalg, sparse
 
 from otf_core.contradictions.fit import Fit
 from otf_core.contradictions.rows import UNIT, Rows
-from otf_core.observation import Samples
-from otf_core.pieces import Pieces
-from otf_core.track import GAP_TIME
+from otf_core.model.observation import Samples
+from otf_core.pieces.pieces import Pieces
+from otf_core.tracking.track import GAP_TIME
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

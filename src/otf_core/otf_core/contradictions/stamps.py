@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.contradictions.stamp_words import stamp_words
+from otf_core.bags.stamp_words import stamp_words
 from otf_core.errors import InputError
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.runs import Recording, blamed
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.pieces.runs import Recording, blamed
 
 Array = NDArray[np.float64]
 

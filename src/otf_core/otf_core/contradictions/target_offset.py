@@ -14,8 +14,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.contradictions.finding import GATE, Finding
 from otf_core.contradictions.model import Model
+from otf_core.pieces.finding import GATE, Finding
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from otf_core.errors import InputError
-from otf_core.machine import AXES
-from otf_core.runs import Recording, blamed
+from otf_core.model.machine import AXES
+from otf_core.pieces.runs import Recording, blamed
 
 BEYOND = 30.0
 """Times the range of an axis; a path so large is in another unit."""

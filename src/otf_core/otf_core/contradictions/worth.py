@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.contradictions.finding import GATE, WARNING, Finding
-from otf_core.evaluation import rigid_columns
-from otf_core.kinematics import displacement
-from otf_core.machine import AXES
-from otf_core.runs import Run
-from otf_core.tables import MOTIONS, ErrorTables
-from otf_core.uncertainty import prediction_rows
+from otf_core.model.evaluation import rigid_columns
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES
+from otf_core.model.tables import MOTIONS, ErrorTables
+from otf_core.pieces.finding import GATE, WARNING, Finding
+from otf_core.pieces.runs import Run
+from otf_core.prediction.uncertainty import prediction_rows
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.assess import gap_um, shrink_interval, shrink_percent
 from otf_core.diagnosis.diagnose import Findings, verdict_of
-from otf_core.diagnosis.noise_check import NoiseFinding
-from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Where
-from otf_core.diagnosis.search import Cause, fit_jointly
-from otf_core.diagnosis.views import RunView
+from otf_core.diagnosis.engine.assess import gap_um, shrink_interval, shrink_percent
+from otf_core.diagnosis.engine.noise_check import NoiseFinding
+from otf_core.diagnosis.engine.search import Cause, fit_jointly
+from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.place.where import Where
+from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
 from otf_core.effects import REGISTRY, AppliedEffect
 
 Array = NDArray[np.float64]

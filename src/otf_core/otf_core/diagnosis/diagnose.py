@@ -18,29 +18,24 @@ from numpy.typing import NDArray
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
-from otf_core.diagnosis.assess import (
-    Residuals,
-    gap_um,
-    plain_residuals,
-    residuals_with,
-)
-from otf_core.diagnosis.catalogue import (
+from otf_core.diagnosis.engine.assess import Residuals, gap_um, plain_residuals, residuals_with
+from otf_core.diagnosis.engine.catalogue import (
     Visibility,
     collect_options,
     effects_without,
     shapes_from_lines,
     spectral_lines,
 )
-from otf_core.diagnosis.decoys import DECOY_NAMES, DECOYS
-from otf_core.diagnosis.rows import Rows, build_rows
-from otf_core.diagnosis.search import Cause, fit_out, noise_variance, search
-from otf_core.frames import RigidTransform
-from otf_core.joint import JointSolution, Progress, solve_jointly
-from otf_core.runs import Recording, Run, prepare_runs
-from otf_core.shape_choice import choose_shapes
-from otf_core.tables import ErrorTables
+from otf_core.diagnosis.engine.decoys import DECOY_NAMES, DECOYS
+from otf_core.diagnosis.engine.rows import Rows, build_rows
+from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance, search
+from otf_core.model.frames import RigidTransform
+from otf_core.model.tables import ErrorTables
+from otf_core.pieces.runs import Recording, Run, prepare_runs
+from otf_core.solving.joint import JointSolution, Progress, solve_jointly
+from otf_core.solving.shape_choice import choose_shapes
+from otf_core.solving.unknowns import layout
 from otf_core.threads import one_thread
-from otf_core.unknowns import layout
 
 Array = NDArray[np.float64]
 Twin = Callable[[Run, RigidTransform, ErrorTables, int], Recording]

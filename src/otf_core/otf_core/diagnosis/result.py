@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from otf_core.diagnosis.place.where import Where
+
 SCHEMA = 'otf-gap/1'
 VERDICTS = ('none', 'explained', 'partly_explained', 'unknown')
 
@@ -63,23 +65,6 @@ class NamedCause:
     shrink_percent: float
     confidence: float
     indistinguishable_from: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Where:
-    """Where the gap lies; each list holds rows of plain data.
-
-    Every row has ``label``, ``rms_um`` (real run), ``expected_um`` (its simulation) and
-    ``significance`` (standard deviations of the excess).
-    """
-
-    summary: str = ''
-    by_time: tuple[Mapping[str, Any], ...] = ()
-    by_axis_and_direction: tuple[Mapping[str, Any], ...] = ()
-    by_path_piece: tuple[Mapping[str, Any], ...] = ()
-    by_region: tuple[Mapping[str, Any], ...] = ()
-    by_beam: tuple[Mapping[str, Any], ...] = ()
-    by_frequency: tuple[Mapping[str, Any], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
-from otf_core.machine import AXES
-from otf_core.path import MOVING
+from otf_core.model.machine import AXES
+from otf_core.model.path import MOVING
 
 HELD = 'held'
 """Shape parameter: 1 if an axis that stands stays on the side of its last travel, else 0."""

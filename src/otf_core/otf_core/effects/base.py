@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.machine import Machine
-from otf_core.tables import ErrorTables
+from otf_core.model.machine import Machine
+from otf_core.model.tables import ErrorTables
 
 Array = NDArray[np.float64]
 Shape = Mapping[str, float]

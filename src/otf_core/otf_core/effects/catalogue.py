@@ -11,8 +11,8 @@ import numpy as np
 
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.state import probe_state
-from otf_core.io.files import write_text
-from otf_core.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.files.writing import write_text
+from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
 
 LISTED = 18
 """Names that are written out; of longer lists the first and the last."""

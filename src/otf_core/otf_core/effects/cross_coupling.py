@@ -14,7 +14,7 @@ import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.effects.position import scaled_position
-from otf_core.machine import AXES
+from otf_core.model.machine import AXES
 
 POWERS = (
     *((a, b) for a, b in combinations(range(3), 2)),

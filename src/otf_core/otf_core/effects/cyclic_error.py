@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
-from otf_core.machine import AXES
+from otf_core.model.machine import AXES
 
 WAVES = 3
 """A period fits at least so often into the longest axis; longer waves are for the tables."""

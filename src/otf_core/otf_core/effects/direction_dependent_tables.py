@@ -18,9 +18,9 @@ from numpy.polynomial import legendre
 from otf_core.effects.backlash import HELD, travel_sign
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
 from otf_core.effects.position import scaled_position
-from otf_core.kinematics import motion_influence
-from otf_core.machine import AXES
-from otf_core.tables import MOTIONS, is_positioning, unit_of
+from otf_core.model.kinematics import motion_influence
+from otf_core.model.machine import AXES
+from otf_core.model.tables import MOTIONS, is_positioning, unit_of
 
 ORDER = 3
 

@@ -8,13 +8,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.curves import Lines, Shape, straight_shape
 from otf_core.effects.base import State
-from otf_core.frames import RigidTransform
-from otf_core.machine import AXES, Machine
-from otf_core.path import sides_of_travel
-from otf_core.tables import ErrorTables
-from otf_core.unknowns import axis_nodes
+from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.nodes import axis_nodes
+from otf_core.model.path import sides_of_travel
+from otf_core.model.tables import ErrorTables
+from otf_core.tracking.curves import Lines, Shape, straight_shape
 
 Array = NDArray[np.float64]
 

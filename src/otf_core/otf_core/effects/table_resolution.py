@@ -19,9 +19,9 @@ import numpy as np
 
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
 from otf_core.errors import ConfigError
-from otf_core.kinematics import motion_influence
-from otf_core.machine import AXES
-from otf_core.tables import MOTIONS, unit_of
+from otf_core.model.kinematics import motion_influence
+from otf_core.model.machine import AXES
+from otf_core.model.tables import MOTIONS, unit_of
 
 NAME = re.compile(r'(E[XYZABC][XYZ])@(-?[\d.e-]+?)\.\.(-?[\d.e-]+?)(_2)?')
 TRANSLATIONS = tuple(m for m in MOTIONS if unit_of(m) == 'm')

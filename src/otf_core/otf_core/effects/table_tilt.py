@@ -13,7 +13,7 @@ import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.effects.position import travel_from_reference
-from otf_core.machine import AXES
+from otf_core.model.machine import AXES
 
 
 class TableTilt(Effect):

@@ -12,7 +12,7 @@ import numpy as np
 
 from otf_core.effects import drift
 from otf_core.effects.base import Array, Shape, State, Terms
-from otf_core.machine import AXES
+from otf_core.model.machine import AXES
 
 
 def translation_columns(functions: list[tuple[str, Array]]) -> Array:

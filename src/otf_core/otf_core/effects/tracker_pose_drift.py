@@ -14,7 +14,7 @@ import numpy as np
 from otf_core.effects import drift
 from otf_core.effects.base import Shape, State, Terms
 from otf_core.effects.thermal_structure_drift import translation_columns
-from otf_core.machine import AXES
+from otf_core.model.machine import AXES
 
 
 class TrackerPoseDrift(drift.DriftingEffect):

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
-from otf_core.machine import AXES
+from otf_core.model.machine import AXES
 
 SECONDS = 2.0
 """Stretch over which the shapes to try keep their phase; a search refines them from there."""

@@ -11,17 +11,24 @@ from numpy.typing import NDArray
 
 from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
-from otf_core.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.frames import RigidTransform
-from otf_core.kinematics import displacement, exact_position
-from otf_core.machine import Machine
-from otf_core.observation import Samples
-from otf_core.planning import Plan
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.frames import RigidTransform
+from otf_core.model.kinematics import displacement, exact_position
+from otf_core.model.machine import Machine
+from otf_core.model.nodes import axis_nodes
+from otf_core.model.observation import Samples
+from otf_core.model.plan import Plan
+from otf_core.model.tables import (
+    MOTIONS,
+    SQUARENESS,
+    ErrorTables,
+    MotionTable,
+    Squareness,
+    unit_of,
+)
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, displaced, run_state
 from otf_core.sim.tracker import measure, place_tracker, received
-from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness, unit_of
-from otf_core.unknowns import axis_nodes
 
 Array = NDArray[np.float64]
 

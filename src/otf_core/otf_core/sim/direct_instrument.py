@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.direct_measurement import AxisReadings, DirectMeasurement
-from otf_core.kinematics import displacement
-from otf_core.machine import AXES
-from otf_core.tables import DIRECTIONS, ErrorTables
+from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES
+from otf_core.model.tables import DIRECTIONS, ErrorTables
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.planning import Plan
+from otf_core.model.plan import Plan
 
 Array = NDArray[np.float64]
 

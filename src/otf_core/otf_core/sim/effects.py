@@ -15,14 +15,14 @@ from otf_core.effects import AppliedEffect, State
 from otf_core.effects.state import state_on_path
 from otf_core.effects.tracker_noise import SPECIFIED, TrackerNoise
 from otf_core.errors import ConfigError
-from otf_core.frames import RigidTransform
-from otf_core.machine import Machine
-from otf_core.path import MIN_LEG, NominalPath
-from otf_core.planning import Plan
+from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import Machine
+from otf_core.model.nodes import axis_nodes
+from otf_core.model.path import MIN_LEG, NominalPath
+from otf_core.model.plan import Plan
+from otf_core.model.tables import ErrorTables
 from otf_core.sim.drive import Drive
 from otf_core.sim.tracker import NoiseLevel
-from otf_core.tables import ErrorTables
-from otf_core.unknowns import axis_nodes
 
 Array = NDArray[np.float64]
 

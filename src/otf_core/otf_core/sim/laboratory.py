@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from otf_core.config import SimulationConfig
-from otf_core.direct_measurement import DirectMeasurement
-from otf_core.machine import Machine, TrackerSpec
-from otf_core.observation import Samples
-from otf_core.planning import Plan
+from otf_core.model.direct_measurement import DirectMeasurement
+from otf_core.model.machine import Machine, TrackerSpec
+from otf_core.model.observation import Samples
+from otf_core.model.plan import Plan
+from otf_core.model.tables import ErrorTables
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.direct_instrument import measure_directly
-from otf_core.tables import ErrorTables
 
 NOISELESS = TrackerSpec(1e-12, 1e-12)
 

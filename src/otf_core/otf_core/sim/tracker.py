@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from otf_core.config import SimulationConfig
-from otf_core.machine import Machine
+from otf_core.model.machine import Machine
 
 Array = NDArray[np.float64]
 

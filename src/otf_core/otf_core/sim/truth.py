@@ -15,12 +15,12 @@ from typing import Any
 
 from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
-from otf_core.io.effects_yaml import effects_to_data
-from otf_core.io.files import write_text
-from otf_core.planning import Plan
-from otf_core.provenance import origin_of, provenance
+from otf_core.effects.effects_yaml import effects_to_data
+from otf_core.files.writing import write_text
+from otf_core.model.plan import Plan
+from otf_core.model.provenance import origin_of, provenance
+from otf_core.model.tables import tables_to_dict
 from otf_core.sim.cell import SimulatedRun
-from otf_core.tables import tables_to_dict
 
 TABLES_FILE, SIMULATION_FILE = 'truth_tables.json', 'simulation.json'
 SCHEMA = 'otf-simulation/1'

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import SimulationConfig
-from otf_core.frames import RigidTransform
-from otf_core.kinematics import exact_position
-from otf_core.matching import OFF_PATH
-from otf_core.observation import Samples
-from otf_core.path import along_legs
-from otf_core.runs import Recording, Run
+from otf_core.model.frames import RigidTransform
+from otf_core.model.kinematics import exact_position
+from otf_core.model.observation import Samples
+from otf_core.model.path import along_legs
+from otf_core.model.tables import ErrorTables
+from otf_core.pieces.runs import Recording, Run
 from otf_core.sim.tracker import measure
-from otf_core.tables import ErrorTables
+from otf_core.tracking.matching import OFF_PATH
 
 Array = NDArray[np.float64]
 

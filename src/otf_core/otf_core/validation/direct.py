@@ -5,9 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.calibration_result import CalibrationResult
-from otf_core.comparison import Comparison, compare, source_of_measurement, source_of_tables
-from otf_core.tables import ErrorTables, is_positioning, is_straightness
+from otf_core.calibration.result import CalibrationResult
+from otf_core.comparison.compare import (
+    Comparison,
+    compare,
+    source_of_measurement,
+    source_of_tables,
+)
+from otf_core.model.tables import ErrorTables, is_positioning, is_straightness
 from otf_core.validation.laboratory import Laboratory
 
 

@@ -12,11 +12,11 @@ from typing import Protocol
 
 import numpy as np
 
-from otf_core.direct_measurement import DirectMeasurement
-from otf_core.machine import Axis, Chain, Machine, TrackerSpec
-from otf_core.observation import Samples
-from otf_core.planning import Plan
-from otf_core.tables import ErrorTables
+from otf_core.model.direct_measurement import DirectMeasurement
+from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
+from otf_core.model.observation import Samples
+from otf_core.model.plan import Plan
+from otf_core.model.tables import ErrorTables
 
 
 class Laboratory(Protocol):

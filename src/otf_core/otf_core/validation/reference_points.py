@@ -13,19 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.calibrate import calibrate, calibrate_runs
-from otf_core.calibration_result import CalibrationResult
-from otf_core.comparison import normalised_error
+from otf_core.calibration.calibrate import calibrate, calibrate_runs
+from otf_core.calibration.result import CalibrationResult
+from otf_core.comparison.compare import normalised_error
 from otf_core.config import CalibrationConfig, PlannerConfig
-from otf_core.evaluation import lattice, mean_length, rigid_columns, without_rigid_motion
-from otf_core.kinematics import displacement
-from otf_core.machine import Machine
-from otf_core.planning import Plan, plan_path
-from otf_core.runs import Recording
-from otf_core.standstill_method import align_stops, prepare_stops, stop_pieces
-from otf_core.standstill_plan import edge_points, spread_points, standstill_plan
-from otf_core.tables import MOTIONS, ErrorTables
-from otf_core.uncertainty import prediction_rows
+from otf_core.model.evaluation import lattice, mean_length, rigid_columns, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import Machine
+from otf_core.model.plan import Plan
+from otf_core.model.tables import MOTIONS, ErrorTables
+from otf_core.pieces.runs import Recording
+from otf_core.pieces.standstill_method import align_stops, prepare_stops, stop_pieces
+from otf_core.planning.creator import plan_path
+from otf_core.planning.standstill_plan import edge_points, spread_points, standstill_plan
+from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.validation.laboratory import MM_PER_MIN, Laboratory, Scale
 
 Array = NDArray[np.float64]

@@ -8,15 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.calibrate import calibrate
-from otf_core.calibration_result import CalibrationResult
+from otf_core.calibration.calibrate import calibrate
+from otf_core.calibration.result import CalibrationResult
 from otf_core.config import PlannerConfig
-from otf_core.evaluation import lattice, mean_length, rigid_columns, without_rigid_motion
-from otf_core.kinematics import displacement
-from otf_core.machine import Machine
-from otf_core.observation import Samples
-from otf_core.planning import Plan, plan_path
-from otf_core.tables import ErrorTables
+from otf_core.model.evaluation import lattice, mean_length, rigid_columns, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import Machine
+from otf_core.model.observation import Samples
+from otf_core.model.plan import Plan
+from otf_core.model.tables import ErrorTables
+from otf_core.planning.creator import plan_path
 from otf_core.validation.laboratory import Laboratory
 
 Array = NDArray[np.float64]

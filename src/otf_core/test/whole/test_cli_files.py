@@ -19,11 +19,11 @@ from core_cells import some_machine
 
 import otf_core
 from otf_core import cli
-from otf_core.io.bag import read_bag
-from otf_core.io.effects_yaml import effects_from_data
-from otf_core.io.strict_yaml import shown
-from otf_core.kinematics import exact_position
-from otf_core.tables import load_tables
+from otf_core.bags.bag import read_bag
+from otf_core.effects.effects_yaml import effects_from_data
+from otf_core.files.strict_yaml import shown
+from otf_core.model.kinematics import exact_position
+from otf_core.model.tables import load_tables
 
 QUICK = ('--levels', '2', '--passes', '1', '--rate', '50', '--corner-dwell', '0.1',
          '--end-dwell', '1')  # fmt: skip
@@ -360,8 +360,8 @@ def test_swapped_or_misspelt_inputs(bags, capsys, bag, machine, words, tmp_path)
 
 
 def test_path_in_millimetres_is_named(bags, place, capsys):
-    from otf_core.io.bag import BagContent, write_bag
-    from otf_core.path import NominalPath
+    from otf_core.bags.bag import BagContent, write_bag
+    from otf_core.model.path import NominalPath
 
     content = read_bag(bags.folder / 'run')
     wrong = BagContent(content.samples, NominalPath(1e3 * content.path.points))

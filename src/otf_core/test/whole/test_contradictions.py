@@ -22,15 +22,15 @@ from contradiction_cells import (
 from nature import Extra, judge
 
 from otf_core import cli
-from otf_core.calibrate import calibrate_runs
+from otf_core.bags.bag import BagContent, write_bag
+from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions import moved
 from otf_core.contradictions.worth import check_worth, volumetric
 from otf_core.errors import InputError
-from otf_core.io.bag import BagContent, write_bag
-from otf_core.machine import Axis, Chain, TrackerSpec
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
+from otf_core.model.machine import Axis, Chain, TrackerSpec
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
 
 
 def with_machine(recording, **fields):

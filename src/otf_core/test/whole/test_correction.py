@@ -10,21 +10,21 @@ from core_cells import some_machine
 from nature import Cell, Extra
 from numpy.testing import assert_allclose
 
-from otf_core import calibrate_with_effects as above
-from otf_core.budget.columns import piece_state
-from otf_core.calibrate_with_effects import calibrate_with_effects
+from otf_core.calibration.correction import corrected, estimates, missing_in_tables
 from otf_core.config import CalibrationConfig
-from otf_core.correction import corrected, estimates, missing_in_tables
+from otf_core.diagnosis import calibrate_with_effects as above
+from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated import FILE, FOUND, format_effects
 from otf_core.effects.taken import taken
 from otf_core.errors import ConfigError
-from otf_core.joint import solve_jointly, tables_of
-from otf_core.runs import prepare_runs
-from otf_core.shape_choice import linear_bases
-from otf_core.tables import MOTIONS
-from otf_core.unknowns import free_values, layout
+from otf_core.model.tables import MOTIONS
+from otf_core.pieces.runs import prepare_runs
+from otf_core.solving.columns import piece_state
+from otf_core.solving.joint import solve_jointly, tables_of
+from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.unknowns import free_values, layout
 
 CONFIG = CalibrationConfig(piece_length=0.02)
 GROWTH = {'tau': 100.0, 'until': 80.0, 'order': 2.0, 'S_X': 3e-5, 'S_Y': 1e-6, 'S_X_2': 0.0}

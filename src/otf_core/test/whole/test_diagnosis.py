@@ -9,16 +9,17 @@ from core_cells import some_machine
 
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
 from otf_core.config import PlannerConfig, SimulationConfig
-from otf_core.diagnosis.complete import diagnose, write_diagnosis
+from otf_core.diagnosis.complete import diagnose
 from otf_core.effects import REGISTRY, AppliedEffect
-from otf_core.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.io.effects_yaml import read_effects
-from otf_core.kinematics import displacement
-from otf_core.planning import plan_path
-from otf_core.runs import Recording
+from otf_core.effects.effects_yaml import read_effects
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.tables import load_tables
+from otf_core.pieces.runs import Recording
+from otf_core.planning.creator import plan_path
+from otf_core.reports.diagnosis import write_diagnosis
 from otf_core.sim.cell import simulate
 from otf_core.sim.twin import twin_recording
-from otf_core.tables import load_tables
 
 MACHINE = some_machine(pitch=0.05)
 PLAN = plan_path(MACHINE, PlannerConfig(feed=0.15, corner_dwell=0.4))

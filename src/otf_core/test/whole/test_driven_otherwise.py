@@ -6,14 +6,14 @@ import pytest
 from nature import Cell
 from programs import drive, held, programs, record, rounded
 
-from otf_core.alignment import align
 from otf_core.config import CalibrationConfig
-from otf_core.curves import Lines
 from otf_core.errors import InputError
-from otf_core.observation import Samples
-from otf_core.order import OFF_PATH
-from otf_core.path import NominalPath
-from otf_core.path_watch import PathWatcher
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.tracking.alignment import align
+from otf_core.tracking.curves import Lines
+from otf_core.tracking.order import OFF_PATH
+from otf_core.tracking.path_watch import PathWatcher
 
 CONFIG = CalibrationConfig()
 RATE = 50.0

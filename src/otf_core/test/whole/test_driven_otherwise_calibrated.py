@@ -10,9 +10,9 @@ import pytest
 from nature import Cell, judge
 from programs import arc, drive, helix, programs, record, rounded, without
 
-from otf_core.alignment import align
-from otf_core.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
+from otf_core.tracking.alignment import align
 
 CONFIG = CalibrationConfig()
 RATE = 50.0

@@ -19,24 +19,24 @@ from effect_cells import (
 )
 
 from otf_core import cli
+from otf_core.bags.bag import read_bag
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.effects import REGISTRY, AppliedEffect, total_displacement
+from otf_core.effects.effects_yaml import read_effects, write_effects
 from otf_core.effects.state import state_on_path
 from otf_core.errors import ConfigError
-from otf_core.frames import RigidTransform
-from otf_core.io.bag import read_bag
-from otf_core.io.effects_yaml import read_effects, write_effects
-from otf_core.joint import solve_jointly, tables_of
-from otf_core.normal import Whitener, sum_groups
-from otf_core.path import NominalPath
-from otf_core.planning import Plan
-from otf_core.runs import Recording, prepare_runs
-from otf_core.shape_choice import linear_bases
+from otf_core.model.frames import RigidTransform
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan
+from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import simulate
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, run_state
-from otf_core.solution import TIE_BREAK, smoothness
-from otf_core.unknowns import layout
+from otf_core.solving.joint import solve_jointly, tables_of
+from otf_core.solving.normal import Whitener, sum_groups
+from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.solution import TIE_BREAK, smoothness
+from otf_core.solving.unknowns import layout
 
 displacing = pytest.mark.parametrize('name', DISPLACING)
 CONFIG = SimulationConfig(rate=100.0, seed=61)

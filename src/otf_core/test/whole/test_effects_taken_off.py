@@ -8,13 +8,13 @@ import yaml
 from nature import Cell, Extra, judge
 
 from otf_core import cli
-from otf_core.calibrate_with_effects import calibrate_with_effects
+from otf_core.bags.bag import BagContent, write_bag
 from otf_core.config import CalibrationConfig
-from otf_core.io.bag import BagContent, write_bag
-from otf_core.prediction import predict
-from otf_core.results import unpack_covariance
+from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
+from otf_core.model.tables import load_tables
+from otf_core.prediction.covariance import unpack_covariance
+from otf_core.prediction.predict import predict
 from otf_core.sim.twin import twin_recording
-from otf_core.tables import load_tables
 
 CELL = {
     'seed': 5,

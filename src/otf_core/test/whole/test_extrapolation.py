@@ -6,11 +6,11 @@ import json
 import numpy as np
 from nature import Cell, tour
 
-from otf_core.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
-from otf_core.kinematics import displacement
-from otf_core.prediction import predict
-from otf_core.results import result_to_dict
+from otf_core.model.kinematics import displacement
+from otf_core.prediction.predict import predict
+from otf_core.reports.calibration import result_to_dict
 
 CONFIG = CalibrationConfig(reversal='none', piece_length=0.015)
 LOW, HIGH = np.array([0.2, 0.15, -0.25]), np.array([0.3, 0.25, -0.15])

@@ -8,23 +8,28 @@ import numpy as np
 import pytest
 from core_cells import corner_path, record, small_plan, smooth, some_machine
 
-from otf_core.calibrate import calibrate
+from otf_core.calibration.calibrate import calibrate
 from otf_core.cli import main
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
-from otf_core.drive_time import drive_times
 from otf_core.errors import ConfigError
-from otf_core.evaluation import free_rows, without_rigid_motion
-from otf_core.forecast import Setup, beside, forecast
-from otf_core.kinematics import displacement
-from otf_core.noise import NoiseModel
-from otf_core.observability import chain_shows, findings
-from otf_core.planning import plan_for_path
-from otf_core.planning_job import PlanRequest, make_plan, read_noise, read_place
+from otf_core.model.evaluation import free_rows, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.plan import plan_for_path
+from otf_core.model.tables import MOTIONS, SQUARENESS
+from otf_core.noise.model import NoiseModel
+from otf_core.planning.drive_time import drive_times
+from otf_core.planning.forecast import Setup, beside, forecast
+from otf_core.planning.job import PlanRequest, make_plan, read_noise, read_place
+from otf_core.planning.observability import chain_shows, findings
+from otf_core.planning.tracker_places import (
+    beam_lengths,
+    candidate_places,
+    check_place,
+    compare_places,
+)
+from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.drive import Drive
-from otf_core.tables import MOTIONS, SQUARENESS
-from otf_core.tracker_places import beam_lengths, candidate_places, check_place, compare_places
-from otf_core.uncertainty import prediction_rows
 
 LIMIT = 1e-4
 RATE = 100.0

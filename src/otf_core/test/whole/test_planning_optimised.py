@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 from core_cells import corner_path, small_plan, smooth, some_machine
 
-from otf_core.calibrate import calibrate
-from otf_core.candidate_lines import candidate_lines, lattice_points
+from otf_core.calibration.calibrate import calibrate
 from otf_core.cli import main
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
-from otf_core.drive_time import drive_times
 from otf_core.errors import ConfigError
-from otf_core.evaluation import without_rigid_motion
-from otf_core.forecast import Setup, forecast
-from otf_core.kinematics import displacement
-from otf_core.line_allocation import allocate, judge, total, variance
-from otf_core.noise import NoiseModel
-from otf_core.observability import chain_shows
-from otf_core.optimised_planning import PathOptimiser
-from otf_core.path import NominalPath
-from otf_core.planning import plan_for_path
+from otf_core.model.evaluation import without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import plan_for_path
+from otf_core.model.tables import MOTIONS, SQUARENESS
+from otf_core.noise.model import NoiseModel
+from otf_core.planning.candidate_lines import candidate_lines, lattice_points
+from otf_core.planning.drive_time import drive_times
+from otf_core.planning.forecast import Setup, forecast
+from otf_core.planning.line_allocation import allocate, judge, total, variance
+from otf_core.planning.observability import chain_shows
+from otf_core.planning.optimised import PathOptimiser
+from otf_core.planning.walk_search import best_walk
 from otf_core.sim.cell import random_tables, simulate
-from otf_core.tables import MOTIONS, SQUARENESS
-from otf_core.walk_search import best_walk
 
 CONFIG = PlannerConfig(feed=0.2, corner_dwell=0.1, end_dwell=1.0, margin=0.01)
 JUDGED = ForecastConfig(rate=100.0, grid=5)
@@ -189,7 +189,7 @@ def test_wanted_uncertainty_is_reached_in_a_short_time(best):
 
 
 def test_wanted_uncertainty_out_of_reach_is_refused(best, monkeypatch):
-    monkeypatch.setattr('otf_core.optimised_planning.LONGEST', 300.0)
+    monkeypatch.setattr('otf_core.planning.optimised.LONGEST', 300.0)
     with pytest.raises(ConfigError, match=r'needs more than 300 s at this feed; then [\d.]+ um'):
         best.optimiser.for_uncertainty(1e-9)
 

@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 from core_cells import some_machine
 
-from otf_core.budget.declared import KEYS, DeclaredUncertainty
-from otf_core.budget.planned import planned_systematic
-from otf_core.budget.presets import NOISE, TRACKERS, WORKSHOPS, typical_values
-from otf_core.budget.report import budget_lines
-from otf_core.calibrate import calibrate
+from otf_core.calibration.calibrate import calibrate
 from otf_core.config import ForecastConfig
 from otf_core.errors import ConfigError
-from otf_core.evaluation import lattice
-from otf_core.forecast import Setup, forecast, grid_uncertainty
-from otf_core.machine import machine_from_dict
-from otf_core.plan_report import PlanReport, format_report, report_to_dict
-from otf_core.results import format_result, result_to_dict
+from otf_core.model.declared import KEYS, DeclaredUncertainty
+from otf_core.model.evaluation import lattice
+from otf_core.model.machine import machine_from_dict
+from otf_core.model.presets import NOISE, TRACKERS, WORKSHOPS, typical_values
+from otf_core.planning.forecast import Setup, forecast, grid_uncertainty
+from otf_core.planning.judged import PlanReport
+from otf_core.planning.planned_budget import planned_systematic
+from otf_core.reports.budget import budget_lines
+from otf_core.reports.calibration import format_result, result_to_dict
+from otf_core.reports.plan import format_report, report_to_dict
 
 ROOT = Path(__file__).resolve().parents[4]
 

@@ -16,18 +16,18 @@ from core_cells import some_machine
 
 import otf_core
 from otf_core import cli
+from otf_core.bags.bag import BagContent, read_bag, write_bag
 from otf_core.blind.seal import KEY, seal
 from otf_core.errors import ConfigError
-from otf_core.evaluation import lattice, without_rigid_motion
-from otf_core.io.bag import BagContent, read_bag, write_bag
-from otf_core.io.csv_points import tidy
-from otf_core.kinematics import displacement
-from otf_core.nc.base import words
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.provenance import moment, origin_of, provenance
-from otf_core.result_words import squareness_words, volumetric_error
-from otf_core.tables import load_tables
+from otf_core.files.csv_points import tidy
+from otf_core.model.evaluation import lattice, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.model.provenance import moment, origin_of, provenance
+from otf_core.model.tables import load_tables
+from otf_core.planning.nc.base import words
+from otf_core.reports.calibration_words import squareness_words, volumetric_error
 
 ROOT = Path(__file__).resolve().parents[4]
 SIGN = 'error = actual minus nominal, of the target relative to the table, in machine coordinates'

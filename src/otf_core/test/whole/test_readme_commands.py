@@ -13,7 +13,7 @@ import pytest
 
 import otf_core
 from otf_core import cli
-from otf_core.tables import load_tables
+from otf_core.model.tables import load_tables
 
 README = Path(__file__).resolve().parents[4] / 'README.md'
 MACHINES = ('machine.yaml', 'longer.yaml')

@@ -17,22 +17,23 @@ from core_cells import (
 )
 from effect_cells import applied, some_plan
 
-from otf_core.calibrate import calibrate, calibrate_runs
+from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_of_travel
-from otf_core.machine import AXES
-from otf_core.normal import Whitener, normal_equations
-from otf_core.planning import plan_for_path
-from otf_core.results import format_result, write_calibration
-from otf_core.runs import Recording
-from otf_core.shape_choice import linear_bases
+from otf_core.model.machine import AXES
+from otf_core.model.nodes import table_nodes
+from otf_core.model.plan import plan_for_path
+from otf_core.model.tables import MOTIONS
+from otf_core.pieces.runs import Recording
+from otf_core.pieces.standstill_method import prepare_stops
+from otf_core.reports.calibration import format_result, write_calibration
 from otf_core.sim.cell import simulate
-from otf_core.solution import identifiable_blocks
-from otf_core.standstill_method import prepare_stops
-from otf_core.system import build_system
-from otf_core.tables import MOTIONS
-from otf_core.unknowns import is_reversal, layout, table_nodes
+from otf_core.solving.normal import Whitener, normal_equations
+from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.solution import identifiable_blocks
+from otf_core.solving.system import build_system
+from otf_core.solving.unknowns import is_reversal, layout
 
 CHAIN = 'w-Y-b-X-Z-t'
 BACKLASH = {'B_X': 5e-6, 'B_Y': -3e-6, 'B_Z': 2e-6}

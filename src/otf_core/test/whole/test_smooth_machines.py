@@ -7,9 +7,9 @@ from core_cells import CONTRACT_CHAINS, zero_tables
 from nature import Cell, judge, judge_field, table_rows
 from nature_forms import nodes_of
 
-from otf_core.calibrate import calibrate_runs
+from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
-from otf_core.tables import MotionTable
+from otf_core.model.tables import MotionTable
 
 CONFIG = CalibrationConfig(piece_length=0.015, reversal='none')
 

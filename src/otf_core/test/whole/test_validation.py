@@ -8,8 +8,8 @@ import pytest
 from core_cells import some_machine
 
 from otf_core.config import SimulationConfig
+from otf_core.reports.validation import write_validation
 from otf_core.sim.laboratory import SimulatedLaboratory
-from otf_core.validation.files import write_validation
 from otf_core.validation.laboratory import Scale, paper_machine, scale
 from otf_core.validation.reference_points import calibration_points, reference_points
 from otf_core.validation.run import validate
@@ -78,7 +78,7 @@ def test_table_and_figures_are_written(found, laboratory, tmp_path):
 
 
 def test_figures_do_not_change_from_run_to_run(found, laboratory, tmp_path):
-    from otf_core.plots.validation import draw_prediction
+    from otf_core.reports.plots.validation import draw_prediction
 
     first = draw_prediction(found, tmp_path).read_bytes()
     assert draw_prediction(found, tmp_path).read_bytes() == first

@@ -14,9 +14,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from otf_core.observation import Samples
-from otf_core.path import NominalPath
-from otf_core.planning import Plan
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan
 
 NO_SAMPLES = Samples(np.empty(0, np.int64), np.empty((0, 3)))
 

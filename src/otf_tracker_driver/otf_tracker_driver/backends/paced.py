@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from otf_core.observation import Samples
+from otf_core.model.observation import Samples
 from otf_tracker_driver.backends.base import NO_SAMPLES, Backend
 
 _LONGEST_STEP = 0.1

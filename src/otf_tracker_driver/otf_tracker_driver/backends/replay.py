@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
+from otf_core.bags.bag import read_bag
 from otf_core.config import SimulationConfig
 from otf_core.errors import ConfigError
-from otf_core.io.bag import read_bag
 from otf_tracker_driver.backends.paced import PacedBackend
 from otf_tracker_driver.params import DriverConfig
 

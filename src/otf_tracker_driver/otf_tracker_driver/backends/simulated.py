@@ -8,12 +8,12 @@ from dataclasses import replace
 
 from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
+from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError
-from otf_core.io.effects_yaml import read_effects
-from otf_core.machine import Machine, load_machine
-from otf_core.planning import Plan
+from otf_core.model.machine import Machine, load_machine
+from otf_core.model.plan import Plan
+from otf_core.model.tables import ErrorTables, load_tables
 from otf_core.sim.cell import SimulatedRun, simulate
-from otf_core.tables import ErrorTables, load_tables
 from otf_tracker_driver.backends.paced import PacedBackend
 from otf_tracker_driver.params import DriverConfig
 

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of one MCAP file as blocks of positions, without a Python object per message.
+
+Every record is opcode (1 byte), length (uint64), content; so the positions of all records follow
+from the lengths alone, in the file as in a decompressed chunk. Everything else is numpy. The file
+is mapped, never read whole, and no length it states is believed before it was checked.
+Source: mcap.dev/spec as implemented by mcap 1.6 (records.py, stream_reader.py).
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+
+from otf_core.bags.cdr import Bytes, Index, gather
+from otf_core.errors import InputError
+
+MAGIC = b'\x89MCAP0\r\n'
+MAX_CHUNK = 1 << 30
+"""Bytes; a chunk that claims to unpack to more is taken for damaged."""
+RECORD_HEAD = 9
+MESSAGE_HEAD = np.dtype(
+    [
+        ('opcode', 'u1'),
+        ('length', '<u8'),
+        ('channel', '<u2'),
+        ('sequence', '<u4'),
+        ('log_time', '<u8'),
+        ('publish_time', '<u8'),
+    ]
+)
+RECOVER = "'mcap recover IN.mcap -o OUT.mcap' saves what is readable"
+
+
+@dataclass(frozen=True)
+class MessageBlock:
+    """Messages of one topic inside one buffer.
+
+    Attributes
+    ----------
+    topic : str
+    buffer : ndarray of uint8
+    start, size : ndarray of int64, shape (n,)
+        Where each serialized message begins in the buffer, and its bytes.
+    log_time : ndarray of int64, shape (n,), ns
+        When it was received.
+    """
+
+    topic: str
+    buffer: Bytes
+    start: Index
+    size: Index
+    log_time: Index
+
+
+def record_starts(buffer: Bytes, begin: int, end: int) -> Index:
+    """Positions of all records from begin on, and ``end`` as the last item.
+
+    Raises
+    ------
+    ValueError
+        If the lengths do not lead exactly to the end.
+    """
+    unpack = struct.Struct('<BQ').unpack_from
+    view, starts, at = buffer.data, [], begin
+    last_head = end - RECORD_HEAD
+    while at <= last_head:
+        opcode, length = unpack(view, at)
+        if not opcode:
+            raise ValueError(f'no record at byte {at}')
+        starts.append(at)
+        at += RECORD_HEAD + length
+    if at != end:
+        raise ValueError(f'the record at byte {starts[-1] if starts else at} is cut off')
+    starts.append(end)
+    return np.array(starts, np.int64)
+
+
+class McapMessages:
+    """One pass over an MCAP file.
+
+    Parameters
+    ----------
+    file : Path
+    wanted : mapping of topic to message type
+        Topics to read; one that is in the file with another type is an InputError.
+    topics : dict of topic to message type
+        Filled with all topics that are in the file.
+    """
+
+    def __init__(self, file: Path, wanted: Mapping[str, str], topics: dict[str, str]) -> None:
+        self._file = file
+        self._wanted = wanted
+        self._topics = topics
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, str] = {}
+        self._count = 0
+
+    def __iter__(self) -> Iterator[MessageBlock]:
+        """Yield blocks in file order; InputError if the file is damaged or cut off."""
+        data = self._map()
+        starts = self._starts(data, len(MAGIC), data.size - len(MAGIC))
+        opcodes = data[starts[:-1]]
+        if not np.any(opcodes == Opcode.DATA_END) or opcodes[-1] != Opcode.FOOTER:
+            self._damaged('the data section or the footer is missing')
+        stated = None
+        bulk = np.isin(opcodes, [Opcode.MESSAGE, Opcode.MESSAGE_INDEX])
+        for i in np.flatnonzero(~bulk):
+            opcode, at, end = opcodes[i], int(starts[i]), int(starts[i + 1])
+            record = data[at + RECORD_HEAD : end]
+            if opcode == Opcode.CHUNK:
+                yield from self._chunk(self._parse(Chunk, record))
+            elif opcode == Opcode.DATA_END:
+                self._check_data_crc(data[:at], self._parse(DataEnd, record).data_section_crc)
+            elif opcode == Opcode.STATISTICS:
+                stated = self._parse(Statistics, record).message_count
+            else:
+                self._register(opcode, record)
+        yield from self._messages(data, starts)
+        if stated not in (None, self._count):
+            self._damaged(f'it states {stated} messages but holds {self._count}')
+
+    def _map(self) -> Bytes:
+        try:
+            if not self._file.stat().st_size:
+                raise InputError(f'{self._file}: is empty; nothing was recorded')
+            data = np.memmap(self._file, np.uint8, 'r')
+        except OSError as error:
+            raise InputError(f'{self._file}: cannot be read ({error.strerror})') from None
+        if bytes(data[: len(MAGIC)]) != MAGIC:
+            raise InputError(f'{self._file}: is no MCAP file (it does not begin with its mark)')
+        if data.size < 2 * len(MAGIC) or bytes(data[-len(MAGIC) :]) != MAGIC:
+            raise InputError(
+                f'{self._file}: is cut off after {data.size} bytes (the mark at the end is '
+                f'missing); copy it again or end the recording properly, or {RECOVER}'
+            )
+        return np.asarray(data)
+
+    def _damaged(self, what: str) -> NoReturn:
+        raise InputError(f'{self._file}: is damaged, {what}; copy it again, or {RECOVER}')
+
+    def _starts(self, buffer: Bytes, begin: int, end: int) -> Index:
+        try:
+            return record_starts(buffer, begin, end)
+        except ValueError as error:
+            self._damaged(str(error))
+
+    def _parse(self, kind: Any, record: Bytes) -> Any:
+        try:
+            return kind.read(ReadDataStream(BytesIO(record.tobytes())))
+        except (McapError, struct.error, UnicodeDecodeError, OverflowError):
+            # OverflowError: mcap asks for as many bytes as a damaged length states
+            self._damaged(f'a {kind.__name__} record cannot be decoded')
+
+    def _check_data_crc(self, data: Bytes, stated: int) -> None:
+        if stated and zlib.crc32(data.data) != stated:
+            self._damaged('the checksum of the data section is wrong')
+
+    def _register(self, opcode: int, record: Bytes) -> None:
+        if opcode == Opcode.SCHEMA:
+            schema = self._parse(Schema, record)
+            self._schemas[schema.id] = schema.name
+        elif opcode == Opcode.CHANNEL:
+            self._register_channel(self._parse(Channel, record))
+
+    def _register_channel(self, channel: Channel) -> None:
+        topic, kind = channel.topic, self._schemas.get(channel.schema_id, '')
+        if self._channels.setdefault(channel.id, topic) != topic:
+            self._damaged(f'channel {channel.id} is defined twice, differently')
+        self._topics.setdefault(topic, kind)
+        check_type(self._file, topic, kind, channel.message_encoding, self._wanted)
+
+    def _chunk(self, chunk: Chunk) -> Iterator[MessageBlock]:
+        data = np.frombuffer(self._unpack(chunk), np.uint8)
+        starts = self._starts(data, 0, data.size)
+        opcodes = data[starts[:-1]]
+        for i in np.flatnonzero(opcodes != Opcode.MESSAGE):
+            self._register(opcodes[i], data[starts[i] + RECORD_HEAD : starts[i + 1]])
+        yield from self._messages(data, starts)
+
+    def _unpack(self, chunk: Chunk) -> bytes:
+        """Decompress a chunk and check its size and checksum."""
+        size, how = chunk.uncompressed_size, chunk.compression
+        if how not in ('', 'lz4', 'zstd'):
+            raise InputError(
+                f"{self._file}: chunk compression '{how}' is not supported; rewrite the bag "
+                f"with 'mcap compress'"
+            )
+        try:
+            if how == 'zstd':
+                known = zstandard.get_frame_parameters(chunk.data).content_size
+                if known not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+                    size = -1
+            if not 0 <= size <= MAX_CHUNK:
+                self._damaged(f'a chunk states {chunk.uncompressed_size} bytes')
+            stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        except CRCValidationError:
+            self._damaged('the checksum of a chunk is wrong')
+        except (McapError, zstandard.ZstdError, RuntimeError, ValueError, MemoryError) as error:
+            # RuntimeError is what lz4 raises
+            self._damaged(f'a chunk cannot be decompressed ({error})')
+        if length != size:
+            self._damaged(f'a chunk has {length} bytes instead of {size}')
+        return stream.read(length)
+
+    def _messages(self, buffer: Bytes, starts: Index) -> Iterator[MessageBlock]:
+        """Yield the wanted messages among the records of one buffer, topic by topic."""
+        chosen = buffer[starts[:-1]] == Opcode.MESSAGE
+        at = starts[:-1][chosen]
+        size = np.diff(starts)[chosen] - MESSAGE_HEAD.itemsize
+        if np.any(size < 0):
+            self._damaged(f'the message at byte {at[size < 0][0]} is too short')
+        head = gather(buffer, at, MESSAGE_HEAD.itemsize).view(MESSAGE_HEAD)
+        self._count += at.size
+        present = set(np.unique(head['channel']).tolist())
+        if not present <= self._channels.keys():
+            self._damaged(f'channel {min(present - self._channels.keys())} is not described')
+        for topic in self._wanted:
+            ids = [i for i in present if self._channels[i] == topic]
+            if ids:
+                pick = np.isin(head['channel'], ids)
+                log_time = head['log_time'][pick].astype(np.int64)
+                start = at[pick] + MESSAGE_HEAD.itemsize
+                yield MessageBlock(topic, buffer, start, size[pick], log_time)
+
+
+def check_type(
+    where: Path, topic: str, kind: str, encoding: str, wanted: Mapping[str, str]
+) -> None:
+    """Raise InputError if a wanted topic has another message type or is not CDR."""
+    if topic in wanted and kind != wanted[topic]:
+        raise InputError(
+            f"{where}: topic {topic} has type '{kind}', expected '{wanted[topic]}'; "
+            f'record that type or remap the topic'
+        )
+    if topic in wanted and encoding != 'cdr':
+        raise InputError(f"{where}: topic {topic} is encoded as '{encoding}', expected 'cdr'")

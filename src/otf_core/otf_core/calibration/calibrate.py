@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From samples and path to error tables: align, reduce, solve, repeat, state uncertainty."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.budget.budget import EFFECTS, make_budget, whole_check, with_source
+from otf_core.budget.typical import typical_systematic, typical_warnings
+from otf_core.calibration.result import CalibrationResult, Fit, RunResult
+from otf_core.config import CalibrationConfig
+from otf_core.contradictions.before import check_recordings
+from otf_core.contradictions.examine import examine
+from otf_core.contradictions.worth import check_worth, sample_noise
+from otf_core.effects.stated import TakenOff
+from otf_core.model.machine import Machine
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.model.provenance import origins
+from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, with_uncertainty
+from otf_core.noise.model import NoiseModel, sample_variance
+from otf_core.pieces.finding import GATE, WARNING, words_of
+from otf_core.pieces.runs import Recording, Run, prepare_runs
+from otf_core.solving.curve_lag import curve_remarks, moved_onto_curves
+from otf_core.solving.extrapolation import prior_of
+from otf_core.solving.joint import (
+    JointSolution,
+    Progress,
+    SolvedRun,
+    settled,
+    solve_robustly,
+    tables_of,
+)
+from otf_core.solving.reversal import Reversal, reversal_tables
+from otf_core.solving.reversal_choice import Choice, ReversalSolution, solve_with_reversal
+from otf_core.solving.system import build_system
+from otf_core.solving.tabulate import mean_grid_uncertainty, tabulate
+from otf_core.solving.unknowns import Unknowns
+from otf_core.threads import one_thread
+
+Array = NDArray[np.float64]
+Preparation = Callable[
+    [Sequence[Recording], CalibrationConfig], tuple[list[Run], dict[str, Array]]
+]
+"""From recordings to runs reduced to pieces, and the table nodes."""
+
+MIN_COVERAGE = 0.8
+"""Share of the path length below which a calibration fails the quality gate."""
+MAX_OUTLIERS = 0.2
+"""Share of left-out samples above which a calibration fails the quality gate."""
+MAX_ERROR = 5e-4
+"""m; mean distance from the path above which the input is not plausible for a machine tool."""
+
+
+def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
+    digest = hashlib.sha256()
+    for r in recordings:
+        for part in (r.samples.stamp_ns, r.samples.xyz, r.path.points):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
+    digest.update(json.dumps(asdict(config), sort_keys=True).encode())
+    return digest.hexdigest()[:12]
+
+
+def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
+    found = []
+    unsure = [m for m in MOTIONS if tables.motions[m].u.max() > limit]
+    if unsure:
+        found.append(
+            f'{", ".join(unsure)}: uncertain by more than {1e6 * limit:g} um or urad, with the '
+            f'misfit of the model counted'
+        )
+    for name, table in tables.motions.items():
+        if table.identifiable and table.node_identifiable is not None:
+            loose = table.position[~table.node_identifiable]
+            if loose.size:
+                where = f'{loose[0]:g}' if loose.size == 1 else f'{loose[0]:g} ... {loose[-1]:g}'
+                found.append(
+                    f'{name}: not determined by the data at {loose.size} nodes ({where} m); '
+                    f'continued smoothly'
+                )
+    if fit.coverage < 0.98:
+        found.append(f'only {100 * fit.coverage:.1f} % of the path was recorded')
+    if fit.outliers > 0.01 * fit.samples:
+        found.append(f'{fit.outliers} samples left out as outliers')
+    if fit.residual_ratio > 1.5:
+        found.append(
+            f'residuals of path pieces are {fit.residual_ratio:.1f} times the noise specified for '
+            f'single samples: an effect that the rigid-body model lacks, or more noise'
+        )
+    return found
+
+
+def calibrate(
+    samples: Samples,
+    path: NominalPath,
+    machine: Machine,
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+) -> CalibrationResult:
+    """Calibrate one run on the fly; see ``calibrate_runs``."""
+    return calibrate_runs([Recording(samples, path, machine)], config, progress)
+
+
+def calibrate_runs(
+    recordings: Sequence[Recording],
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+    prepare: Preparation = prepare_runs,
+) -> CalibrationResult:
+    """Calibrate on the fly: only deviations perpendicular to the path are used.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Runs of one machine; no time relation between samples and path is needed. Other tracker
+        places, feeds and target offsets add to what can be seen.
+    config : CalibrationConfig, optional
+    progress : callable(stage, fraction), optional
+        Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
+    prepare : callable, optional
+        ``standstill_method.prepare_stops`` for the standstill method.
+
+    Returns
+    -------
+    CalibrationResult
+
+    Raises
+    ------
+    InputError
+        If samples and path do not belong together or determine nothing.
+
+    References
+    ----------
+    Sanders et al., J. Manuf. Mater. Process. 2023, 7, 60, section 1.2.
+    """
+    config = config or CalibrationConfig()
+    progress = progress or (lambda stage, fraction: None)
+    with one_thread():
+        progress('aligning', 0.0)
+        check_recordings(recordings)
+        runs, nodes = prepare(recordings, config)
+        runs = examine(runs, nodes, config)
+        progress('solving', 0.0)
+        solved = solve_with_reversal(runs, nodes, config, progress)
+        moved = moved_onto_curves(runs, solved)
+        if moved is not None:
+            solved = solve_with_reversal(moved, nodes, config, progress)
+        return assemble(solved, config)
+
+
+def calibrate_prepared(
+    runs: Sequence[Run],
+    unknowns: Unknowns,
+    config: CalibrationConfig,
+    progress: Progress = lambda stage, fraction: None,
+) -> CalibrationResult:
+    """Calibrate runs that are reduced to pieces, without reversal; see ``calibrate_runs``."""
+    with one_thread():
+        progress('solving', 0.0)
+        config = replace(config, reversal='none')
+        kept, done = solve_robustly(runs, unknowns, config, progress)
+        return assemble(ReversalSolution(kept, done, Choice('none', False, {})), config)
+
+
+def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
+    before = build_system(run.machine, run.pieces, run.pose, unknowns)
+    specified = sample_variance(
+        NoiseModel.from_spec(run.machine.tracker), solved.system.along, solved.system.across
+    )
+    return RunResult(
+        name=Path(run.recording.name).name,
+        target_offset=run.machine.target_offset,
+        samples=len(run.recording.samples),
+        T_machine_tracker=solved.pose,
+        noise=run.noise_and_misfit[0],
+        misfit=run.noise_and_misfit[1],
+        coverage=run.alignment.coverage,
+        pieces=run.pieces,
+        q=solved.system.q,
+        axes=solved.system.axes,
+        aligned=before.deviation,
+        deviation=solved.system.deviation,
+        residual=solved.residual,
+        normalised=solved.residual / np.sqrt(specified),
+        whitened=solved.whitener.vector(solved.residual),
+    )
+
+
+def _lengths(components: Array) -> Array:
+    return np.asarray(np.linalg.norm(components, axis=0))
+
+
+def _fit(
+    runs: Sequence[Run], results: Sequence[RunResult], done: JointSolution, inflation: float
+) -> Fit:
+    check = whole_check(runs, done, [s.residual for s in done.runs])
+    before = np.concatenate([_lengths(r.aligned) for r in results])
+    after = np.concatenate([_lengths(r.residual) for r in results])
+    normalised = np.concatenate([r.normalised for r in results], axis=1)
+    return Fit(
+        samples=sum(len(r.recording.samples) for r in runs),
+        used=sum(r.pieces.used for r in runs),
+        outliers=sum(r.pieces.outliers for r in runs),
+        pieces=len(after),
+        unknowns=done.solution.unknowns,
+        rank=done.solution.rank,
+        coverage=min(r.alignment.coverage for r in runs),
+        path_mae_before=float(before.mean()),
+        path_mae_after=float(after.mean()),
+        residual_rms=float(np.sqrt(np.mean(after**2))),
+        residual_ratio=float(np.sqrt(np.mean(normalised**2))),
+        variance_ratio=check.variance_ratio,
+        correlation_factor=check.correlation_factor,
+        inflation=inflation,
+        iterations=done.iterations,
+    )
+
+
+def _failed_gates(fit: Fit) -> tuple[str, ...]:
+    failed = []
+    if fit.coverage < MIN_COVERAGE:
+        failed.append(
+            f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
+            f'{100 * MIN_COVERAGE:.0f} % needed'
+        )
+    if fit.outliers > MAX_OUTLIERS * fit.samples:
+        failed.append(
+            f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out, '
+            f'{100 * MAX_OUTLIERS:.0f} % allowed'
+        )
+    if fit.path_mae_before > MAX_ERROR:
+        failed.append(
+            f'plausibility: the track is {1e3 * fit.path_mae_before:.2f} mm off the path on '
+            f'average; check units, scale and the machine description'
+        )
+    if fit.path_mae_after >= fit.path_mae_before:
+        failed.append('compensation: the tables do not reduce the distance from the path')
+    return tuple(failed)
+
+
+def assemble(
+    solved: ReversalSolution, config: CalibrationConfig, taken: TakenOff | None = None
+) -> CalibrationResult:
+    """Put a solution into a result, with the effects that were ``taken`` off its runs."""
+    runs, done = solved.runs, settled(solved.done, config.unidentifiable_above)
+    solution, unknowns = done.solution, done.unknowns
+    results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
+    machine = runs[0].machine
+    fine = tables_of(machine, unknowns, solution)
+    budget = make_budget(runs, done, fine, config.standstill_speed)
+    if taken is not None:
+        budget = with_source(budget, EFFECTS, budget.inflation * taken.of_unknowns)
+    fit = _fit(runs, results, done, budget.inflation)
+    grid_u = mean_grid_uncertainty(machine, unknowns, budget.whole)
+    table = tabulate(machine, done, grid_u, config.unidentifiable_above)
+    whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
+    covariance = budget.covariance
+    tables = with_uncertainty(table.tables, covariance)
+    typical = typical_systematic(runs, done, tables, table.rows, covariance)
+    remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
+    return CalibrationResult(
+        run_id=_run_id([r.recording for r in runs], config),
+        tables=tables,
+        covariance=covariance,
+        budget=budget,
+        runs=tuple(results),
+        fit=fit,
+        reversal=Reversal(
+            solved.choice.model,
+            solved.choice.evidence,
+            reversal_tables(
+                tables,
+                unknowns,
+                solution.value,
+                whole,
+                solution.accepted,
+            ),
+            solved.choice.held,
+        ),
+        fraction=table.fraction,
+        table_costs=table.costs,
+        prior=prior_of(done, tables, config.unidentifiable_above),
+        not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
+        typical=typical,
+        warnings=(
+            *typical_warnings(typical),
+            *words_of(remarks, WARNING),
+            *_warnings(fit, tables, config.unidentifiable_above),
+            *curve_remarks(runs, done),
+        ),
+        failed_gates=(*words_of(remarks, GATE), *_failed_gates(fit)),
+        config=config,
+        origin=origins(r.recording for r in runs),
+        effects=taken.stated if taken is not None else (),
+    )

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects in a calibration: their displacement taken off the pieces, their uncertainty passed on.
+
+With c the columns of the coefficients theta of effects, jointly with tables and poses,
+
+    theta = theta_0 + M^-1 (c^T W e - P (theta_0 - theta_p)),  M = c^T W c - c^T W A C A^T W c + P
+
+e the residual of the solution of the data less c theta_0, C its covariance, theta_p and P mean and
+precision of what is known of theta before. The joint estimate of the tables is the solution of
+the data less c theta; its covariance is C + S M^-1 S^T, S = C A^T W c. What an effect is not
+linear in (a time constant, a period) is linearised about its last value, in its logarithm. Noise
+and misfit are fitted to the corrected residuals: they would hold the effect otherwise.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from otf_core.calibration.calibrate import assemble
+from otf_core.calibration.result import CalibrationResult
+from otf_core.config import CalibrationConfig
+from otf_core.effects import State
+from otf_core.effects.state import probe_state
+from otf_core.effects.stated import StatedEffect, TakenOff, effects_to_list
+from otf_core.effects.taken import Taken
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.tables import ErrorTables
+from otf_core.pieces.runs import Recording, Run, prepare_runs
+from otf_core.solving.columns import (
+    across,
+    column_size,
+    name_in_run,
+    piece_state,
+    projected,
+    state_at,
+)
+from otf_core.solving.joint import FINE, JointSolution, Progress, Start, solve_robustly, tables_of
+from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
+from otf_core.solving.sample_states import sample_state
+from otf_core.solving.system import nominal_positions
+
+Array = NDArray[np.float64]
+
+MAX_ROUNDS = 6
+SETTLED = 2e-8
+"""m; change of the displacement by an effect below which its coefficients count as settled."""
+ROUGH = 1e-6
+"""m; a larger change can alter which functions and which reversal the data call for."""
+TABLES_OWN = ('table_resolution',)
+"""What is nothing to take off: it is the tables that follow finer."""
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Effects with the parameters that the data give them.
+
+    Attributes
+    ----------
+    effects : tuple of Taken
+    covariance : ndarray, shape (k, k)
+        Of all parameters, effect by effect: coefficients run by run, then shape in logarithms.
+    change : ndarray, shape (full, k)
+        S: what a unit of each does to the unknowns of the calibration.
+    """
+
+    effects: tuple[Taken, ...]
+    covariance: Array
+    change: Array
+
+    def taken_off(self, solved: ReversalSolution) -> TakenOff:
+        """State effects and what the unknowns of a solution are uncertain by for them."""
+        machine = solved.runs[0].machine
+        ends = np.cumsum([e.size for e in self.effects])
+        u = np.split(np.sqrt(np.diag(self.covariance)), ends[:-1])
+        stated = tuple(_stated(e, part, machine) for e, part in zip(self.effects, u, strict=True))
+        found = self.change @ self.covariance @ self.change.T
+        return TakenOff(stated, found + missing_in_tables(solved, self.effects))
+
+
+def _stated(one: Taken, u: Array, machine: Machine) -> StatedEffect:
+    units = one.effect.units(probe_state(machine), one.applied(0).parameters)
+    parameters, uncertain = dict(one.shape), {}
+    for name, relative in zip(one.widths, u[one.values.size :], strict=True):
+        uncertain[name] = float(relative * one.shape[name])
+    places = np.ndindex(*one.values.shape)
+    for (run, k), value, own in zip(places, one.values.ravel(), u, strict=False):
+        name = name_in_run(one.names[k], run)
+        parameters[name], uncertain[name] = float(value), float(own)
+        units[name] = units[one.names[k]]
+    return StatedEffect(one.effect.name, parameters, uncertain, units, one.how)
+
+
+def missing_in_tables(solved: ReversalSolution, effects: Sequence[Taken]) -> Array:
+    """What the tables lack of effects that stay at their place, covariance, (full, full).
+
+    Such an effect displaces the target in the same way whenever it comes by, but no table holds
+    it. Its mean square along X, Y and Z is stated as uncertain positioning of that axis.
+    """
+    done, machine = solved.done, solved.runs[0].machine
+    variance = np.zeros(done.unknowns.full)
+    tables = tables_of(machine, done.unknowns, done.solution)
+    staying = [one for one in effects if one.effect.stays_in_place]
+    for one in staying:
+        parts = []
+        for number, (run, at) in enumerate(zip(solved.runs, done.runs, strict=True)):
+            state = piece_state(run, at, done.unknowns.knots, tables)
+            parts.append(one.displacement(state, number))
+        square = np.mean(np.concatenate(parts) ** 2, axis=0)
+        for k, axis in enumerate(AXES):
+            basis = done.unknowns.bases[axis]
+            share = float(np.mean(np.sum(basis.matrix(basis.finer(FINE)) ** 2, axis=1)))
+            variance[done.unknowns.blocks[f'E{axis}{axis}']] += square[k] / share
+    return np.diag(variance)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Where the pieces of one run are, for the formulas of the effects."""
+
+    run: Run
+    number: int
+    pieces: State
+    samples: State | None
+
+    def mean(self, one: Taken, function: Callable[[State, int], Array]) -> Array:
+        """Values over the pieces, means over their samples where the effect asks for that."""
+        if one.effect.sample_resolution and self.samples is not None:
+            return self.run.pieces.mean_of(function(self.samples, self.number))
+        return function(self.pieces, self.number)
+
+
+def _scene(run: Run, number: int, pieces: State, effects: Sequence[Taken]) -> _Scene:
+    samples = None
+    if any(e.effect.sample_resolution for e in effects) and len(run.pieces.samples):
+        nodes = dict(pieces.nodes)
+        samples = sample_state(run, run.pose, pieces.tables, nodes)
+    return _Scene(run, number, pieces, samples)
+
+
+def corrected(
+    runs: Sequence[Run],
+    effects: Sequence[Taken],
+    nodes: dict[str, Array],
+    tables: ErrorTables | None,
+) -> list[Run]:
+    """Runs with the displacement by effects taken off their pieces.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Their poses good to the errors sought.
+    effects : sequence of Taken
+    nodes : mapping of axis to ndarray, m
+    tables : ErrorTables, optional
+        For the place along the path, as far as they are known.
+    """
+    found = []
+    for number, run in enumerate(runs):
+        q = nominal_positions(run.pieces, run.pose.apply(run.pieces.xyz), tables)
+        scene = _scene(run, number, state_at(run, q, run.pose, nodes, tables), effects)
+        shift = sum(
+            (scene.mean(e, e.displacement) for e in effects), start=np.zeros((len(run.pieces), 3))
+        )
+        xyz = run.pieces.xyz - shift @ run.pose.rotation
+        found.append(replace(run, pieces=replace(run.pieces, xyz=xyz)))
+    return found
+
+
+def estimates(
+    runs: Sequence[Run], done: JointSolution, effects: Sequence[Taken]
+) -> tuple[Estimates, Array, Array]:
+    """Estimate the parameters of effects anew, jointly with tables and poses.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Corrected by the effects as they are, as solved.
+    done : JointSolution
+        Of these runs.
+    effects : sequence of Taken
+
+    Returns
+    -------
+    estimates : Estimates
+        With the parameters moved.
+    step : ndarray, shape (k,)
+        Change of all parameters.
+    size : ndarray, shape (k,), m
+        Displacement per unit of each where it acts.
+    """
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    columns = []
+    for number, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+        state = piece_state(run, solved, done.unknowns.knots, tables)
+        scene = _scene(replace(run, pose=solved.pose), number, state, effects)
+        whole = np.concatenate([scene.mean(e, e.columns) for e in effects], axis=2)
+        columns.append(across(solved, whole))
+    cross = projected(done, columns)
+    change = done.solution.covariance @ cross
+    size = column_size(np.concatenate([c.reshape(-1, c.shape[2]) for c in columns]))
+    matrix, right = -cross.T @ change, np.zeros(len(size))
+    for part, solved in zip(columns, done.runs, strict=True):
+        flat = part.reshape(-1, part.shape[2])
+        weighted = solved.whitener.weighted(part).reshape(flat.shape)
+        matrix += flat.T @ weighted
+        right += weighted.T @ solved.residual.ravel()
+    bounds = np.cumsum([0, *(e.size for e in effects)])
+    prior = np.concatenate([
+        e.precision(size[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
+    ])  # fmt: skip
+    right -= prior * np.concatenate([e.away() for e in effects])
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 0.0) + prior)
+    whole = scale[:, None] * (matrix + np.diag(prior)) * scale
+    covariance = scale[:, None] * linalg.inv(0.5 * (whole + whole.T)) * scale
+    step = covariance @ right
+    moved = tuple(
+        e.moved(step[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
+    )
+    return Estimates(moved, covariance, change), step, size
+
+
+def solve_with_effects(
+    runs: Sequence[Run],
+    nodes: dict[str, Array],
+    effects: Sequence[Taken],
+    config: CalibrationConfig,
+    progress: Progress,
+) -> tuple[ReversalSolution, Estimates]:
+    """Solve with effects taken off and their parameters estimated with the rest.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        As prepared.
+    nodes : mapping of axis to ndarray, m
+    effects : sequence of Taken
+    config : CalibrationConfig
+    progress : callable(stage, fraction)
+
+    Returns
+    -------
+    solved : ReversalSolution
+        Of the corrected runs.
+    estimates : Estimates
+    """
+    now, whole = tuple(effects), list(runs)
+    solved = solve_with_reversal(corrected(whole, now, nodes, None), nodes, config, progress)
+    for _ in range(MAX_ROUNDS):
+        found, step, size = estimates(solved.runs, solved.done, now)
+        now, largest = found.effects, float(np.max(np.abs(step) * size, initial=0.0))
+        if largest < SETTLED:
+            break
+        tables = tables_of(runs[0].machine, solved.done.unknowns, solved.done.solution)
+        whole = [
+            replace(r, pose=s.pose, fitted=k.fitted)
+            for r, s, k in zip(runs, solved.done.runs, solved.runs, strict=True)
+        ]
+        clean = corrected(whole, now, solved.done.unknowns.knots, tables)
+        if largest > ROUGH:
+            solved = solve_with_reversal(clean, nodes, config, progress)
+            continue
+        start = Start.after(solved.done)
+        again = solve_robustly(clean, solved.done.unknowns, config, progress, start)
+        solved = ReversalSolution(*again, solved.choice)
+    return solved, found
+
+
+def calibrate_without(
+    recordings: Sequence[Recording],
+    effects: Sequence[Taken],
+    config: CalibrationConfig,
+    progress: Progress = lambda stage, fraction: None,
+) -> tuple[CalibrationResult, Estimates]:
+    """Calibrate on the fly with effects taken off and their parameters estimated.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    effects : sequence of Taken
+        At least one.
+    config : CalibrationConfig
+    progress : callable(stage, fraction), optional
+    """
+    runs, nodes = prepare_runs(recordings, config)
+    solved, found = solve_with_effects(runs, nodes, effects, config, progress)
+    result = assemble(solved, config, found.taken_off(solved))
+    stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
+    run_id = hashlib.sha256((result.run_id + stated).encode()).hexdigest()
+    return replace(result, run_id=run_id[: len(result.run_id)]), found

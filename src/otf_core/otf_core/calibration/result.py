@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a calibration found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.budget.budget import Budget
+from otf_core.budget.typical import TypicalSystematic
+from otf_core.config import CalibrationConfig
+from otf_core.effects.stated import StatedEffect
+from otf_core.model.frames import RigidTransform
+from otf_core.model.provenance import Origin
+from otf_core.model.tables import ErrorTables
+from otf_core.noise.model import Misfit, NoiseModel
+from otf_core.pieces.pieces import Pieces
+from otf_core.prediction.table_prior import MotionPrior
+from otf_core.solving.reversal import Reversal
+from otf_core.solving.tabulate import TableCost
+
+Array = NDArray[np.float64]
+
+GAUGE = (
+    'positioning and rotations zero at axis position 0, else at the minimum; '
+    'straightness zero at both ends; its slope lies in squareness and alignment'
+)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Size and quality of a fit.
+
+    Attributes
+    ----------
+    samples, used, outliers, pieces : int
+    unknowns, rank : int
+        Free unknowns after the gauge; combinations of them that the data determine.
+    coverage : float
+        Driven share of the path length.
+    path_mae_before, path_mae_after : float
+        Mean perpendicular distance from the path, m: rigidly aligned, and compensated.
+    residual_rms : float
+        Root mean square of the perpendicular residual, m.
+    residual_ratio : float
+        Residual of the pieces over the noise specified for single samples, root mean square.
+    variance_ratio, correlation_factor : float
+        See ``uncertainty.ResidualCheck``.
+    inflation : float
+        Factor on the covariance that these two call for.
+    iterations : int
+    """
+
+    samples: int
+    used: int
+    outliers: int
+    pieces: int
+    unknowns: int
+    rank: int
+    coverage: float
+    path_mae_before: float
+    path_mae_after: float
+    residual_rms: float
+    residual_ratio: float
+    variance_ratio: float
+    correlation_factor: float
+    inflation: float
+    iterations: int
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """One run of a calibration.
+
+    Attributes
+    ----------
+    name : str
+        Of the recording.
+    target_offset : ndarray, shape (3,), m
+    samples : int
+    T_machine_tracker : RigidTransform
+    noise : NoiseModel
+        Noise of single samples as the residuals show it.
+    misfit : Misfit
+        What the model leaves besides.
+    coverage : float
+        Driven share of the path length.
+    pieces : Pieces
+    q : ndarray, shape (p, 3), m
+        Nominal position of every piece.
+    axes : ndarray, shape (c, p, 3)
+        Directions in which deviations are stated: two perpendicular to the path.
+    aligned : ndarray, shape (c, p), m
+        Rigidly aligned measurement minus path.
+    deviation, residual : ndarray, shape (c, p), m
+        Measurement in the pose of the solution minus path, before and after compensation.
+    normalised : ndarray, shape (c, p)
+        Residual over the noise specified for single samples.
+    whitened : ndarray, shape (c, p)
+        Residual freed of the assumed noise covariance.
+    """
+
+    name: str
+    target_offset: Array
+    samples: int
+    T_machine_tracker: RigidTransform
+    noise: NoiseModel
+    misfit: Misfit
+    coverage: float
+    pieces: Pieces
+    q: Array
+    axes: Array
+    aligned: Array
+    deviation: Array
+    residual: Array
+    normalised: Array
+    whitened: Array
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """Everything a calibration found.
+
+    Attributes
+    ----------
+    run_id : str
+        Hash of samples, paths, machine and configuration.
+    tables : ErrorTables
+    covariance : ndarray, shape (m, m)
+        Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order, m and rad: all sources.
+    budget : Budget
+    runs : tuple of RunResult
+    fit : Fit
+    reversal : Reversal
+        How the motions differ between forward and backward travel; ``tables`` hold the mean.
+    fraction : int
+        Nodes of the tables stand ``table_pitch / fraction`` apart.
+    table_costs : mapping of fraction to TableCost
+        What straight lines between the nodes cost, for 1 and for the fraction taken.
+    prior : mapping of motion or squareness error to MotionPrior
+        What is known of them where no data hold them.
+    not_identifiable : tuple of str
+        Motions and squareness errors the data cannot see.
+    typical : TypicalSystematic, optional
+        What typical systematic contributions would add; None if all are declared.
+    warnings : tuple of str
+    failed_gates : tuple of str
+        Quality gates that failed; empty for a good calibration.
+    config : CalibrationConfig
+    origin : tuple of Origin
+        The recordings.
+    effects : tuple of StatedEffect
+        Taken off the runs before the tables were solved for.
+    """
+
+    run_id: str
+    tables: ErrorTables
+    covariance: Array
+    budget: Budget
+    runs: tuple[RunResult, ...]
+    fit: Fit
+    reversal: Reversal
+    fraction: int
+    table_costs: Mapping[int, TableCost]
+    prior: Mapping[str, MotionPrior]
+    not_identifiable: tuple[str, ...]
+    typical: TypicalSystematic | None
+    warnings: tuple[str, ...]
+    failed_gates: tuple[str, ...]
+    config: CalibrationConfig
+    origin: tuple[Origin, ...] = ()
+    effects: tuple[StatedEffect, ...] = ()
+
+    @property
+    def T_machine_tracker(self) -> RigidTransform:
+        """Pose of the tracker in the first run."""
+        return self.runs[0].T_machine_tracker

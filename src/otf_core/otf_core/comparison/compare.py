@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Comparison of error tables motion by motion and over the volume (paper 2.3.1 and 2.3.2).
+
+The normalised error E_n = |a - b| / sqrt(U_a^2 + U_b^2), with U = 2 u (ISO 13528), is below 1
+where two sources agree within their stated uncertainties.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.comparison.convention import Common, Source, common_ground, operator
+from otf_core.comparison.direct_csv import read_direct_csv
+from otf_core.errors import ConfigError
+from otf_core.model.direct_measurement import (
+    DirectMeasurement,
+    motion_readings,
+    tables_of_readings,
+)
+from otf_core.model.evaluation import mean_length, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, load_tables
+from otf_core.prediction.covariance import unpack_covariance
+from otf_core.prediction.uncertainty import prediction_rows
+
+Array = NDArray[np.float64]
+
+COVERAGE = 2.0
+"""k of the expanded uncertainties."""
+GRID = 7
+"""points per axis."""
+
+
+@dataclass(frozen=True)
+class MotionComparison:
+    """One error motion of two sources in one convention.
+
+    Attributes
+    ----------
+    position : ndarray, shape (k,), m
+    a, b, u_a, u_b : ndarray, shape (k,), m or rad
+        Values and standard uncertainties.
+    """
+
+    position: Array
+    a: Array
+    b: Array
+    u_a: Array
+    u_b: Array
+
+    @property
+    def difference(self) -> Array:
+        """Value of b less that of a, shape (k,)."""
+        return self.b - self.a
+
+    @property
+    def normalised(self) -> Array:
+        """E_n, shape (k,); nan where the convention fixes both values."""
+        return normalised_error(self.difference, np.hypot(self.u_a, self.u_b))
+
+
+@dataclass(frozen=True)
+class VolumeComparison:
+    """Error vectors of two sources on points.
+
+    Attributes
+    ----------
+    q : ndarray, shape (n, 3), m
+    a, b : ndarray, shape (n, 3), m
+        Motions in one convention, squareness left out as in the paper.
+    u : ndarray, shape (n, 3), m
+        Standard uncertainty of the difference.
+    squareness : tuple of float, or None
+        Mean lengths of a, b and b - a with everything the sources know, squareness included and
+        the rigid motion taken out; None if one of them lacks squareness.
+    """
+
+    q: Array
+    a: Array
+    b: Array
+    u: Array
+    squareness: tuple[float, float, float] | None
+
+    @property
+    def difference(self) -> Array:
+        """Vectors of b less those of a, shape (n, 3), m."""
+        return self.b - self.a
+
+    @property
+    def normalised(self) -> Array:
+        """E_n of every component, shape (n, 3)."""
+        return normalised_error(self.difference, self.u)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two sources compared: their names, common ground, motions, volume."""
+
+    names: tuple[str, str]
+    common: Common
+    motions: Mapping[str, MotionComparison]
+    volume: VolumeComparison
+
+
+def normalised_error(difference: Array, u: Array) -> Array:
+    """E_n for a difference and its standard uncertainty; nan where both are zero."""
+    limit = COVERAGE * u
+    known = limit > 1e-12 * max(float(np.abs(difference).max(initial=0.0)), 1e-12)
+    return np.asarray(np.where(known, np.abs(difference) / np.where(known, limit, 1.0), np.nan))
+
+
+def source_of_tables(name: str, tables: ErrorTables, covariance: Array | None) -> Source:
+    """Source of error tables; ``covariance`` includes the squareness errors, None: independent."""
+    if covariance is None:
+        u = np.concatenate([tables.motions[m].u for m in MOTIONS])
+        return Source(name, tables, np.diag(u**2), True)
+    first = len(SQUARENESS)
+    return Source(name, tables, covariance[first:, first:], True)
+
+
+def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Machine) -> Source:
+    """Source of a direct measurement: means over runs and directions, u from their scatter."""
+    motions = motion_readings(measurement, machine)
+    tables, covariance = tables_of_readings(motions, machine, measurement.u_length_scale)
+    return Source(name, tables, covariance, False)
+
+
+def load_source(path: str | Path, machine: Machine | None) -> Source:
+    """Read error_tables.json or, for the machine given, a direct measurement in CSV."""
+    if Path(path).suffix.lower() == '.csv':
+        if machine is None:
+            raise ConfigError(f'{path}: a direct measurement needs --machine')
+        return source_of_measurement(Path(path).stem, read_direct_csv(path, machine), machine)
+    content = load_tables(path)
+    size = len(SQUARENESS) + sum(len(content.tables.motions[m].position) for m in MOTIONS)
+    covariance = unpack_covariance(content.extra.get('covariance'), size)
+    name = Path(path).parent.name if Path(path).stem == 'error_tables' else Path(path).stem
+    return source_of_tables(name or str(path), content.tables, covariance)
+
+
+def _common_grid(common: Common) -> Array:
+    machine = common.machine
+    axes = []
+    for k, axis in enumerate(AXES):
+        seen = common.position[axis]
+        low, high = (seen[0], seen[-1]) if len(seen) else (machine.lower[k], machine.upper[k])
+        axes.append(np.linspace(low, high, GRID))
+    return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing='ij')], axis=1)
+
+
+def _field_rows(common: Common, q: Array) -> Array:
+    """Derivatives of the error vectors with respect to the common motions, shape (n, 3, m)."""
+    nodes = {m: common.position[m[2]] for m in common.motions}
+    padded = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
+    rows = prediction_rows(common.machine, padded, q)
+    keep: list[int] = []
+    start = len(SQUARENESS)
+    for motion in MOTIONS:
+        if motion in nodes:
+            keep += range(start, start + len(padded[motion]))
+        start += len(padded[motion])
+    return rows[:, :, np.array(keep)]
+
+
+def _with_squareness(a: Source, b: Source, q: Array) -> tuple[float, float, float] | None:
+    if not (a.squareness and b.squareness):
+        return None
+    fields = [without_rigid_motion(displacement(s.tables, q), q) for s in (a, b)]
+    return mean_length(fields[0]), mean_length(fields[1]), mean_length(fields[1] - fields[0])
+
+
+def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
+    """Compare two sources.
+
+    Parameters
+    ----------
+    a, b : Source
+    points : ndarray, shape (n, 3), m, optional
+        Where error vectors are compared; a regular grid over the common ranges if not given.
+
+    Raises
+    ------
+    ConfigError
+        If they share no range or no motion.
+    """
+    common = common_ground([a, b])
+    matrices = [operator(s, common) for s in (a, b)]
+    values = [h @ s.values for h, s in zip(matrices, (a, b), strict=True)]
+    covariances = [h @ s.covariance @ h.T for h, s in zip(matrices, (a, b), strict=True)]
+    u = [np.sqrt(np.maximum(np.diag(c), 0.0)) for c in covariances]
+    motions, start = {}, 0
+    for motion in common.motions:
+        position = common.position[motion[2]]
+        part = slice(start, start + len(position))
+        motions[motion] = MotionComparison(
+            position, values[0][part], values[1][part], u[0][part], u[1][part]
+        )
+        start = part.stop
+    q = _common_grid(common) if points is None else points
+    rows = _field_rows(common, q)
+    flat = rows.reshape(-1, rows.shape[2])
+    variance = np.einsum('ij,ij->i', flat @ (covariances[0] + covariances[1]), flat)
+    volume = VolumeComparison(
+        q,
+        rows @ values[0],
+        rows @ values[1],
+        np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3),
+        _with_squareness(a, b, q),
+    )
+    return Comparison((a.name, b.name), common, motions, volume)
+
+
+def agreement(normalised: Array) -> float:
+    """Share of normalised errors that do not exceed 1."""
+    known = normalised[np.isfinite(normalised)]
+    return float(np.mean(known <= 1.0)) if known.size else 1.0

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Error tables of two sources brought to one convention (paper 2.3.1), covariance included.
+
+Positioning and rotations are zero at the axis' zero position, else at the minimum both know;
+straightness is zero at both ends of the common range. A rotation that one source cannot see,
+because it acts on the target over a lever that no other axis changes, is a translation for it; it
+is counted as one in both. All of it is linear: value = H nodes, covariance = H C H'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import ConfigError
+from otf_core.model.kinematics import motion_influence
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.nodes import interval
+from otf_core.model.tables import DIRECTIONS, MOTIONS, ErrorTables, is_straightness, unit_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Error tables and where they come from.
+
+    Attributes
+    ----------
+    name : str
+    tables : ErrorTables
+    covariance : ndarray, shape (m, m)
+        Of the nodes of EXX ... ECZ in that order.
+    squareness : bool
+        True if the source knows the squareness errors.
+    """
+
+    name: str
+    tables: ErrorTables
+    covariance: Array
+    squareness: bool
+
+    @property
+    def starts(self) -> dict[str, int]:
+        """Place of the first node of each motion in the covariance."""
+        sizes = [len(self.tables.motions[m].position) for m in MOTIONS]
+        return dict(zip(MOTIONS, np.concatenate([[0], np.cumsum(sizes)]).tolist(), strict=False))
+
+    @property
+    def values(self) -> Array:
+        """Node values of all motions, shape (m,)."""
+        return np.concatenate([self.tables.motions[m].value for m in MOTIONS])
+
+
+@dataclass(frozen=True)
+class Common:
+    """What two sources share.
+
+    Attributes
+    ----------
+    machine : Machine
+    position : mapping of axis to ndarray, m
+        Positions at which motions are compared.
+    folded : tuple of str
+        Rotations counted as translations.
+    motions : tuple of str
+        Motions both know, folded ones left out.
+    """
+
+    machine: Machine
+    position: Mapping[str, Array]
+    folded: tuple[str, ...]
+    motions: tuple[str, ...]
+
+
+def _known(source: Source, motion: str) -> bool:
+    return source.tables.motions[motion].identifiable
+
+
+def _constant_lever(machine: Machine, motion: str) -> bool:
+    """Tell whether no other axis changes the lever of a rotation."""
+    own = AXES.index(motion[2])
+    q = np.vstack([np.zeros(3), np.eye(3)])
+    q[:, own] = 0.0
+    return bool(np.ptp(motion_influence(machine, motion, q), axis=0).max() < 1e-12)
+
+
+def _positions(sources: Sequence[Source], axis: str) -> Array:
+    """Nodes of all sources within the range that all cover."""
+    nodes = [
+        s.tables.motions[m].position for s in sources for m in MOTIONS
+        if m[2] == axis and _known(s, m)
+    ]  # fmt: skip
+    if not nodes:
+        return np.zeros(0)
+    low, high = max(n[0] for n in nodes), min(n[-1] for n in nodes)
+    if high - low < 1e-6:
+        raise ConfigError(f'axis {axis}: the sources cover no common range')
+    inside = np.concatenate([[low, high], *[n[(n > low) & (n < high)] for n in nodes]])
+    places = np.unique(inside)
+    return np.asarray(places[np.concatenate([[True], np.diff(places) > 1e-6])])
+
+
+def common_ground(sources: Sequence[Source]) -> Common:
+    """Find what two sources share.
+
+    Raises
+    ------
+    ConfigError
+        If they describe different machines or share nothing.
+    """
+    machine = sources[0].tables.machine
+    for source in sources[1:]:
+        if str(source.tables.machine.chain) != str(machine.chain):
+            raise ConfigError(
+                f'{source.name}: chain {source.tables.machine.chain}, but {sources[0].name} has '
+                f'{machine.chain}; not one machine'
+            )
+    rotations = [m for m in MOTIONS if unit_of(m) == 'rad']
+    lacking = [m for m in rotations if not all(_known(s, m) for s in sources)]
+    folded = tuple(m for m in lacking if _constant_lever(machine, m))
+    motions = tuple(m for m in MOTIONS if all(_known(s, m) for s in sources))
+    if not motions:
+        raise ConfigError('the sources have no error motion in common')
+    return Common(machine, {a: _positions(sources, a) for a in AXES}, folded, motions)
+
+
+def _hat(nodes: Array, q: Array) -> Array:
+    """Interpolation matrix, shape (q, nodes)."""
+    index, fraction = interval(nodes, q)
+    matrix, row = np.zeros((len(q), len(nodes))), np.arange(len(q))
+    matrix[row, index] = 1.0 - fraction
+    if len(nodes) > 1:
+        matrix[row, index + 1] += fraction
+    return matrix
+
+
+def _zeroed(motion: str, position: Array, rows: Array) -> Array:
+    """Rows with the convention applied: zero at the reference, or at both ends."""
+    if is_straightness(motion):
+        share = ((position - position[0]) / (position[-1] - position[0]))[:, None]
+        return np.asarray(rows - (1.0 - share) * rows[0] - share * rows[-1])
+    reference = np.zeros(1) if position[0] <= 0.0 <= position[-1] else position[:1]
+    return np.asarray(rows - _hat(position, reference) @ rows)
+
+
+def operator(source: Source, common: Common) -> Array:
+    """Matrix from the nodes of a source to the common motions at the common positions."""
+    starts, width = source.starts, source.covariance.shape[0]
+    blocks = []
+    for motion in common.motions:
+        axis = motion[2]
+        position = common.position[axis]
+        rows = np.zeros((len(position), width))
+        own = np.zeros((len(position), 3))
+        own[:, AXES.index(axis)] = position
+
+        def add(name: str, factor: Array, rows: Array = rows, position: Array = position) -> None:
+            nodes = source.tables.motions[name].position
+            place = slice(starts[name], starts[name] + len(nodes))
+            rows[:, place] += factor[:, None] * _hat(nodes, position)
+
+        add(motion, np.ones(len(position)))
+        if unit_of(motion) == 'm':
+            for name in common.folded:
+                if name[2] == axis and _known(source, name):
+                    influence = motion_influence(common.machine, name, own)
+                    add(name, influence[:, DIRECTIONS.index(motion[1])])
+        blocks.append(_zeroed(motion, position, rows))
+    return np.concatenate(blocks)

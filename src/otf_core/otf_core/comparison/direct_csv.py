@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CSV of direct measurements; the layout is described in ``direct_measurement``."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import ConfigError
+from otf_core.files.writing import unreadable, write_text
+from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.tables import DIRECTIONS
+
+Array = NDArray[np.float64]
+
+LENGTH = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
+ANGLE = {'rad': 1.0, 'urad': 1e-6, 'arcsec': np.pi / 648000}
+TWO_WAYS = ('forward', 'backward')
+SAME_PLACE = 5e-5
+"""m; readings this close belong to one position."""
+_COMMENT = re.compile(r'#\s*(point [XYZ]|target_offset|u_length_scale)\s*:\s*(.*)')
+_COLUMN = re.compile(r'(position|E[XYZABC])_(\w+)')
+
+
+def _columns(header: Sequence[str], where: str) -> dict[str, tuple[int, float]]:
+    """Place and factor to SI of the columns of numbers."""
+    found = {}
+    for place, name in enumerate(header):
+        match = _COLUMN.fullmatch(name)
+        if match is None:
+            continue
+        units = ANGLE if match[1][1] in 'ABC' else LENGTH
+        if match[2] not in units:
+            raise ConfigError(f'{where}: {name}: unit not known; possible: {", ".join(units)}')
+        found[match[1]] = (place, units[match[2]])
+    lacking = [n for n in ('axis', 'run', 'direction') if n not in header]
+    lacking += [] if 'position' in found else ['position_m']
+    if lacking or len(found) < 2:
+        raise ConfigError(
+            f'{where}: header: {lacking[0] if lacking else "EX_m"}: missing; expected '
+            f'axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad'
+        )
+    return found
+
+
+def _reading(
+    row: Sequence[str], header: Sequence[str], columns: Mapping[str, tuple[int, float]], where: str
+) -> tuple[str, str, str, list[float]]:
+    try:
+        axis, run, way = (row[header.index(n)].strip() for n in ('axis', 'run', 'direction'))
+        numbers = []
+        for name in ('position', *(f'E{d}' for d in DIRECTIONS)):
+            place, factor = columns.get(name, (-1, 0.0))
+            text = row[place].strip() if place >= 0 else ''
+            numbers.append(float(text) * factor if text else float('nan'))
+    except (ValueError, IndexError):
+        raise ConfigError(f'{where}: expected a reading, got {",".join(row)!r}') from None
+    if axis not in AXES:
+        raise ConfigError(f'{where}: axis: {axis!r}; possible: X, Y, Z')
+    if way not in TWO_WAYS:
+        raise ConfigError(f'{where}: direction: {way!r}; possible: forward, backward')
+    if not np.isfinite(numbers[0]) or np.any(np.isinf(numbers)):
+        raise ConfigError(f'{where}: position and errors have to be finite')
+    return axis, run, way, numbers
+
+
+def _grid(rows: Sequence[tuple[str, str, list[float]]], where: str) -> tuple[Array, Array]:
+    """Arrange readings of one axis: positions (k,) and values (r, 2, k, 6)."""
+    place = np.sort([numbers[0] for _, _, numbers in rows])
+    position = place[np.concatenate([[True], np.diff(place) > SAME_PLACE])]
+    runs = sorted({run for run, _, _ in rows})
+    value = np.full((len(runs), 2, len(position), 6), np.nan)
+    seen = np.zeros(value.shape[:3], dtype=int)
+    for run, way, numbers in rows:
+        k = int(np.searchsorted(position, numbers[0] + 1e-9, side='right')) - 1
+        target = (runs.index(run), TWO_WAYS.index(way), max(k, 0))
+        value[target] = numbers[1:]
+        seen[target] += 1
+    if len(position) < 2 or np.any(seen != 1):
+        bad = tuple(np.argwhere(seen != 1)[0].tolist()) if np.any(seen != 1) else (0, 0, 0)
+        raise ConfigError(
+            f'{where}: run {runs[bad[0]]}, {TWO_WAYS[bad[1]]}, position {position[bad[2]]:g} m: '
+            f'{seen[bad]} readings; every run needs one forward and one backward at each '
+            f'of two or more positions'
+        )
+    partly = np.isnan(value).any(axis=(0, 1, 2)) & ~np.isnan(value).all(axis=(0, 1, 2))
+    if partly.any():
+        raise ConfigError(f'{where}: E{DIRECTIONS[int(partly.argmax())]}: readings are missing')
+    return position, value
+
+
+def _comment(line: str, where: str) -> tuple[str, Array] | None:
+    match = _COMMENT.fullmatch(line.strip())
+    if match is None:
+        return None
+    parts, size = match[2].split(','), 1 if match[1] == 'u_length_scale' else 3
+    try:
+        values = np.array([float(p) if p.strip() else np.nan for p in parts])
+    except ValueError:
+        values = np.zeros(0)
+    if values.size != size:
+        raise ConfigError(f'{where}: {match[1]}: expected {size} numbers, got {match[2]!r}')
+    return match[1], values
+
+
+def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
+    """Read a direct measurement.
+
+    Raises
+    ------
+    ConfigError
+        Names file, line and what is wrong.
+    """
+    try:
+        lines = Path(path).read_text(encoding='utf-8-sig').splitlines()
+    except OSError as error:
+        raise unreadable(path, error) from None
+    except UnicodeDecodeError:
+        raise ConfigError(f'{path}: not a CSV text file') from None
+    header: list[str] = []
+    columns: dict[str, tuple[int, float]] = {}
+    rows: dict[str, list[tuple[str, str, list[float]]]] = {}
+    stated: dict[str, Array] = {}
+    notes = []
+    for number, line in enumerate(lines, start=1):
+        where = f'{path}: line {number}'
+        if line.startswith('#'):
+            known = _comment(line, where)
+            if known is None:
+                notes.append(line.lstrip('# ').rstrip())
+            else:
+                stated[known[0]] = known[1]
+        elif line.strip():
+            cells = [c.strip() for c in next(csv.reader([line]))]
+            if not header:
+                header, columns = cells, _columns(cells, where)
+                continue
+            axis, run, way, numbers = _reading(cells, header, columns, where)
+            rows.setdefault(axis, []).append((run, way, numbers))
+    if not rows:
+        raise ConfigError(f'{path}: holds no readings')
+    middle = 0.5 * (machine.lower + machine.upper)
+    axes = {}
+    for axis, found in rows.items():
+        point = stated.get(f'point {axis}', middle)
+        point = np.where(np.isnan(point), middle, point)
+        axes[axis] = AxisReadings(*_grid(found, f'{path}: axis {axis}'), point)
+    scale = float(stated.get('u_length_scale', np.zeros(1))[0])
+    return DirectMeasurement(axes, stated.get('target_offset'), scale, '; '.join(notes))
+
+
+def write_direct_csv(path: str | Path, measurement: DirectMeasurement) -> None:
+    """Write a direct measurement in SI units, whole or not at all."""
+    lines = [f'# {measurement.note}'] if measurement.note else []
+    for axis, readings in measurement.axes.items():
+        lines.append(f'# point {axis}: ' + ','.join(map(repr, readings.point.tolist())))
+    if measurement.target_offset is not None:
+        offset = measurement.target_offset.tolist()
+        lines.append('# target_offset: ' + ','.join(map(repr, offset)))
+    if measurement.u_length_scale:
+        lines.append(f'# u_length_scale: {measurement.u_length_scale!r}')
+    lines.append('axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad')
+    for axis, readings in measurement.axes.items():
+        runs, ways, positions, _ = readings.value.shape
+        for run, way, k in np.ndindex(runs, ways, positions):
+            k = k if way == 0 else positions - 1 - k
+            numbers = [readings.position[k], *readings.value[run, way, k]]
+            cells = ['' if np.isnan(v) else repr(float(v)) for v in numbers]
+            lines.append(f'{axis},{run + 1},{TWO_WAYS[way]},' + ','.join(cells))
+    write_text(path, '\n'.join(lines) + '\n')

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which effects and shapes to try in given runs, and which leave no trace in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.engine.evidence import Option, axis_subsets
+from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.spectral import Line, strongest_lines
+from otf_core.effects import REGISTRY, Effect, Shape, Terms
+from otf_core.solving.columns import column_size
+from otf_core.solving.sample_states import sample_residuals
+
+Array = NDArray[np.float64]
+
+DETECTABLE = 25.0
+"""Rise of the sum of squares at which an effect is found."""
+INVISIBLE_SHARE = 0.1
+"""Largest share of its amplitude that an effect leaves and still counts as not visible."""
+PLAUSIBLE = 5e-6
+"""m; an effect that would have to be larger to be found counts as not visible."""
+NO_TRACE = 1e-9
+"""m per unit; terms that move the target less across the path have no trace at all."""
+PROBES: Mapping[str, Shape] = {
+    'vibration': {'frequency': 10.0},
+    'cyclic_error': {'period': 0.01},
+}
+"""Shapes that stand for an effect whose own shapes are looked for in spectra."""
+LINE_SCORE = 8.0
+"""Least score of a spectral line to be tried as a shape."""
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """How well the data see an effect.
+
+    Attributes
+    ----------
+    share : float
+        Amplitude left by tables and poses, median over the terms.
+    smallest : float
+        m; smallest root mean square displacement that would be found, median over the terms.
+    """
+
+    share: float
+    smallest: float
+
+    @property
+    def visible(self) -> bool:
+        """False if the effect leaves no trace that could be told."""
+        return self.share > INVISIBLE_SHARE and self.smallest < PLAUSIBLE
+
+
+def shapes_from_lines(lines: Sequence[Line]) -> dict[str, list[Shape]]:
+    """Frequencies and periods of spectral lines as shapes of the effects that make them."""
+    shapes: dict[str, list[Shape]] = {'vibration': [], 'cyclic_error': []}
+    for line in lines:
+        if line.score > LINE_SCORE:
+            key = 'frequency' if line.kind == 'vibration' else 'period'
+            shapes[line.kind].append({key: line.place})
+    return shapes
+
+
+def spectral_lines(rows: Rows) -> list[Line]:
+    """Spectral lines of all runs, strongest first."""
+    nodes = rows.done.unknowns.knots
+    lines: list[Line] = []
+    for run, solved in zip(rows.runs, rows.done.runs, strict=True):
+        if len(run.pieces.samples):
+            lines += strongest_lines(sample_residuals(run, solved.pose, rows.tables, nodes))
+    return sorted(lines, key=lambda line: -line.score)
+
+
+def effects_without(names: Sequence[str]) -> list[Effect]:
+    """Effects of the catalogue that displace, less the named ones."""
+    left = [e for e in REGISTRY.values() if e.name not in names]
+    return [e for e in left if e.name != 'tracker_noise']
+
+
+def collect_options(
+    rows: Rows, effects: Sequence[Effect], shapes: Mapping[str, Sequence[Shape]]
+) -> tuple[dict[str, list[Option]], dict[str, Visibility]]:
+    """Project all columns of all effects.
+
+    Parameters
+    ----------
+    rows : Rows
+    effects : sequence of Effect
+    shapes : mapping of effect name to shapes
+        Where not given, those of the effect itself.
+
+    Returns
+    -------
+    options : mapping of effect name to list of Option
+    visible : mapping of effect name to Visibility
+    """
+    options: dict[str, list[Option]] = {}
+    visible: dict[str, Visibility] = {}
+    for effect in effects:
+        name = effect.name
+        looked_for = () if effect.sample_resolution else effect.shapes(rows.states[0])
+        chosen = shapes.get(name, looked_for)
+        tried = _tried(rows, effect, chosen or (PROBES[name],))
+        options[name] = [o for t in tried for o in t.options()] if chosen else []
+        seen = [t.visibility() for t in tried]
+        visible[name] = Visibility(
+            max((v.share for v in seen), default=0.0),
+            min((v.smallest for v in seen), default=np.inf),
+        )
+    return options, visible
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Columns of one shape of an effect: ``plain``, whitened, and with the tables taken off."""
+
+    effect: Effect
+    shape: Shape
+    terms: Terms
+    plain: Array
+    whole: Array
+    white: Array
+
+    @cached_property
+    def size(self) -> Array:
+        """Root mean square of the columns where they act, shape (k,), m."""
+        return column_size(self.plain)
+
+    def options(self) -> list[Option]:
+        """Options for all terms that act, and for those of each axis."""
+        size = self.size
+        found = []
+        for subset in axis_subsets(self.terms):
+            take = subset[size[subset] > NO_TRACE]
+            if take.size:
+                own = self.white[:, take]
+                found.append(
+                    Option(
+                        self.effect, self.shape, self.terms, take, own, size[take], own,
+                        self.plain[:, take],
+                    )
+                )  # fmt: skip
+        return found
+
+    def visibility(self) -> Visibility:
+        """How well the data see this shape."""
+        size = self.size
+        acts = size > NO_TRACE
+        if not acts.any():
+            return Visibility(0.0, np.inf)
+        whole = np.einsum('ij,ij->j', self.whole, self.whole)[acts]
+        left = np.einsum('ij,ij->j', self.white, self.white)[acts]
+        ratio = np.sqrt(left / np.maximum(whole, 1e-300))
+        found = np.sqrt(DETECTABLE / np.maximum(left, 1e-300)) * size[acts]
+        return Visibility(float(np.median(ratio)), float(np.median(found)))
+
+
+def _tried(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[_Tried]:
+    """Columns of all shapes, whitened and projected at once."""
+    terms = [rows.terms(effect, shape) for shape in shapes]
+    kept = [(s, t) for s, t in zip(shapes, terms, strict=True) if t.names]
+    if not kept:
+        return []
+    plain = np.concatenate([rows.plain_columns(effect, s) for s, _ in kept], axis=1)
+    whole = rows.whiten(plain)
+    white = rows.project(whole)
+    found, start = [], 0
+    for shape, term in kept:
+        part = slice(start, start + len(term.names))
+        start = part.stop
+        found.append(_Tried(effect, shape, term, plain[:, part], whole[:, part], white[:, part]))
+    return found

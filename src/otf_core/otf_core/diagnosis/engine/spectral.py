@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines in the spectra of the residuals: vibration over time, cyclic errors over axis position.
+
+A line is judged against its own neighbourhood in the spectrum, so coloured noise makes none. Over
+time the sum of the power of three directions, each over its local level, is gamma distributed
+with shape 3 if there is no line; over position the power along the axis is exponential.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.stats import gamma
+
+from otf_core.model.machine import AXES
+from otf_core.solving.sample_states import SampleResiduals
+
+Array = NDArray[np.float64]
+
+NEIGHBOURHOOD = 301
+"""Spectral bins that make the local level."""
+LOWEST_FREQUENCY = 1.0
+"""Hz; legs last seconds and lose their slow part."""
+PERIODS = (0.0015, 0.06)
+"""m; longer ones are followed by the tables, shorter ones by no tracker."""
+BIN = 2.5e-4
+"""m; raster of axis positions."""
+MOVING = 0.05
+"""Least share of an axis in the travel direction."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A spectral line.
+
+    Attributes
+    ----------
+    kind : str
+        'vibration' or 'cyclic_error'.
+    axis : str
+        Machine axis of a cyclic error, '' for a vibration.
+    place : float
+        Frequency in Hz or period in m.
+    score : float
+        Minus the logarithm of the probability that noise makes such a line anywhere.
+    """
+
+    kind: str
+    axis: str
+    place: float
+    score: float
+
+
+def _over_level(power: Array) -> Array:
+    """Power over its local mean level, from the running median."""
+    width = min(NEIGHBOURHOOD, max(3, len(power) // 4 * 2 + 1))
+    median_to_mean = 1.0 / np.log(2.0)
+    level = median_filter(power, width, mode='nearest') * median_to_mean
+    return np.asarray(power / np.maximum(level, 1e-300))
+
+
+def _improbability(value: float, shape: float, trials: int) -> float:
+    """Minus log of the probability of such a value in so many trials."""
+    return float(-gamma.logsf(value, shape) - np.log(max(trials, 1)))
+
+
+def vibration_line(residuals: SampleResiduals) -> Line | None:
+    """Find the strongest line over time, or None if there is too little data."""
+    time = residuals.state.time
+    if len(time) < 100:
+        return None
+    step = float(np.median(np.diff(time)))
+    place = np.rint((time - time[0]) / step).astype(np.int64)
+    series = np.zeros((int(place[-1]) + 1, 3))
+    np.add.at(series, place, residuals.residual)
+    length = 1 << int(np.ceil(np.log2(2 * len(series))))
+    frequency = np.fft.rfftfreq(length, step)
+    use = (frequency >= LOWEST_FREQUENCY) & (frequency < 0.45 / step)
+    power = np.abs(np.fft.rfft(series, length, axis=0)[use]) ** 2
+    total = sum(_over_level(power[:, k]) for k in range(3))
+    best = int(np.argmax(total))
+    score = _improbability(float(np.asarray(total)[best]), 3.0, len(power))
+    return Line('vibration', '', float(frequency[use][best]), score)
+
+
+def cyclic_line(residuals: SampleResiduals, axis: str) -> Line | None:
+    """Find the strongest line over the position of one axis."""
+    k = AXES.index(axis)
+    moving = np.abs(residuals.state.direction[:, k]) > MOVING
+    across = 1.0 - residuals.state.direction[:, k] ** 2
+    moving &= across > MOVING
+    if moving.sum() < 100:
+        return None
+    q = residuals.state.q[moving, k]
+    place = np.rint((q - q.min()) / BIN).astype(np.int64)
+    series = np.bincount(place, residuals.residual[moving, k])
+    length = 1 << int(np.ceil(np.log2(4 * len(series))))
+    number = np.fft.rfftfreq(length, BIN)
+    use = (number >= 1.0 / PERIODS[1]) & (number <= 1.0 / PERIODS[0])
+    power = np.abs(np.fft.rfft(series, length)[use]) ** 2
+    ratio = _over_level(power)
+    best = int(np.argmax(ratio))
+    score = _improbability(float(ratio[best]), 1.0, len(ratio))
+    return Line('cyclic_error', axis, float(1.0 / number[use][best]), score)
+
+
+def strongest_lines(residuals: SampleResiduals) -> list[Line]:
+    """Lines of all kinds, strongest first."""
+    lines = [vibration_line(residuals), *(cyclic_line(residuals, a) for a in AXES)]
+    return sorted((x for x in lines if x is not None), key=lambda x: -x.score)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What figures and words about a gap are made from: plain arrays of every run.
+
+Legs are the independent units: corners separate them, and the noise within one is correlated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+
+from otf_core.noise.model import TYPICAL_CORRELATION_TIME
+from otf_core.solving.normal import leg_bounds
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class RunView:
+    """One run, piece by piece, in driving order.
+
+    Attributes
+    ----------
+    name : str
+    time : ndarray, shape (p,), s
+        Since the start of the recording.
+    leg : ndarray of int64, shape (p,)
+        Number of the leg; a leg driven again has another number.
+    q : ndarray, shape (p, 3), m
+        Nominal axis positions.
+    direction : ndarray, shape (p, 3)
+        Unit direction of travel.
+    speed : ndarray, shape (p,), m/s
+    beam : ndarray, shape (p, 3), m
+        From the tracker to the target, machine frame.
+    axes : ndarray, shape (c, p, 3)
+        Unit directions of the c rows of every piece, perpendicular to the path.
+    residual_before, residual_after : ndarray, shape (c, p), m
+        Without and with the causes.
+    expected : ndarray, shape (c, p), m
+        Standard deviation of the noise that the simulation shows there.
+    factors : tuple of (tuple of ndarray), optional
+        Lower Cholesky factor of the noise covariance, m, of every leg and component: what
+        ``normal.Whitener`` uses. Without it, ``expected`` with a typical correlation time.
+    """
+
+    name: str
+    time: Array
+    leg: Index
+    q: Array
+    direction: Array
+    speed: Array
+    beam: Array
+    axes: Array
+    residual_before: Array
+    residual_after: Array
+    expected: Array
+    factors: tuple[tuple[Array, ...], ...] = ()
+
+    @cached_property
+    def bounds(self) -> list[tuple[int, int]]:
+        """First piece and one past the last of every leg."""
+        return leg_bounds(self.leg)
+
+    @cached_property
+    def noise_factors(self) -> tuple[tuple[Array, ...], ...]:
+        """Lower Cholesky factors by leg and component, scaled so that they give ``expected``."""
+        given = self.factors or tuple(self._typical(low, high) for low, high in self.bounds)
+        scaled = []
+        for (low, high), leg in zip(self.bounds, given, strict=True):
+            rows = []
+            for component, factor in enumerate(leg):
+                size = np.linalg.norm(factor, axis=1)
+                rows.append(factor * (self.expected[component, low:high] / size)[:, None])
+            scaled.append(tuple(rows))
+        return tuple(scaled)
+
+    def _typical(self, low: int, high: int) -> tuple[Array, ...]:
+        gap = np.abs(self.time[low:high, None] - self.time[None, low:high])
+        matrix = 0.99 * np.exp(-gap / TYPICAL_CORRELATION_TIME) + 0.01 * np.eye(high - low)
+        factor = np.asarray(cholesky(matrix, lower=True))
+        return (factor,) * len(self.axes)
+
+    def whiten(self, columns: Array) -> Array:
+        """Free columns of the correlation of the noise.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (c, p, k), m
+
+        Returns
+        -------
+        ndarray, shape (c p, k)
+            Component by component, of unit variance for noise as expected.
+        """
+        white = np.empty_like(columns)
+        for (low, high), leg in zip(self.bounds, self.noise_factors, strict=True):
+            for component, factor in enumerate(leg):
+                part = columns[component, low:high]
+                white[component, low:high] = solve_triangular(factor, part, lower=True)
+        return white.reshape(-1, columns.shape[2])
+
+    def unwhiten(self, white: Array) -> Array:
+        """Undo ``whiten`` for values of shape (c, p)."""
+        plain = np.empty_like(white)
+        for (low, high), leg in zip(self.bounds, self.noise_factors, strict=True):
+            for component, factor in enumerate(leg):
+                plain[component, low:high] = factor @ white[component, low:high]
+        return plain
+
+    def whiten_transposed(self, white: Array) -> Array:
+        """Apply the transpose of ``whiten`` to values (c, p): for products with columns."""
+        pull = np.empty_like(white)
+        for (low, high), leg in zip(self.bounds, self.noise_factors, strict=True):
+            for component, factor in enumerate(leg):
+                part = white[component, low:high]
+                pull[component, low:high] = solve_triangular(factor, part, trans='T', lower=True)
+        return pull
+
+    def vectors(self, residual: Array) -> Array:
+        """Residual (c, p) as vectors in the machine frame, shape (p, 3)."""
+        return np.asarray(np.einsum('cp,cpk->pk', residual, self.axes))
+
+
+class ReportData(Protocol):
+    """What a report needs besides the diagnosis."""
+
+    @property
+    def views(self) -> tuple[RunView, ...]:
+        """One per run."""
+
+    @property
+    def conditions(self) -> Mapping[str, str]:
+        """Chain, samples, pieces, noise assumed, software version and the like, in words."""

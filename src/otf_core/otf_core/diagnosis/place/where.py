@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the gap lies: by time, leg, travel, feed, region, beam and frequency, and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.place import groupings as by
+from otf_core.diagnosis.place.bands import time_bands, wave_bands
+from otf_core.diagnosis.place.groups import (
+    Group,
+    leg_rows,
+    leg_sums,
+    make_groups,
+    partition,
+    rows_along,
+)
+from otf_core.diagnosis.place.structure import Projection, find_structures
+from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.place.where_words import stands_out, structure_words, summary_words
+from otf_core.model.machine import AXES
+
+Array = NDArray[np.float64]
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the gap lies; each list holds rows of plain data.
+
+    Every row has ``label``, ``rms_um`` (real run), ``expected_um`` (its simulation) and
+    ``significance`` (standard deviations of the excess).
+    """
+
+    summary: str = ''
+    by_time: tuple[Mapping[str, Any], ...] = ()
+    by_axis_and_direction: tuple[Mapping[str, Any], ...] = ()
+    by_path_piece: tuple[Mapping[str, Any], ...] = ()
+    by_region: tuple[Mapping[str, Any], ...] = ()
+    by_beam: tuple[Mapping[str, Any], ...] = ()
+    by_frequency: tuple[Mapping[str, Any], ...] = ()
+
+
+def pointing_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> list[Group]:
+    """Components of the residual along the machine axes; those along the path are not seen."""
+    sums: list[list[Any]] = [[], [], []]
+    for view, residual in zip(views, residuals, strict=True):
+        for part, rows in leg_rows(view, residual):
+            for k in range(3):
+                weights = view.axes[:, part, k]
+                seen = (weights**2).sum(axis=0)[:, None] > 0.1
+                joined = rows_along(rows, weights)
+                sums[k].append(leg_sums([joined], seen, seen.sum(axis=0)))
+    found = []
+    for k, axis in enumerate(AXES):
+        found += make_groups([f'along machine {axis}'], 'points', sums[k])
+    return found
+
+
+def groupings_of(views: Sequence[RunView]) -> dict[str, list[by.Grouping]]:
+    """Groupings of each list of ``Where`` but that by frequency."""
+    return {
+        'by_time': [by.by_time(views)],
+        'by_path_piece': [by.by_leg(views)],
+        'by_axis_and_direction': [
+            by.by_line(views),
+            *(by.by_sense(views, k) for k in range(3)),
+            by.by_feed(views),
+        ],
+        'by_region': [by.by_region(views)],
+        'by_beam': [by.by_distance(views), by.by_azimuth(views), by.by_elevation(views)],
+    }
+
+
+def _leg_details(views: Sequence[RunView], residuals: Sequence[Array]) -> Rows:
+    details = []
+    for view, residual in zip(views, residuals, strict=True):
+        vectors = view.vectors(residual)
+        for low, high in view.bounds:
+            details.append(
+                {
+                    'run': view.name,
+                    'leg': int(view.leg[low]),
+                    'time': [float(view.time[low]), float(view.time[high - 1])],
+                    'from': view.q[low].tolist(),
+                    'to': view.q[high - 1].tolist(),
+                    'mean_um': (1e6 * vectors[low:high].mean(axis=0)).tolist(),
+                }
+            )
+    return details
+
+
+def total_group(views: Sequence[RunView], residuals: Sequence[Array]) -> Group:
+    """All pieces of all runs as one group."""
+    indices = [np.zeros(len(v.leg), dtype=np.int64) for v in views]
+    return partition(views, indices, ['all'], 'all', residuals)[0]
+
+
+def _all_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[str, list[Group]]:
+    groups = {
+        name: [g for p in parts for g in partition(views, p.indices, p.labels, p.kind, residuals)]
+        for name, parts in groupings_of(views).items()
+    }
+    groups['by_axis_and_direction'] += pointing_groups(views, residuals)
+    groups['by_frequency'] = time_bands(views, residuals)
+    for axis in range(3):
+        groups['by_frequency'] += wave_bands(views, residuals, axis)
+    return groups
+
+
+@dataclass(frozen=True)
+class _Located:
+    """Groups of all kinds, and words on the shape of the gap."""
+
+    total: Group
+    groups: dict[str, list[Group]]
+    shape: str
+
+    @property
+    def every(self) -> list[Group]:
+        return [g for part in self.groups.values() for g in part]
+
+
+def _located(
+    views: Sequence[RunView], residuals: Sequence[Array], project: Projection | None
+) -> _Located:
+    total, groups = total_group(views, residuals), _all_groups(views, residuals)
+    found = _Located(total, groups, '')
+    loud = stands_out(total, found.every)
+    structures = find_structures(views, residuals, project) if loud else []
+    return replace(found, shape=structure_words(total, found.every, structures))
+
+
+def describe_structure(
+    views: Sequence[RunView],
+    residual: str = 'residual_before',
+    project: Projection | None = None,
+) -> str:
+    """Shape of a gap without a known cause, in words.
+
+    Parameters
+    ----------
+    views : sequence of RunView
+    residual : str
+        'residual_before' or 'residual_after': without or with the causes.
+    project : callable, optional
+        ``Rows.project``, so that sizes are true ones; see ``structure.find_structures``.
+    """
+    return _located(views, [getattr(v, residual) for v in views], project).shape
+
+
+def where_and_shape(
+    views: Sequence[RunView],
+    residual: str = 'residual_before',
+    project: Projection | None = None,
+) -> tuple[Where, str]:
+    """Tell where the gap lies, and its shape as ``describe_structure`` does, in one search.
+
+    Parameters
+    ----------
+    views : sequence of RunView
+    residual, project
+        See ``describe_structure``.
+    """
+    residuals = [getattr(v, residual) for v in views]
+    found = _located(views, residuals, project)
+    rows: dict[str, Rows] = {k: [g.row() for g in part] for k, part in found.groups.items()}
+    details = _leg_details(views, residuals)
+    rows['by_path_piece'] = [r | d for r, d in zip(rows['by_path_piece'], details, strict=True)]
+    summary = summary_words(found.total, found.every, found.shape)
+    where = Where(summary=summary, **{name: tuple(part) for name, part in rows.items()})
+    return where, found.shape
+
+
+def where_of(
+    views: Sequence[RunView],
+    residual: str = 'residual_before',
+    project: Projection | None = None,
+) -> Where:
+    """Tell where the gap lies; parameters as of ``describe_structure``."""
+    return where_and_shape(views, residual, project)[0]

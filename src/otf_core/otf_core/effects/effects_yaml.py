@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""effects.yaml: a list of effects with their parameters in SI units.
+
+- effect: backlash
+  parameters: {B_X: 5.0e-06}
+  units: {B_X: m}            # optional; checked where it stands
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects.state import probe_state
+from otf_core.errors import ConfigError
+from otf_core.files.strict_yaml import Fields, read_yaml, shown
+from otf_core.files.writing import write_text
+from otf_core.model.machine import Machine
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ConfigError(f'{where}: expected a plain number in SI units, got {shown(value)}')
+    try:
+        number = float(value)
+    except OverflowError:
+        raise ConfigError(f'{where}: the number is too large') from None
+    if not math.isfinite(number):
+        raise ConfigError(f'{where}: expected a plain number in SI units, got {number}')
+    return number
+
+
+def _mapping(value: Any, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ConfigError(f'{where}: expected names and values, got {shown(value)}')
+    return {str(k): v for k, v in value.items()}
+
+
+def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
+    fields = Fields(data, where)
+    name = fields.text('effect')
+    if name not in REGISTRY:
+        fields.fail('effect', f"'{name}' is unknown; possible: {', '.join(REGISTRY)}")
+    effect, where = REGISTRY[name], f'{where}: {name}'
+    given = _mapping(fields.take('parameters'), f'{where}: parameters')
+    parameters = {k: _number(v, f'{where}: {k}') for k, v in given.items()}
+    stated = _mapping(fields.take('units'), f'{where}: units') if 'units' in data else {}
+    fields.done()
+    try:
+        units = effect.units(probe_state(machine), parameters)
+    except ConfigError as error:
+        raise ConfigError(f'{where.removesuffix(name)}{error}') from None
+    for key, unit in stated.items():
+        if key not in units:
+            raise ConfigError(f'{where}: units: {key}: not among the parameters')
+        if unit != units[key]:
+            raise ConfigError(f"{where}: units: {key}: {shown(unit)}; its unit is '{units[key]}'")
+    return AppliedEffect(effect, parameters)
+
+
+def effects_from_data(data: Any, where: str, machine: Machine) -> tuple[AppliedEffect, ...]:
+    """Build effects from plain data in the layout of effects.yaml.
+
+    Parameters
+    ----------
+    data : list
+    where : str
+        Named in messages, usually the file.
+    machine : Machine
+        Some parameter names depend on its tables.
+
+    Raises
+    ------
+    ConfigError
+        Names the entry, the key and what is possible.
+    """
+    if not isinstance(data, list):
+        raise ConfigError(f'{where}: expected a list of effects, got {type(data).__name__}')
+    return tuple(
+        _entry(entry, f'{where}: entry {number}', machine)
+        for number, entry in enumerate(data, start=1)
+    )
+
+
+def read_effects(path: str | Path, machine: Machine) -> tuple[AppliedEffect, ...]:
+    """Read an effects.yaml; ConfigError names the file, the entry and the key that is wrong."""
+    return effects_from_data(read_yaml(path), str(path), machine)
+
+
+def effects_to_data(effects: Sequence[AppliedEffect], machine: Machine) -> list[dict[str, Any]]:
+    """Return effects as plain data in the layout of effects.yaml, units included."""
+    probe = probe_state(machine)
+    return [
+        {
+            'effect': one.effect.name,
+            'parameters': {k: float(v) for k, v in one.parameters.items()},
+            'units': one.effect.units(probe, one.parameters),
+        }
+        for one in effects
+    ]
+
+
+def write_effects(path: str | Path, effects: Sequence[AppliedEffect], machine: Machine) -> None:
+    """Write an effects.yaml; reading it gives the same numbers to the last digit."""
+    data = effects_to_data(effects, machine)
+    write_text(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None))

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where results go: refused before any work, or written aside and put in place as a whole.
+
+Every verb uses the same two steps: ``OutputFolder(...)`` checks at once, ``filled()`` yields an
+empty folder beside the final one and gives it the final name if the block succeeds. A folder that
+holds results is replaced only with ``overwrite``, and only if all its files are listed in its
+manifest and unchanged: what this program did not write, it does not delete.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from otf_core.errors import ConfigError
+from otf_core.files.manifest import MANIFEST, foreign, written_files
+from otf_core.files.manifest import write_manifest as _write_manifest
+from otf_core.files.writing import ensure_folder, whole_file
+
+SHOWN = 3
+"""Foreign files named in a message."""
+
+
+def _refuse(path: Path, problem: str) -> ConfigError:
+    return ConfigError(f'{path}: {problem}')
+
+
+def _probe(folder: Path, path: Path) -> None:
+    """Make sure that something can be written into a folder that exists."""
+    try:
+        os.rmdir(tempfile.mkdtemp(prefix='.otf-', dir=folder))
+    except OSError as error:
+        where = '' if folder == path else f'{folder}: '
+        raise _refuse(path, f'cannot be written ({where}{error.strerror})') from None
+
+
+def _nearest(path: Path) -> Path:
+    """The path, or the nearest folder above it that exists."""
+    while not os.path.lexists(path) and path != path.parent:
+        path = path.parent
+    return path
+
+
+def _resolved(path: Path) -> Path:
+    """Follow links; refuse names that the file system does not take and links to nothing."""
+    try:
+        if path.is_symlink() and not path.exists():
+            target = os.readlink(path)
+            raise _refuse(path, f'is a link to {target}, which does not exist; remove it')
+        os.lstat(path)
+    except FileNotFoundError:
+        pass
+    except NotADirectoryError:
+        nearest = next(p for p in path.absolute().parents if p.exists())
+        raise _refuse(path, f'cannot be made ({nearest} is a file)') from None
+    except (OSError, ValueError) as error:
+        raise _refuse(
+            path, f'cannot be written ({getattr(error, "strerror", None) or error})'
+        ) from None
+    return Path(os.path.realpath(path))
+
+
+def _check_parent(path: Path, final: Path) -> None:
+    nearest = _nearest(final.parent)
+    if not nearest.is_dir():
+        raise _refuse(path, f'cannot be made ({nearest} is no folder)')
+    _probe(nearest, path)
+
+
+def _check_inputs(path: Path, final: Path, inputs: Sequence[str | Path]) -> None:
+    for name in inputs:
+        source = Path(os.path.realpath(name))
+        if final == source or final in source.parents:
+            raise _refuse(path, f'holds the input {name}; choose another --out')
+
+
+class OutputFolder:
+    """A folder for the results of one command.
+
+    Parameters
+    ----------
+    path : str or Path
+        As the user gave it; a link to a folder is followed.
+    overwrite : bool
+        Replace results that are there.
+    inputs : sequence of str or Path
+        What the command reads; none of it may lie in the folder.
+    occupied : str
+        Begins the message if something is there.
+
+    Raises
+    ------
+    ConfigError
+        At once, if the results could not be put there; nothing is changed.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        overwrite: bool = False,
+        inputs: Sequence[str | Path] = (),
+        occupied: str = 'holds files already',
+    ) -> None:
+        self.path, self._overwrite, self._occupied = Path(path), overwrite, occupied
+        self._final = _resolved(self.path)
+        self._check_content()
+        _check_inputs(self.path, self._final, inputs)
+        if self._inside:
+            _probe(self._final, self.path)
+        else:
+            _check_parent(self.path, self._final)
+
+    @property
+    def _inside(self) -> bool:
+        """True if the folder itself has to stay: other programs stand in it, or it is a mount."""
+        final = self._final
+        if not final.is_dir():
+            return False
+        here = Path(os.path.realpath(os.curdir))
+        stands = here == final or final in here.parents
+        return stands or final.is_mount() or not os.access(final.parent, os.W_OK | os.X_OK)
+
+    def _check_content(self) -> None:
+        final = self._final
+        if not os.path.lexists(final):
+            return
+        if not final.is_dir():
+            raise _refuse(self.path, 'is a file; the results need a folder of their own')
+        try:
+            if not any(final.iterdir()):
+                return
+            strange = foreign(final)
+        except OSError as error:
+            raise _refuse(self.path, f'cannot be read ({error.strerror})') from None
+        if not strange and self._overwrite:
+            return
+        if not strange:
+            raise _refuse(
+                self.path,
+                f'{self._occupied}; choose another folder, or --overwrite replaces the results',
+            )
+        names = ', '.join(str(p.relative_to(final)) for p in strange[:SHOWN])
+        more = ', ...' if len(strange) > SHOWN else ''
+        raise _refuse(
+            self.path,
+            f'{self._occupied}, and not only unchanged results of otf ({names}{more}): these are '
+            f'never deleted; choose another folder',
+        )
+
+    @contextmanager
+    def filled(self, verb: str) -> Iterator[Path]:
+        """Yield an empty folder; what the block writes there appears as a whole or not at all.
+
+        Parameters
+        ----------
+        verb : str
+            Named in the manifest, which is added.
+
+        Raises
+        ------
+        ConfigError
+            If the folder cannot be written, or somebody has filled it meanwhile.
+        """
+        base = self._final if self._inside else ensure_folder(self._final.parent)
+        new = base / f'.{self._final.name}.{uuid.uuid4().hex[:12]}.new'
+        try:
+            new.mkdir()
+            yield new
+            _write_manifest(new / MANIFEST, written_files(new), verb)
+            if not self._inside:  # there, the folder is filled by what lies aside
+                self._check_content()
+            self._put_in_place(new)
+        except OSError as error:
+            raise _refuse(self.path, f'cannot be written ({error.strerror or error})') from None
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+
+    def clear(self) -> None:
+        """Delete the results that are there; ``overwrite`` has been checked."""
+        if self._final.is_dir():
+            self._check_content()
+            for item in self._final.iterdir():
+                _remove(item)
+
+    def _put_in_place(self, new: Path) -> None:
+        final = self._final
+        if self._inside:
+            for item in [p for p in final.iterdir() if p != new]:
+                _remove(item)
+            for item in sorted(new.iterdir(), key=lambda p: p.name == MANIFEST):
+                os.rename(item, final / item.name)
+            return
+        if not final.exists() or not any(final.iterdir()):
+            if final.exists():
+                shutil.copymode(final, new)
+            os.rename(new, final)
+            return
+        shutil.copymode(final, new)
+        old = new.with_suffix('.old')
+        os.rename(final, old)
+        try:
+            os.rename(new, final)
+        except BaseException:
+            os.rename(old, final)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _remove(item: Path) -> None:
+    if item.is_dir() and not item.is_symlink():
+        shutil.rmtree(item)
+    else:
+        item.unlink()
+
+
+class OutputFile:
+    """A single file as result; otherwise as ``OutputFolder``.
+
+    Parameters
+    ----------
+    path : str or Path
+    is_ours : callable
+        Tells whether an existing file is a result of this command, which alone is overwritten.
+    overwrite : bool
+    inputs : sequence of str or Path
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        is_ours: Callable[[Path], bool],
+        *,
+        overwrite: bool = False,
+        inputs: Sequence[str | Path] = (),
+    ) -> None:
+        self.path, self._overwrite, self._is_ours = Path(path), overwrite, is_ours
+        self._final = _resolved(self.path)
+        self._check_content()
+        _check_inputs(self.path, self._final, inputs)
+        _check_parent(self.path, self._final)
+
+    def _check_content(self) -> None:
+        if not self._final.exists():
+            return
+        if self._final.is_dir():
+            raise _refuse(self.path, 'is a folder; name the file to write')
+        if not self._overwrite:
+            raise _refuse(
+                self.path, 'exists already; choose another name, or --overwrite replaces it'
+            )
+        if not self._is_ours(self._final):
+            raise _refuse(
+                self.path, 'exists and is no result of this command: it is never overwritten'
+            )
+
+    @contextmanager
+    def filled(self) -> Iterator[Path]:
+        """Yield a temporary name beside the file; it takes the final name at the end."""
+        ensure_folder(self._final.parent)
+        with whole_file(self._final) as partial:
+            yield partial
+            self._check_content()

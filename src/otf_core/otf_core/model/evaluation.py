@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Volumetric comparison: regular lattice, error fields without rigid motion, mean length."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.tables import ErrorTables
+
+Array = NDArray[np.float64]
+
+
+def lattice(machine: Machine, count: int = 7) -> Array:
+    """Regular lattice of count points per axis over the ranges, shape (count**3, 3), m."""
+    ends = zip(machine.lower, machine.upper, strict=True)
+    grids = np.meshgrid(*(np.linspace(a, b, count) for a, b in ends), indexing='ij')
+    return np.stack([g.ravel() for g in grids], axis=1)
+
+
+def covered_grid(machine: Machine, points: Array, count: int) -> Array:
+    """Lattice over the part of the axis ranges that points (n, 3) cover, m.
+
+    Beyond it tables are held constant: no noise tells how wrong that is.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    axes = {
+        a: replace(machine.axes[a], min=float(low[k]), max=float(high[k]))
+        for k, a in enumerate(AXES)
+    }
+    return lattice(replace(machine, axes=axes), count)
+
+
+def driven_grid(tables: ErrorTables, count: int = 7) -> Array:
+    """Lattice over the range of the tables, shape (count**3, 3), m."""
+    ends = np.array([tables.motions[f'E{a}{a}'].position[[0, -1]] for a in AXES])
+    return covered_grid(tables.machine, ends.T, count)
+
+
+def rigid_columns(q: Array) -> Array:
+    """Displacement per unit of three translations and three small rotations, shape (n, 3, 6)."""
+    columns = np.zeros((len(q), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    for k in range(3):
+        columns[:, :, 3 + k] = np.cross(np.eye(3)[k], q)
+    return columns
+
+
+def without_rigid_motion(field: Array, q: Array) -> Array:
+    """Take the best-fitting small rigid motion out of an error field.
+
+    No calibration can know it: it belongs to the choice of the machine frame.
+
+    Parameters
+    ----------
+    field : ndarray, shape (n, 3), m
+    q : ndarray, shape (n, 3), m
+        Where the field is given.
+
+    Returns
+    -------
+    ndarray, shape (n, 3), m
+    """
+    columns = rigid_columns(q).reshape(-1, 6)
+    motion = np.linalg.lstsq(columns, field.reshape(-1), rcond=None)[0]
+    return np.asarray(field - (columns @ motion).reshape(-1, 3))
+
+
+def mean_length(field: Array) -> float:
+    """Mean length of the vectors of a field (n, 3): the mean absolute error (MAE), m."""
+    return float(np.linalg.norm(field, axis=1).mean())
+
+
+def free_rows(rows: Array, grid: Array) -> Array:
+    """Take the best-fitting rigid motion of the grid out of the columns (3 n, k)."""
+    basis, size, _ = np.linalg.svd(rigid_columns(grid).reshape(-1, 6), full_matrices=False)
+    rigid = basis[:, size > 1e-9 * size[0]]
+    return np.asarray(rows - rigid @ (rigid.T @ rows))

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigid-body kinematics of three linear axes: first order (fitted) and exact (simulated).
+
+First order, docs/conventions.md: e(q) = sum over axes a of t_a(q_a) + r_a(q_a) x L_a(q), plus
+squareness (-C0Y y + B0Z z, -A0Z z, 0). Exact: the same chain with full rotation matrices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from otf_core.errors import ShapeError
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.tables import DIRECTIONS, MOTIONS, SQUARENESS, ErrorTables, unit_of
+
+Points = NDArray[np.float64]
+
+_UNIT = np.eye(3)
+
+
+def _checked(q: Points) -> Points:
+    q = np.asarray(q, dtype=float)
+    if q.ndim != 2 or q.shape[1] != 3:
+        raise ShapeError(f'positions need shape (n, 3), got {q.shape}')
+    return q
+
+
+def lever(machine: Machine, axis: str, q: Points) -> Points:
+    """Lever arm L_a of the rotations of one axis.
+
+    Parameters
+    ----------
+    machine : Machine
+    axis : str
+        X, Y or Z.
+    q : ndarray, shape (n, 3), m
+        Programmed axis positions.
+
+    Returns
+    -------
+    ndarray, shape (n, 3), m
+    """
+    carried = np.array([a in machine.chain.lever_axes(axis) for a in AXES])
+    return np.asarray(machine.target_offset + np.where(carried, _checked(q), 0.0))
+
+
+def motion_influence(machine: Machine, motion: str, q: Points) -> Points:
+    """Displacement of the target per unit of one error motion.
+
+    Parameters
+    ----------
+    machine : Machine
+    motion : str
+        ISO 230-1 name, EXX to ECZ.
+    q : ndarray, shape (n, 3), m
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Dimensionless for translations, m/rad for rotations.
+    """
+    q = _checked(q)
+    unit = _UNIT[DIRECTIONS.index(motion[1]) % 3]
+    if unit_of(motion) == 'm':
+        return np.broadcast_to(unit, q.shape)
+    return np.cross(unit, lever(machine, motion[2], q))
+
+
+def squareness_influence(name: str, q: Points) -> Points:
+    """Displacement of the target per rad of C0Y, B0Z or A0Z; shape (n, 3), m/rad."""
+    q = _checked(q)
+    zero = np.zeros(len(q))
+    if name == 'C0Y':
+        columns = (-q[:, 1], zero, zero)
+    elif name == 'B0Z':
+        columns = (q[:, 2], zero, zero)
+    else:
+        columns = (zero, -q[:, 2], zero)
+    return np.stack(columns, axis=1)
+
+
+def displacement(tables: ErrorTables, q: Points) -> Points:
+    """First-order volumetric error.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+    q : ndarray, shape (n, 3), m
+        Programmed axis positions.
+
+    Returns
+    -------
+    ndarray, shape (n, 3), m
+        Actual minus nominal position of the target relative to the table.
+    """
+    q = _checked(q)
+    total = np.zeros_like(q)
+    for name in MOTIONS:
+        error = tables.motions[name].at(q[:, AXES.index(name[2])])
+        total += error[:, None] * motion_influence(tables.machine, name, q)
+    for name in SQUARENESS:
+        total += tables.squareness[name].value * squareness_influence(name, q)
+    return total
+
+
+def _axis_directions(tables: ErrorTables) -> dict[str, Points]:
+    c0y, b0z, a0z = (tables.squareness[k].value for k in SQUARENESS)
+    return {
+        'X': np.array([1.0, 0.0, 0.0]),
+        'Y': np.array([-np.sin(c0y), np.cos(c0y), 0.0]),
+        'Z': np.array(
+            [np.sin(b0z), -np.sin(a0z), np.sqrt(1 - np.sin(b0z) ** 2 - np.sin(a0z) ** 2)]
+        ),
+    }
+
+
+def exact_position(tables: ErrorTables, q: Points) -> Points:
+    """Position of the target relative to the table by full homogeneous transforms.
+
+    Target side: travel, translation error, rotation. Table side: translation error and rotation
+    act on what lies between that axis and the target, its own travel included.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+    q : ndarray, shape (n, 3), m
+
+    Returns
+    -------
+    ndarray, shape (n, 3), m
+        In the machine frame; equals q where all errors are zero.
+    """
+    q = _checked(q)
+    machine, directions = tables.machine, _axis_directions(tables)
+    point = np.tile(machine.target_offset, (len(q), 1))
+    for axis in reversed(machine.chain.table_side + machine.chain.target_side):
+        q_axis = q[:, AXES.index(axis)]
+        travel = q_axis[:, None] * directions[axis]
+        values = np.stack([tables.motions[f'E{d}{axis}'].at(q_axis) for d in DIRECTIONS], axis=1)
+        rotation = Rotation.from_rotvec(values[:, 3:])
+        if axis in machine.chain.target_side:
+            point = travel + values[:, :3] + rotation.apply(point)
+        else:
+            point = values[:, :3] + rotation.apply(travel + point)
+    return np.asarray(point - machine.target_offset)

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The block ``provenance`` of every JSON file: when, from what, by what, in which convention.
+
+Only its ``written`` depends on more than data, options and version; the environment variable
+SOURCE_DATE_EPOCH (s since 1970) replaces it where results have to repeat to the last byte.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from otf_core import __version__
+from otf_core.errors import ConfigError
+from otf_core.files.manifest import file_digest
+from otf_core.files.writing import unreadable
+from otf_core.model.machine import Machine
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+
+CONVENTION = (
+    'error = actual minus nominal, of the target relative to the table, in machine coordinates; '
+    'm, rad and s unless a name says otherwise'
+)
+COVERAGE = 'u: standard uncertainty, k = 1'
+RUN_HASH = (
+    'SHA-256 of stamps (int64, ns), points (float64, m) and corner points of the path (float64, '
+    'm), little-endian, in the order of time'
+)
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_OLDEST_NS = 946_684_800_000_000_000
+"""ns; stamps before 2000 count from some other epoch and tell no date."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """A recording that results come from.
+
+    Attributes
+    ----------
+    name : str
+    samples : int
+    first_ns, last_ns : int
+        Stamps of the first and the last sample, on the tracker's clock.
+    sha256 : str
+        See ``RUN_HASH``: the same for copies of a bag in another storage.
+    machine : Machine, optional
+        As it was described for this run.
+    """
+
+    name: str
+    samples: int
+    first_ns: int
+    last_ns: int
+    sha256: str
+    machine: Machine | None = None
+
+
+def origin_of(
+    name: str, samples: Samples, path: NominalPath | None = None, machine: Machine | None = None
+) -> Origin:
+    """Say what a recording is."""
+    digest = hashlib.sha256(np.ascontiguousarray(samples.stamp_ns, '<i8').tobytes())
+    digest.update(np.ascontiguousarray(samples.xyz, '<f8').tobytes())
+    if path is not None:
+        digest.update(np.ascontiguousarray(path.points, '<f8').tobytes())
+    first, last = int(samples.stamp_ns[0]), int(samples.stamp_ns[-1])
+    return Origin(name, len(samples), first, last, digest.hexdigest(), machine)
+
+
+class Recorded(Protocol):
+    """What a recording has to tell of itself, such as ``runs.Recording``."""
+
+    @property
+    def name(self) -> str:
+        """Where it comes from."""
+
+    @property
+    def samples(self) -> Samples:
+        """All samples."""
+
+    @property
+    def path(self) -> NominalPath:
+        """The nominal path."""
+
+    @property
+    def machine(self) -> Machine:
+        """The machine as set up in this run."""
+
+
+def origins(recordings: Iterable[Recorded]) -> tuple[Origin, ...]:
+    """Say what recordings are; they go by the last part of their names."""
+    return tuple(
+        origin_of(Path(r.name).name or r.name, r.samples, r.path, r.machine) for r in recordings
+    )
+
+
+def moment(stamp_ns: int) -> str | None:
+    """UTC by ISO 8601 to the microsecond; None if the stamp tells no date."""
+    if stamp_ns < _OLDEST_NS:
+        return None
+    try:
+        time = _EPOCH + timedelta(microseconds=stamp_ns // 1000)
+    except OverflowError:
+        return None
+    return time.isoformat(timespec='microseconds').replace('+00:00', 'Z')
+
+
+def _written() -> str:
+    given = os.environ.get('SOURCE_DATE_EPOCH', '')
+    try:
+        now = _EPOCH + timedelta(seconds=int(given)) if given else datetime.now(timezone.utc)
+    except (ValueError, OverflowError):
+        raise ConfigError(f'SOURCE_DATE_EPOCH: {given!r} is no number of seconds') from None
+    return now.isoformat(timespec='seconds').replace('+00:00', 'Z')
+
+
+def _measured(runs: Sequence[Origin]) -> dict[str, str | None] | None:
+    if not runs:
+        return None
+    first, last = min(r.first_ns for r in runs), max(r.last_ns for r in runs)
+    return {'first': moment(first), 'last': moment(last)}
+
+
+def _run(origin: Origin) -> dict[str, Any]:
+    return {
+        'name': origin.name,
+        'samples': origin.samples,
+        'first_stamp_ns': origin.first_ns,
+        'last_stamp_ns': origin.last_ns,
+        'measured': {'first': moment(origin.first_ns), 'last': moment(origin.last_ns)},
+        'sha256': origin.sha256,
+    }
+
+
+def _machine(machine: Machine) -> dict[str, str | None]:
+    return {'name': machine.name, 'sha256': machine.file_sha256 or None}
+
+
+def provenance(
+    verb: str,
+    *,
+    method: str | None = None,
+    runs: Sequence[Origin] = (),
+    machines: Sequence[Machine] = (),
+    files: Mapping[str, str | Path | None] | None = None,
+    coverage: str = COVERAGE,
+) -> dict[str, Any]:
+    """Return the block as plain data.
+
+    Parameters
+    ----------
+    verb : str
+        Command that the file comes from.
+    method : str, optional
+        'otf' or 'standstill'.
+    runs : sequence of Origin
+    machines : sequence of Machine
+        Descriptions that were read besides those of the runs; repeated ones count once.
+    files : mapping of str to path, optional
+        Other files that were read, by what they are; None: not given.
+    coverage : str
+        What u and U stand for.
+
+    Raises
+    ------
+    ConfigError
+        If one of the files cannot be read.
+    """
+    block: dict[str, Any] = {
+        'written': _written(),
+        'software': {'name': 'otf_core', 'version': __version__},
+        'verb': verb,
+        'method': method,
+        'convention': CONVENTION,
+        'coverage': coverage,
+    }
+    if runs:
+        block |= {'measured': _measured(runs), 'runs': [_run(r) for r in runs]}
+        block['sha256_of_runs'] = RUN_HASH
+    described: list[dict[str, str | None]] = []
+    for machine in (*(r.machine for r in runs), *machines):
+        if machine is not None and _machine(machine) not in described:
+            described.append(_machine(machine))
+    if described:
+        block |= {'machines': described, 'sha256_of_machines': 'SHA-256 of the file machine.yaml'}
+    given = {what: name for what, name in (files or {}).items() if name is not None}
+    if given:
+        block['files'] = {what: _file(name) for what, name in given.items()}
+    return block
+
+
+def _file(name: str | Path) -> dict[str, str]:
+    try:
+        return {'name': str(name), 'sha256': file_digest(name)}
+    except OSError as error:
+        raise unreadable(name, error) from None

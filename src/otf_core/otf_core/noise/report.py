@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Noise of a tracker as its standstills show it: level, colour, tails, peaks in the spectrum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import InputError
+from otf_core.model.observation import Samples
+from otf_core.noise.colour import Variogram, longest_time, variogram
+from otf_core.noise.events import Drift, Lost, Step, find_drift, find_steps, lost_samples
+from otf_core.noise.rest import at_rest
+from otf_core.noise.spectrum import Peak, Spectrum, expected_density, find_peaks, spectrum
+from otf_core.noise.standstill import (
+    MIN_DURATION,
+    StandstillNoise,
+    find_standstills,
+    noise_of_windows,
+    quiet_windows,
+)
+from otf_core.noise.tails import Tails, tails
+
+Array = NDArray[np.float64]
+
+MIN_TOTAL = 1.0
+"""s; with less standstill there is nothing to report."""
+ENOUGH = 5.0
+"""s; with less, level and colour are rough."""
+JACKKNIFE = 10
+"""Groups of windows, each left out once, that tell how well level and colour are known."""
+SHORTEST_PART = 0.2
+"""s; fewer windows than groups are cut, but not shorter than this."""
+REPEATED = 0.2
+"""Share of successive samples without any change beyond which the recording is coarse."""
+LOST = 0.01
+"""Share of lost samples that is warned of."""
+LOUDEST = 20e-6
+"""m and rad; no laser tracker at work is louder, so the target itself moves."""
+SLOW = 0.95
+"""Share of the longest correlation time looked for, from which on it may be longer."""
+FASTEST = 1e-4
+"""s; no laser tracker measures at shorter intervals, so the stamps are of something else."""
+QUANTITIES = ('range', 'horizontal angle', 'vertical angle')
+
+
+@dataclass(frozen=True)
+class NoiseReport:
+    """Noise of range, horizontal and vertical angle.
+
+    Attributes
+    ----------
+    noise : StandstillNoise
+    u_total, u_white : ndarray, shape (3,), m, rad, rad
+        Standard uncertainties of the levels by leaving out part of the windows; nan if there is
+        too little to leave out.
+    u_correlation_time : float
+        s.
+    standstills : int
+        Stops found.
+    duration : float
+        s, of standstill used.
+    rate : float
+        Hz.
+    distance : float
+        m, mean length of the beam in the standstills.
+    tails : tuple of Tails
+    peaks : tuple of Peak
+    lost : Lost
+        Of the whole recording.
+    steps : tuple of Step
+    drift : Drift or None
+        None without a long standstill.
+    variogram : Variogram
+    spectrum : Spectrum
+    warnings : tuple of str
+    """
+
+    noise: StandstillNoise
+    u_total: Array
+    u_white: Array
+    u_correlation_time: float
+    standstills: int
+    duration: float
+    rate: float
+    distance: float
+    tails: tuple[Tails, ...]
+    peaks: tuple[Peak, ...]
+    lost: Lost
+    steps: tuple[Step, ...]
+    drift: Drift | None
+    variogram: Variogram
+    spectrum: Spectrum
+    warnings: tuple[str, ...]
+
+
+def _jackknife(windows: list[Array], step: float) -> tuple[Array, Array, float]:
+    """Standard uncertainties of total, white and correlation time."""
+    parts = -(-JACKKNIFE // len(windows))
+    cut = [p for w in windows for p in np.array_split(w, parts) if len(p) * step > SHORTEST_PART]
+    windows = cut if parts > 1 else windows
+    groups = min(JACKKNIFE, len(windows))
+    if groups < 2:
+        return np.full(3, np.nan), np.full(3, np.nan), float('nan')
+    rows = []
+    for g in range(groups):
+        kept = [w for k, w in enumerate(windows) if k % groups != g]
+        noise = noise_of_windows(kept, step)
+        rows.append(np.concatenate([noise.total, noise.white, [noise.correlation_time]]))
+    u = np.std(rows, axis=0) * np.sqrt(groups - 1.0)
+    return u[:3], u[3:6], float(u[6])
+
+
+def _coarse(windows: list[Array]) -> str | None:
+    """Say whether samples repeat, and whether by rounding or because a point is held."""
+    new = [np.concatenate([[True], np.diff(w, axis=0).any(axis=1)]) for w in windows]
+    count = sum(len(w) for w in windows)
+    share = 1.0 - sum(int(n.sum()) for n in new) / count
+    if share <= REPEATED:
+        return None
+    # a rounded value comes back after others have been seen, a held one does not
+    visits = sum(int(n.sum()) for n in new)
+    distinct = sum(len(np.unique(w, axis=0)) for w in windows)
+    if distinct > 0.9 * visits:
+        return (
+            f'{100 * share:.0f} % of samples repeat the one before: points are held, the tracker '
+            f'measures {count / visits:.1f} times slower than the stamps say; the white part is '
+            f'larger than stated'
+        )
+    return (
+        f'{100 * share:.0f} % of successive samples are identical: the recording is rounded; '
+        f'white part and tails are those of the rounding'
+    )
+
+
+def _warnings(
+    noise: StandstillNoise, windows: list[Array], duration: float, lost: Lost, count: int
+) -> tuple[str, ...]:
+    coarse = _coarse(windows)
+    found = [coarse] if coarse else []
+    if lost.samples > LOST * count:
+        found.append(
+            f'{lost.samples} samples lost in {lost.gaps} gaps '
+            f'({100 * lost.samples / (lost.samples + count):.0f} %), the longest '
+            f'{lost.longest:.2f} s: check tracker, driver and network'
+        )
+    if duration < ENOUGH:
+        found.append(
+            f'only {duration:.1f} s of standstill: levels and colour are rough; {ENOUGH:g} s or '
+            f'more in stops of a second or more tell them'
+        )
+    if noise.left_out > noise.standstills:
+        found.append(
+            f'in {noise.left_out} of {noise.left_out + noise.standstills} windows the target '
+            f'itself seems to have moved; left out'
+        )
+    if noise.correlation_time > SLOW * longest_time(windows, duration / noise.samples):
+        found.append(
+            f'the slow part is slower than the standstills tell: its correlation time is '
+            f'{noise.correlation_time:.1f} s or more, and its level a lower bound'
+        )
+    if noise.total.max() > LOUDEST:
+        found.append(
+            'louder than laser trackers are: the target itself seems to move; fasten it and '
+            'record again'
+        )
+    return tuple(found)
+
+
+def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
+    """Judge the noise in the standstills of a recording.
+
+    Parameters
+    ----------
+    samples : Samples
+    standstill_speed : float
+        m/s; slower counts as standstill.
+
+    Raises
+    ------
+    InputError
+        If there is hardly any standstill, or the stamps are not those of measurements.
+    """
+    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9 if len(samples) > 1 else 0.0
+    if 0.0 < step < FASTEST:
+        raise InputError(
+            f'stamps are {1e6 * step:.0f} us apart, faster than trackers measure: they seem to '
+            f'be times of arrival in bursts; the driver has to stamp the time of measurement'
+        )
+    runs = find_standstills(samples, standstill_speed)
+    windows, left_out = quiet_windows(samples, runs) if len(runs) else ([], 0)
+    duration = sum(len(w) for w in windows) * step
+    if duration < MIN_TOTAL:
+        raise InputError(
+            f'{duration:.1f} s of standstill in stops of {MIN_DURATION:g} s or more; at least '
+            f'{MIN_TOTAL:g} s are needed: record while the target stands still for some seconds'
+        )
+    noise = noise_of_windows(windows, step, left_out)
+    u_total, u_white, u_time = _jackknife(windows, step)
+    seen = spectrum(windows, step)
+    slow = noise.total**2 - noise.white**2
+    shape = expected_density(seen.frequency, noise.white**2, slow, noise.correlation_time)
+    still = np.concatenate([np.arange(a, b) for a, b in runs])
+    lost = lost_samples(samples.stamp_ns)
+    return NoiseReport(
+        noise=noise,
+        u_total=u_total,
+        u_white=u_white,
+        u_correlation_time=u_time,
+        standstills=len(runs),
+        duration=duration,
+        rate=1.0 / step,
+        distance=float(np.linalg.norm(samples.xyz[still], axis=1).mean()),
+        tails=tails(windows, step),
+        peaks=find_peaks(seen, shape),
+        lost=lost,
+        steps=find_steps(samples, runs),
+        drift=find_drift(samples, at_rest(samples, runs)),
+        variogram=variogram(windows),
+        spectrum=seen,
+        warnings=_warnings(noise, windows, duration, lost, len(samples)),
+    )

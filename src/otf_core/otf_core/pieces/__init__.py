@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings reduced to pieces of straight travel, or to standstills."""

@@ -1,0 +1,372 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reduction of samples to path pieces (paper 2.3: 500 000 points to 4427 values).
+
+A piece never crosses a table node, so every error table is linear inside it and the mean of its
+samples loses nothing. Left out: corners, standstill and the moments around it, outliers. Curves
+have pieces of their own kind, see ``curve_pieces``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
+from otf_core.model.observation import Samples
+from otf_core.model.path import sides_of_travel
+from otf_core.tracking.alignment import Alignment
+from otf_core.tracking.arcs import curvature
+from otf_core.tracking.curve_pieces import curve_boundaries, near_joints
+from otf_core.tracking.curves import SHORT_CURVE, Lines
+from otf_core.tracking.matching import OFF_PATH
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SPEED_WINDOW = 0.04
+"""s; the speed of a sample is taken over this time."""
+
+MEDIAN_HALF = 5
+"""samples on either side that a sample is compared with to tell an outlier."""
+GROSS = 3e-5
+"""m; smaller deviations are never called outliers: they may be kinks of steep error tables, and
+as bad samples they average out."""
+RAYLEIGH_MEDIAN = 1.1774
+"""Median length of a vector of two independent normal components of unit variance."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Means over path pieces, in driving order.
+
+    Attributes
+    ----------
+    xyz : ndarray, shape (p, 3), m
+        Mean measured point in the tracker frame.
+    leg : ndarray of int64, shape (p,)
+        Leg of the path; on a curve the first chord of the part of it that shares slow noise.
+    origin, direction : ndarray, shape (p, 3)
+        Start point (m) and unit direction of that leg, machine frame; on a curve the mean foot
+        and direction of the samples; at standstill the point itself and the direction of
+        approach, zero where unknown.
+    side : ndarray, shape (p, 3)
+        Sign of the travel of each axis, see ``path.sides_of_travel``.
+    count : ndarray of int64, shape (p,)
+        Samples averaged.
+    time : ndarray, shape (p,), s
+        Mean time since the first sample of the recording.
+    duration : ndarray, shape (p,), s
+    speed : ndarray, shape (p,), m/s
+    used : int
+        Samples in all pieces.
+    outliers : int
+        Samples left out as outliers.
+    standstill : bool
+        True if the pieces are standstills at ``origin``, where all three directions count.
+    samples : ndarray of int64, shape (u,)
+        Places in the recording of the samples averaged; empty if not kept.
+    piece : ndarray of int64, shape (u,)
+        Piece of each of them.
+    chord : ndarray of int64, shape (p,)
+        Chord of the path on which the piece begins; empty if that is its leg.
+    bend : ndarray, shape (p, 3), m/s^2
+        Acceleration towards the inside of curves, machine frame; empty if there are none.
+    spread : ndarray, shape (p,), m
+        Standard deviation of the samples along the line; empty if pieces are points.
+    """
+
+    xyz: Array
+    leg: Index
+    origin: Array
+    direction: Array
+    side: Array
+    count: Index
+    time: Array
+    duration: Array
+    speed: Array
+    used: int
+    outliers: int
+    standstill: bool = False
+    samples: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    piece: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    chord: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    bend: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    spread: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def line(self) -> Index:
+        """Straight line of the path on which each piece begins, shape (p,)."""
+        return self.chord if len(self.chord) else self.leg
+
+    def __len__(self) -> int:
+        """Return the number of pieces."""
+        return len(self.leg)
+
+    def without(self, drop: NDArray[np.bool_]) -> Pieces:
+        """Return the pieces that are not marked in ``drop``, shape (p,)."""
+        arrays = (
+            'xyz',
+            'leg',
+            'origin',
+            'direction',
+            'side',
+            'count',
+            'time',
+            'duration',
+            'speed',
+        )
+        kept = {name: getattr(self, name)[~drop] for name in arrays}
+        stays = ~drop[self.piece]
+        lost = int(self.count[drop].sum())
+        return replace(
+            self,
+            **kept,
+            samples=self.samples[stays],
+            piece=(np.cumsum(~drop) - 1)[self.piece[stays]],
+            chord=self.chord[~drop] if len(self.chord) else self.chord,
+            bend=self.bend[~drop] if len(self.bend) else self.bend,
+            spread=self.spread[~drop] if len(self.spread) else self.spread,
+            used=self.used - lost,
+            outliers=self.outliers + lost,
+        )
+
+    def mean_of(self, values: Array) -> Array:
+        """Means over the pieces of values (u, ...) given for ``samples``."""
+        total = np.zeros((len(self), *values.shape[1:]))
+        np.add.at(total, self.piece, values)
+        return np.asarray(total / self.count.reshape(-1, *([1] * (values.ndim - 1))))
+
+
+def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
+    """Piece boundaries along one leg, m from its start: node crossings, then equal parts."""
+    step = corners[leg + 1] - corners[leg]
+    length = float(np.linalg.norm(step))
+    cuts = [np.array([0.0, length])]
+    for axis in range(3):
+        if abs(step[axis]) > 1e-9:
+            cuts.append((nodes[axis] - corners[leg, axis]) / step[axis] * length)
+    marks = np.unique(np.concatenate(cuts))
+    marks = marks[(marks >= 0) & (marks <= length)]
+    marks = marks[np.concatenate([[True], np.diff(marks) > 1e-6])]
+    parts = [
+        np.linspace(a, b, max(1, int(np.ceil((b - a) / size))), endpoint=False)
+        for a, b in pairwise(marks)
+    ]
+    return np.concatenate([*parts, [length]])
+
+
+def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfig) -> Array:
+    """Speed of every sample along its leg, m/s; zero near standstill and leg changes."""
+    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    half = max(1, round(0.5 * SPEED_WINDOW / step))
+    speed = np.zeros(len(samples))
+    if len(samples) <= 2 * half:
+        return speed
+    span = (samples.stamp_ns[2 * half :] - samples.stamp_ns[: -2 * half]) * 1e-9
+    same = leg[2 * half :] == leg[: -2 * half]
+    advance = np.where(same, along[2 * half :] - along[: -2 * half], 0.0)
+    speed[half:-half] = np.abs(advance) / np.maximum(span, 1e-9)
+    still = np.flatnonzero(speed < config.standstill_speed)
+    reach = np.zeros(len(samples) + 1)
+    np.add.at(reach, np.maximum(still - half, 0), 1)
+    np.add.at(reach, np.minimum(still + half + 1, len(samples)), -1)
+    return np.where(np.cumsum(reach[:-1]) > 0, 0.0, speed)
+
+
+class _Means:
+    """Sums per piece of quantities of its samples."""
+
+    def __init__(self, piece: Index, total: int) -> None:
+        self._piece, self._total = piece, total
+        self.count = np.bincount(piece, minlength=total)
+
+    def mean(self, values: Array) -> Array:
+        """Mean per piece, shape (total,); 0 for an empty piece."""
+        sums = np.bincount(self._piece, values, self._total)
+        return np.asarray(sums / np.maximum(self.count, 1))
+
+
+def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
+    """Samples far from the running median of their leg, by robust standard deviation.
+
+    The ends of a leg are continued by point reflection, which keeps the slope; the end sample,
+    about which it is reflected, is compared with the extrapolated median instead.
+    """
+    rest = np.zeros_like(offset)
+    bounds = np.concatenate([[0], np.flatnonzero(np.diff(leg)) + 1, [len(leg)]])
+    for low, high in pairwise(bounds):
+        if high - low <= MEDIAN_HALF:
+            rest[low:high] = offset[low:high] - np.median(offset[low:high], axis=0)
+            continue
+        part = offset[low:high]
+        reach = ((MEDIAN_HALF, MEDIAN_HALF), (0, 0))
+        padded = np.pad(part, reach, mode='reflect', reflect_type='odd')
+        smooth = median_filter(padded, size=(2 * MEDIAN_HALF + 1, 1))[MEDIAN_HALF:-MEDIAN_HALF]
+        rest[low:high] = part - smooth
+        rest[low] = part[0] - (2 * smooth[1] - smooth[2])
+        rest[high - 1] = part[-1] - (2 * smooth[-2] - smooth[-3])
+    distance = np.linalg.norm(rest, axis=1)
+    sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
+    return np.asarray(distance > max(limit * sigma, GROSS))
+
+
+def samples_on_lines(
+    samples: Samples, alignment: Alignment, config: CalibrationConfig
+) -> tuple[Index, Array, Array, int]:
+    """Samples in steady motion on the lines of the path.
+
+    Returns
+    -------
+    index : ndarray of int64, shape (n,)
+        Neither near corners nor standing still nor outliers.
+    along : ndarray, shape (n,), m
+        From the start of the leg or chord.
+    speed : ndarray, shape (n,), m/s
+    outliers : int
+        Samples left out as outliers.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
+    points = alignment.T_machine_tracker.apply(samples.xyz)
+    lines = Lines.of(alignment.shape)
+    on_chord = lines.along(points, leg)
+    along = lines.start[leg] + on_chord
+    stretch = np.where(alignment.leg == OFF_PATH, OFF_PATH, lines.shape.stretch[leg])
+    speed = _moving(samples, along, stretch, config)
+    low, high = _margins(lines, alignment, config)
+    keep = (alignment.leg != OFF_PATH) & (speed > 0)
+    keep &= (along > low[leg]) & (along < lines.total[leg] - high[leg])
+    if not lines.shape.straight:
+        keep &= ~near_joints(lines, leg, on_chord, config.corner_exclusion)
+    chosen = np.flatnonzero(keep)
+    if not len(chosen):
+        raise InputError('no sample is left on the lines of the path away from corners and stops')
+    offset = points[chosen] - on_chord[chosen, None] * lines.unit[leg[chosen]]
+    bent = np.flatnonzero(lines.shape.curved[leg[chosen]])
+    offset[bent] -= lines.shape.corners[leg[chosen[bent]]]
+    far = _outliers(offset, stretch[chosen], config.outlier_limit)
+    chosen = chosen[~far]
+    return chosen, on_chord[chosen], speed[chosen], int(far.sum())
+
+
+def _margins(lines: Lines, alignment: Alignment, config: CalibrationConfig) -> tuple[Array, Array]:
+    """Length left out at the start and the end of the leg or curve of every chord, m.
+
+    A curve so short that nothing else is left of it is the rounding of a corner.
+    """
+    short = 0.25 * lines.total
+    short[lines.shape.curved & (lines.total < SHORT_CURVE * config.corner_exclusion)] = np.inf
+    margin = np.minimum(config.corner_exclusion, short)
+    margin = np.where(np.isinf(short), lines.total, margin)
+    if alignment.rounded is None:
+        return margin, margin
+    low, high = alignment.rounded.T
+    return np.maximum(margin, low), np.maximum(margin, high)
+
+
+def reduce_to_pieces(
+    samples: Samples, alignment: Alignment, nodes: tuple[Array, ...], config: CalibrationConfig
+) -> Pieces:
+    """Average samples over path pieces.
+
+    Parameters
+    ----------
+    samples : Samples
+    alignment : Alignment
+    nodes : three ndarrays, m
+        Table nodes of X, Y, Z; pieces end there.
+    config : CalibrationConfig
+
+    Raises
+    ------
+    InputError
+        If nothing is left.
+    """
+    chosen, along, speed, outliers = samples_on_lines(samples, alignment, config)
+    lines, leg = Lines.of(alignment.shape), alignment.leg[chosen]
+    shape = lines.shape
+    first = np.unique(shape.group)
+    marks = _marks(lines, first, nodes, config.piece_length)
+    shift = np.concatenate([[0.0], np.cumsum([m[-1] + 1.0 for m in marks])])
+    bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
+    group = shape.group[leg]
+    place = (lines.start[leg] - lines.start[group]) + along
+    place = np.where(shape.curved[leg], np.maximum(place, 0.0), place)
+    piece = np.searchsorted(bounds, shift[np.searchsorted(first, group)] + place, side='right') - 1
+    pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, place, outliers)
+    return pieces if shape.straight else _on_curves(pieces, lines, alignment, along, speed)
+
+
+def _marks(lines: Lines, first: Index, nodes: tuple[Array, ...], size: float) -> list[Array]:
+    """Piece boundaries of every leg or part of a curve, m from its start."""
+    corners, ends = lines.shape.corners, np.append(first[1:], len(lines.length))
+    return [
+        piece_boundaries(corners, a, nodes, size)
+        if b == a + 1
+        else curve_boundaries(corners[a : b + 1], nodes, size)
+        for a, b in zip(first.tolist(), ends.tolist(), strict=True)
+    ]
+
+
+def _on_curves(
+    pieces: Pieces, lines: Lines, alignment: Alignment, along: Array, speed: Array
+) -> Pieces:
+    """Give pieces of curves the mean foot, direction and acceleration of their samples."""
+    chord = alignment.leg[pieces.samples]
+    foot = lines.shape.corners[chord] + along[:, None] * lines.unit[chord]
+    direction = pieces.mean_of(lines.unit[chord])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    curved = lines.shape.curved[pieces.leg][:, None]
+    bend = curvature(lines).mean(axis=1)[chord] * speed[:, None] ** 2
+    return replace(
+        pieces,
+        origin=np.where(curved, pieces.mean_of(foot), pieces.origin),
+        direction=np.where(curved, direction, pieces.direction),
+        leg=lines.shape.group[pieces.leg],
+        chord=pieces.leg,
+        bend=pieces.mean_of(bend),
+    )
+
+
+def _collect(
+    samples: Samples,
+    chosen: Index,
+    piece: Index,
+    alignment: Alignment,
+    unit: Array,
+    speed: Array,
+    place: Array,
+    outliers: int,
+) -> Pieces:
+    names, dense = np.unique(piece, return_inverse=True)
+    means = _Means(dense, len(names))
+    time = samples.time
+    rate = 1.0 / max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
+    first = np.zeros(len(names), dtype=np.int64)
+    first[dense[::-1]] = chosen[::-1]
+    leg = alignment.leg[first]
+    return Pieces(
+        xyz=np.stack([means.mean(samples.xyz[chosen, k]) for k in range(3)], axis=1),
+        leg=leg,
+        origin=alignment.corners[leg],
+        direction=unit[leg],
+        side=sides_of_travel(unit)[leg],
+        count=means.count,
+        time=means.mean(time[chosen]),
+        duration=means.count / rate,
+        speed=means.mean(speed),
+        samples=chosen,
+        piece=np.asarray(dense, dtype=np.int64),
+        used=len(chosen),
+        outliers=outliers,
+        spread=np.sqrt(np.maximum(means.mean(place**2) - means.mean(place) ** 2, 0.0)),
+    )

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of one machine: each with its samples, path, tracker place and target offset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.errors import ConfigError, InputError, OtfError
+from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.nodes import table_nodes
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.noise.model import Misfit, NoiseModel, misfit_of, scaled
+from otf_core.noise.standstill import noise_model
+from otf_core.pieces.finding import Finding
+from otf_core.pieces.pieces import Pieces, reduce_to_pieces
+from otf_core.tracking.alignment import Alignment, align, line_step
+from otf_core.tracking.matching import OFF_PATH
+from otf_core.tracking.no_match import check_partial
+
+Array = NDArray[np.float64]
+
+SNAP = 0.02
+"""m; a covered range that ends this close to the path's own end is taken to reach it."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recorded run.
+
+    Attributes
+    ----------
+    samples : Samples
+    path : NominalPath
+    machine : Machine
+        The same machine in all runs; its target offset and tracker may differ.
+    name : str
+        Where it comes from, for messages and reports; empty if it needs none.
+    """
+
+    samples: Samples
+    path: NominalPath
+    machine: Machine
+    name: str = ''
+
+
+@contextmanager
+def blamed(recording: Recording) -> Iterator[None]:
+    """Put the name of a recording in front of what is wrong with it."""
+    try:
+        yield
+    except OtfError as error:
+        if not recording.name:
+            raise
+        raise type(error)(f'{recording.name}: {error}') from None
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recording reduced to pieces.
+
+    Attributes
+    ----------
+    recording : Recording
+    alignment : Alignment
+    pieces : Pieces
+    pose : RigidTransform
+        Tracker to machine, fitted rigidly.
+    noise : NoiseModel
+        As the standstills of the run show it, else as specified.
+    fitted : ndarray, shape (5,), optional
+        What the residuals say of noise and misfit, see ``noise_fit.fit_noise``.
+    remarks : tuple of Finding
+        What ``contradictions.examine`` found, with the first of several runs.
+    """
+
+    recording: Recording
+    alignment: Alignment
+    pieces: Pieces
+    pose: RigidTransform
+    noise: NoiseModel
+    fitted: Array | None = None
+    remarks: tuple[Finding, ...] = ()
+
+    @property
+    def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:
+        """Noise of single samples, and what the model leaves besides: as far as is known."""
+        if self.fitted is None:
+            return self.noise, Misfit()
+        return scaled(self.noise, self.fitted), misfit_of(self.fitted)
+
+    @property
+    def machine(self) -> Machine:
+        """Machine as set up in this run."""
+        return self.recording.machine
+
+
+def check_same_machine(recordings: Sequence[Recording]) -> None:
+    """Refuse runs whose chains or axes differ; ConfigError names run and key."""
+    first = _described(recordings[0].machine)
+    for number, recording in enumerate(recordings[1:], start=2):
+        for key, value in _described(recording.machine).items():
+            if value != first[key]:
+                raise ConfigError(
+                    f'{recording.name or f"run {number}"}: {key}: {value}, but {first[key]} in '
+                    f'{recordings[0].name or "run 1"}; runs that are solved as one are of one '
+                    f'machine (target_offset and tracker may differ)'
+                )
+
+
+def _described(machine: Machine) -> dict[str, float | str]:
+    """What makes a machine: its chain and axes, key by key."""
+    axes: dict[str, dict[str, float]] = machine.to_dict()['axes']
+    keys = {f'axes: {a}: {key}': v for a, spec in axes.items() for key, v in spec.items()}
+    return {'chain': str(machine.chain), **keys}
+
+
+def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Array]:
+    """Part of the axis ranges that the driven legs cover.
+
+    Returns
+    -------
+    low, high : ndarray, shape (3,), m
+
+    Raises
+    ------
+    InputError
+        If the path leaves the ranges of the machine.
+    """
+    machine, corners = recording.machine, alignment.corners
+    points = alignment.T_machine_tracker.apply(recording.samples.xyz[alignment.leg != OFF_PATH])
+    low, high = points.min(axis=0), points.max(axis=0)
+    path_low, path_high = corners.min(axis=0), corners.max(axis=0)
+    low = np.where(low < path_low + SNAP, path_low, low)
+    high = np.where(high > path_high - SNAP, path_high, high)
+    flat = path_high - path_low < 1e-6
+    low, high = np.where(flat, path_low, low), np.where(flat, path_low, high)
+    outside = np.maximum(machine.lower - low, high - machine.upper)
+    if outside.max() > 1e-3:
+        raise InputError(
+            f'path: leaves the range of axis {AXES[int(np.argmax(outside))]} by '
+            f'{1e3 * outside.max():.1f} mm; do bag and machine description belong together?'
+        )
+    return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
+
+
+def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) -> RigidTransform:
+    """Fine alignment on the pieces: perpendicular distances, every sample counting alike."""
+    for _ in range(config.max_iterations):
+        points = pose.apply(pieces.xyz)
+        step = line_step(points, pieces.origin, pieces.direction, pieces.count.astype(float))
+        moved = pose.moved_by(*step)
+        change = float(np.abs(moved.apply(pieces.xyz) - points).max())
+        pose = moved
+        if change < config.alignment_stop:
+            break
+    return pose
+
+
+def prepare_runs(
+    recordings: Sequence[Recording], config: CalibrationConfig
+) -> tuple[list[Run], dict[str, Array]]:
+    """Align and reduce recordings for a common set of table nodes.
+
+    Returns
+    -------
+    runs : list of Run
+    nodes : mapping of axis to ndarray, m
+    """
+    check_same_machine(recordings)
+    alignments, ranges = [], []
+    for recording in recordings:
+        with blamed(recording):
+            alignments.append(found := align(recording.samples, recording.path, config))
+            check_partial(
+                recording.samples,
+                found.T_machine_tracker,
+                found.coverage,
+                found.corners,
+                config.match_tolerance,
+            )
+            ranges.append(covered_range(alignments[-1], recording))
+    low = np.min([r[0] for r in ranges], axis=0)
+    high = np.max([r[1] for r in ranges], axis=0)
+    nodes = table_nodes(recordings[0].machine, low, high)
+    runs = []
+    for recording, alignment in zip(recordings, alignments, strict=True):
+        samples, spec = recording.samples, recording.machine.tracker
+        with blamed(recording):
+            pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
+            pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
+            noise = noise_model(samples, spec, config.standstill_speed)
+        runs.append(Run(recording, alignment, pieces, pose, noise))
+    return runs, nodes

@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a plan will show, before anything moves: rank, uncertainties of motions and on a grid.
+
+The path pieces that a recording would give are laid out from geometry and drive times; system of
+equations, weights and solution are those of the calibration, only without measured values. The
+forecast is therefore right where the noise is, and silent about effects that the model lacks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig, ForecastConfig
+from otf_core.model.evaluation import covered_grid, free_rows
+from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.nodes import table_nodes
+from otf_core.model.path import MIN_LEG, sides_of_travel
+from otf_core.model.plan import Plan
+from otf_core.model.tables import MOTIONS, SQUARENESS
+from otf_core.noise.model import NoiseModel
+from otf_core.pieces.pieces import SPEED_WINDOW, Pieces, piece_boundaries
+from otf_core.planning.drive_time import DriveTimes, drive_times
+from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.solving.normal import NormalEquations, Whitener, normal_equations
+from otf_core.solving.roughness import expected_precision
+from otf_core.solving.shape_choice import smooth_bases
+from otf_core.solving.solution import Solution, determined_by_data, identifiable_blocks, solve
+from otf_core.solving.system import build_system
+from otf_core.solving.tabulate import by_motion, table_rows
+from otf_core.solving.unknowns import Unknowns, layout
+
+Array = NDArray[np.float64]
+
+BESIDE = 0.3
+"""m; distance of the default place of the tracker from the working volume."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything but the plan that decides how well errors will be known.
+
+    Attributes
+    ----------
+    machine : Machine
+    place : ndarray, shape (3,), m
+        Beam origin of the tracker in the machine frame; its orientation does not matter.
+    noise : NoiseModel
+    config : ForecastConfig
+    calibration : CalibrationConfig
+    """
+
+    machine: Machine
+    place: Array
+    noise: NoiseModel
+    config: ForecastConfig
+    calibration: CalibrationConfig
+
+    @classmethod
+    def of(
+        cls,
+        machine: Machine,
+        place: Array | None = None,
+        noise: NoiseModel | None = None,
+        config: ForecastConfig | None = None,
+    ) -> Setup:
+        """Fill in defaults: tracker beside the volume, noise as specified."""
+        return cls(
+            machine,
+            beside(machine) if place is None else np.asarray(place, dtype=float),
+            noise or NoiseModel.from_spec(machine.tracker),
+            config or ForecastConfig(),
+            CalibrationConfig(),
+        )
+
+    def at(self, place: Array) -> Setup:
+        """Return the same with the tracker elsewhere."""
+        return replace(self, place=place)
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a plan will show.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    solution : Solution
+        Its values are zero; covariance and accepted blocks count.
+    nodes : mapping of axis to ndarray, m
+        Of the tables.
+    determined : mapping of motion to ndarray of bool
+        Nodes that the data determine without what is expected of the motions.
+    normal : NormalEquations
+        Of the pieces, in the form that tells what is identifiable (``nodal_lever``).
+    u : mapping of motion or squareness name to ndarray, m or rad
+        Standard uncertainty of every node; zero where not identifiable.
+    covariance : ndarray, shape (m, m)
+        In the order of ``uncertainty.prediction_rows``.
+    grid : ndarray, shape (n, 3), m
+        Points that are judged, over the part of the axis ranges that the plan covers.
+    grid_u : ndarray, shape (n, 3), m
+        Standard uncertainty there, in the gauge of the tables.
+    grid_u_free : ndarray, shape (n, 3), m
+        The same with the best rigid motion of the whole grid taken out, as for the grid errors
+        of ``evaluation``: free of the choice of gauge.
+    pieces : Pieces
+    duration : float
+        s, accelerations and dwells included.
+    """
+
+    unknowns: Unknowns
+    solution: Solution
+    nodes: dict[str, Array]
+    determined: dict[str, NDArray[np.bool_]]
+    normal: NormalEquations
+    u: dict[str, Array]
+    covariance: Array
+    grid: Array
+    grid_u: Array
+    grid_u_free: Array
+    pieces: Pieces
+    duration: float
+
+    @property
+    def mean_grid_u(self) -> float:
+        """Mean over the grid of the standard uncertainty of the error vector, m."""
+        return float(np.linalg.norm(self.grid_u_free, axis=1).mean())
+
+    @property
+    def not_identifiable(self) -> tuple[str, ...]:
+        """Squareness errors and motions that will not be seen."""
+        return tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in self.solution.accepted)
+
+    def seen_at(self, name: str) -> NDArray[np.bool_]:
+        """Nodes of a motion, or the one value of a squareness error, that the data determine."""
+        if name not in self.solution.accepted:
+            return np.zeros_like(self.u[name], dtype=bool)
+        return self.determined.get(name, np.ones(1, dtype=bool))
+
+    @property
+    def loose_nodes(self) -> dict[str, Array]:
+        """Nodes of seen motions that are interpolated only: motion to positions, m."""
+        found = {}
+        for name in self.solution.accepted:
+            if name in MOTIONS:
+                loose = ~self.determined[name]
+                if loose.any():
+                    found[name] = self.nodes[name[2]][loose]
+        return found
+
+
+def beside(machine: Machine) -> Array:
+    """Default place of the tracker: in front of the volume (-Y), at half height."""
+    place = 0.5 * (machine.lower + machine.upper)
+    place[1] = machine.lower[1] - BESIDE
+    return np.asarray(place)
+
+
+def _leg_pieces(
+    times: DriveTimes, ends: Array, leg: int, nodes: tuple[Array, ...], setup: Setup
+) -> tuple[Array, Array, Array, NDArray[np.int64], Array]:
+    """Middle (m), mean time, duration (s), samples and length (m) of the pieces of one leg."""
+    length, rate = times.length[leg], setup.config.rate
+    margin = min(setup.calibration.corner_exclusion, 0.25 * length)
+    start, end = times.at(leg, np.array([margin, length - margin]))
+    marks = piece_boundaries(ends, 0, nodes, setup.calibration.piece_length)
+    moment = np.clip(times.at(leg, marks), max(start, SPEED_WINDOW), None)
+    moment = np.minimum(moment, min(end, times.moving[leg] - SPEED_WINDOW))
+    moment += times.start[leg]
+    count = np.diff(np.floor(moment * rate)).astype(np.int64)
+    inside = np.clip(marks, margin, length - margin)
+    middle, mean = 0.5 * (inside[1:] + inside[:-1]), 0.5 * (moment[1:] + moment[:-1])
+    kept = count > 0
+    width = inside[1:] - inside[:-1]
+    return middle[kept], mean[kept], count[kept] / rate, count[kept], width[kept]
+
+
+def lay_out(
+    starts: Array, ends: Array, times: DriveTimes, nodes: dict[str, Array], setup: Setup
+) -> Pieces:
+    """Path pieces that recordings of single legs would be reduced to.
+
+    Parameters
+    ----------
+    starts, ends : ndarray, shape (n, 3), m
+    times : DriveTimes
+        Of these legs.
+    nodes : mapping of axis to ndarray, m
+    setup : Setup
+
+    Returns
+    -------
+    Pieces
+        Nominal points in a tracker frame parallel to the machine frame.
+    """
+    tables = tuple(nodes[a] for a in AXES)
+    legs = np.flatnonzero(times.length > MIN_LEG)
+    parts = [
+        _leg_pieces(times, np.stack([starts[j], ends[j]]), int(j), tables, setup) for j in legs
+    ]
+    middle, time, duration, count, width = (np.concatenate(p) for p in zip(*parts, strict=True))
+    leg = np.repeat(legs, [len(p[0]) for p in parts])
+    direction = (ends[leg] - starts[leg]) / times.length[leg, None]
+    return Pieces(
+        xyz=starts[leg] + middle[:, None] * direction - setup.place,
+        leg=leg,
+        origin=starts[leg],
+        direction=direction,
+        side=sides_of_travel((ends - starts) / np.maximum(times.length, MIN_LEG)[:, None])[leg],
+        count=count.astype(np.int64),
+        time=time,
+        duration=duration,
+        speed=times.peak[leg],
+        spread=width / np.sqrt(12.0),
+        samples=np.arange(count.sum()),
+        piece=np.repeat(np.arange(len(count)), count),
+        used=int(count.sum()),
+        outliers=0,
+    )
+
+
+def forecast_pieces(plan: Plan, nodes: dict[str, Array], setup: Setup) -> Pieces:
+    """Path pieces that a recording of the plan would be reduced to; see ``lay_out``."""
+    points = plan.path.points
+    return lay_out(
+        points[:-1], points[1:], drive_times(plan, setup.config.acceleration), nodes, setup
+    )
+
+
+def tracker_pose(setup: Setup) -> RigidTransform:
+    """Pose of a tracker that stands at the place, its frame parallel to the machine's."""
+    return RigidTransform(np.eye(3), setup.place)
+
+
+def forecast(plan: Plan, setup: Setup) -> Forecast:
+    """Forecast what a calibration with this plan will show.
+
+    Parameters
+    ----------
+    plan : Plan
+    setup : Setup
+
+    Returns
+    -------
+    Forecast
+    """
+    machine, limit = setup.machine, setup.calibration.unidentifiable_above
+    points = plan.path.points
+    nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
+    unknowns = layout(smooth_bases(nodes))
+    pieces, pose = forecast_pieces(plan, nodes, setup), tracker_pose(setup)
+    judged = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
+    whitener = Whitener(judged, pieces, setup.noise)
+    normal = normal_equations(judged, unknowns, whitener)
+    accepted = identifiable_blocks(normal, unknowns, limit)
+    system = build_system(machine, pieces, pose, unknowns)
+    prior = expected_precision(unknowns, limit, setup.config.error_size)
+    own = normal_equations(system, unknowns, whitener)
+    solution = solve(own, unknowns, limit, accepted, prior)
+    rows = table_rows(unknowns, nodes)
+    covariance = rows @ solution.covariance @ rows.T
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    u: dict[str, Array] = {n: deviation[k : k + 1] for k, n in enumerate(SQUARENESS)}
+    grid = covered_grid(machine, points, setup.config.grid)
+    grid_u, grid_u_free = grid_uncertainty(machine, nodes, covariance, grid)
+    return Forecast(
+        unknowns=unknowns,
+        solution=solution,
+        nodes=nodes,
+        determined=by_motion(determined_by_data(own, unknowns, accepted, limit, rows), nodes),
+        normal=normal,
+        u=u | by_motion(deviation, nodes),
+        covariance=covariance,
+        grid=grid,
+        grid_u=grid_u,
+        grid_u_free=grid_u_free,
+        pieces=pieces,
+        duration=drive_times(plan, setup.config.acceleration).duration,
+    )
+
+
+def grid_uncertainty(
+    machine: Machine, nodes: dict[str, Array], covariance: Array, grid: Array
+) -> tuple[Array, Array]:
+    """Uncertainty on a grid, in the gauge of the tables and free of rigid motion.
+
+    Returns
+    -------
+    gauge, free : ndarray, shape (n, 3), m
+    """
+    rows = prediction_rows(machine, {m: nodes[m[2]] for m in MOTIONS}, grid)
+    flat = rows.reshape(-1, rows.shape[2])
+    found = []
+    for part in (flat, free_rows(flat, grid)):
+        variance = np.einsum('ij,ij->i', part @ covariance, part)
+        found.append(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
+    return found[0], found[1]

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From options to a judged plan: which path, forecast, what it cannot show, where the tracker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from otf_core.config import ForecastConfig, PlannerConfig
+from otf_core.errors import ConfigError
+from otf_core.files.json_file import read_json
+from otf_core.files.strict_yaml import shown
+from otf_core.model.machine import Machine
+from otf_core.model.plan import Plan
+from otf_core.noise.model import NoiseModel
+from otf_core.planning.creator import plan_path
+from otf_core.planning.effects_seen import forecast_effects
+from otf_core.planning.forecast import Forecast, Setup, forecast
+from otf_core.planning.judged import EffectForecast, PlanReport
+from otf_core.planning.nc import on_increment
+from otf_core.planning.observability import findings
+from otf_core.planning.optimised import PathOptimiser
+from otf_core.planning.planned_budget import planned_systematic
+from otf_core.planning.tracker_places import advice, check_place, compare_places, rough
+from otf_core.threads import one_thread
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """What is wanted.
+
+    Attributes
+    ----------
+    given : Plan, optional
+        Judge this plan instead of making one.
+    time_budget : float, optional
+        s; make the grid best known in this time.
+    wanted_uncertainty : float, optional
+        m; make the mean grid uncertainty no larger, in the least time.
+    tracker_place : tuple of 3 floats, optional
+        m, machine frame.
+    noise : NoiseModel, optional
+        As specified in machine.yaml if not given.
+    """
+
+    given: Plan | None = None
+    time_budget: float | None = None
+    wanted_uncertainty: float | None = None
+    tracker_place: tuple[float, float, float] | None = None
+    noise: NoiseModel | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the wishes go together; ConfigError names those that do not."""
+        wishes = [
+            name
+            for name, value in (
+                ('path', self.given),
+                ('time_budget', self.time_budget),
+                ('wanted_uncertainty', self.wanted_uncertainty),
+            )
+            if value is not None
+        ]
+        if len(wishes) > 1:
+            raise ConfigError(f'{" and ".join(wishes)}: give one of them')
+        for name in ('time_budget', 'wanted_uncertainty'):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ConfigError(f'{name}: {value:g} is not above 0')
+
+
+def read_place(text: str) -> tuple[float, float, float]:
+    """Read 'x,y,z' in m; ConfigError if it is none."""
+    try:
+        x, y, z = (float(part) for part in text.split(','))
+    except ValueError:
+        raise ConfigError(f"tracker_place: '{text}' is not x,y,z in m") from None
+    if not np.all(np.isfinite([x, y, z])) or max(abs(x), abs(y), abs(z)) > 200:
+        raise ConfigError(f"tracker_place: '{text}' is no place near a machine; unit is m")
+    return x, y, z
+
+
+def read_noise(path: str | Path) -> NoiseModel:
+    """Read a noise.json of ``otf noise``; ConfigError if it is none."""
+    try:
+        data = read_json(path)
+        u_range, u_angle = float(data['u_range']), np.array(data['u_angle'], dtype=float)
+        white_range, white_angle = float(data['white_range']), np.array(data['white_angle'])
+        time = float(data['correlation_time'])
+        level = float(np.sqrt(np.mean(u_angle**2)))
+        share = float(np.mean(white_angle.astype(float) ** 2)) / level**2
+        model = NoiseModel(u_range, level, (white_range / u_range) ** 2, share, time)
+    except (ValueError, TypeError, KeyError, ZeroDivisionError, OverflowError) as error:
+        raise ConfigError(f'{path}: not a noise.json ({shown(error)})') from None
+    if not (u_range > 0 and level > 0 and time > 0):
+        raise ConfigError(f'{path}: levels and correlation_time must be above 0')
+    return replace(
+        model,
+        white_range=min(max(model.white_range, 0.0), 1.0),
+        white_angle=min(max(share, 0.0), 1.0),
+    )
+
+
+def _choose(request: PlanRequest, setup: Setup, config: PlannerConfig) -> tuple[Plan, str]:
+    """Plan as requested, and a line that says how it came about."""
+    if request.given is not None:
+        return request.given, 'the path given'
+    if request.time_budget is None and request.wanted_uncertainty is None:
+        passes = 'one pass' if config.passes == 1 else f'{config.passes} passes'
+        return plan_path(setup.machine, config), f'path creator, {passes}'
+    optimiser = PathOptimiser(setup, config)
+    if request.time_budget is not None:
+        best = optimiser.for_time(request.time_budget)
+        aim = f'least mean grid uncertainty in {request.time_budget:g} s'
+    else:
+        assert request.wanted_uncertainty is not None
+        best = optimiser.for_uncertainty(request.wanted_uncertainty)
+        aim = f'mean grid uncertainty of {1e6 * request.wanted_uncertainty:g} um in a short time'
+    passes = 'driven once' if best.passes == 1 else f'{best.passes} passes, every second reverse'
+    return best.plan, f'{aim}; {passes}; {_worth(best.efficiency)}'
+
+
+def _worth(efficiency: float) -> str:
+    return f'{100 * efficiency:.0f} % of the information of an ideal share of the time among lines'
+
+
+def make_plan(
+    machine: Machine, request: PlanRequest, config: PlannerConfig, judged: ForecastConfig
+) -> PlanReport:
+    """Make or take a plan and judge it.
+
+    Parameters
+    ----------
+    machine : Machine
+    request : PlanRequest
+    config : PlannerConfig
+    judged : ForecastConfig
+
+    Returns
+    -------
+    PlanReport
+    """
+    place = None if request.tracker_place is None else np.array(request.tracker_place)
+    setup = Setup.of(machine, place, request.noise, judged)
+    with one_thread():
+        plan, how = _choose(request, setup, config)
+        plan = on_increment(plan, machine.lower, machine.upper)
+        check_place(plan, setup)
+        found: Forecast = forecast(plan, setup)
+        limit = setup.calibration.unidentifiable_above
+        places = compare_places(plan, setup)
+        own = forecast(plan, rough(setup)).mean_grid_u
+        effects = tuple(
+            EffectForecast(e['effect'], e['words'], e)
+            for e in forecast_effects(plan, setup, found)
+        )
+        systematic = planned_systematic(plan, setup, found)
+    return PlanReport(
+        plan,
+        how,
+        setup,
+        found,
+        findings(found, machine, limit),
+        tuple(places),
+        tuple(advice(places, own)),
+        effects,
+        systematic,
+    )

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a plan cannot show, in words: which errors are mixed up, why, and what would part them.
+
+A rotation is told from the translations of its axis only by the travel of another axis in its
+lever arm, and not if that travel is parallel to its axis of rotation. Where the chain offers none,
+a second target offset does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from otf_core.model.kinematics import motion_influence
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.tables import DIRECTIONS, MOTIONS, SQUARENESS, is_straightness, unit_of
+from otf_core.planning.forecast import Forecast
+from otf_core.solving.solution import TIE_BREAK, smoothness
+from otf_core.solving.unknowns import Unknowns, reference_position
+
+Array = NDArray[np.float64]
+
+_SHARE = 0.1
+"""Part of a motion's effect that another one must imitate to be named."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One error that a plan does not show, or not everywhere.
+
+    Attributes
+    ----------
+    error : str
+        Motion or squareness error; an axis if part of its range is not driven.
+    mixed_with : tuple of str
+        Errors that take up its effect; empty if it has none that is seen.
+    words : str
+        What is the matter.
+    needs : str
+        What would show it.
+    """
+
+    error: str
+    mixed_with: tuple[str, ...]
+    words: str
+    needs: str
+
+
+def offset_in_words(machine: Machine) -> str:
+    """Say how the target lies: 'with one target offset along Z'."""
+    large = np.abs(machine.target_offset) > 1e-9
+    if not large.any():
+        return 'with the target at the origin of the tool side'
+    if large.sum() == 1:
+        return f'with one target offset along {AXES[int(large.argmax())]}'
+    return 'with one target offset'
+
+
+def chain_shows(machine: Machine, error: str) -> bool:
+    """Tell whether some path with one target offset tells an error from all others."""
+    if error in SQUARENESS or unit_of(error) == 'm':
+        return True
+    about, axis = AXES[DIRECTIONS.index(error[1]) - 3], error[2]
+    return any(a not in (axis, about) for a in machine.chain.lever_axes(axis))
+
+
+def _bow(unknowns: Unknowns, name: str) -> Array:
+    """Values of a motion that neither squareness nor pose can imitate: a bow, in its gauge."""
+    block = unknowns.blocks[name]
+    if name in SQUARENESS:
+        return np.ones(1)
+    basis = unknowns.bases[name[2]]
+    low, high = basis.knots[0], basis.knots[-1]
+
+    def bow(q: Array) -> Array:
+        return np.asarray((q - low) * (high - q) / max(high - low, 1e-12) ** 2)
+
+    value = basis.from_values @ bow(basis.centres)
+    if not is_straightness(name):
+        value -= bow(np.array([reference_position(low, high)]))
+    free = unknowns.free_blocks[name]
+    gauge = unknowns.gauge.toarray()[block, free]
+    return np.asarray(np.linalg.lstsq(gauge, value, rcond=None)[0])
+
+
+def imitators(result: Forecast, error: str, limit: float) -> tuple[str, ...]:
+    """Seen errors that take up the effect of an unseen one, the strongest first.
+
+    Parameters
+    ----------
+    result : Forecast
+    error : str
+    limit : float
+        m or rad; ``unidentifiable_above``.
+    """
+    unknowns, matrix = result.unknowns, result.normal.matrix * limit**2
+    free = unknowns.free_blocks[error]
+    bow = _bow(unknowns, error)
+    own = float(bow @ matrix[free, free] @ bow)
+    if own <= 1e-6 * max(float(np.max(np.diag(matrix))), 1.0) * float(bow @ bow):
+        return ()
+    blocks = [unknowns.free_blocks[n] for n in result.solution.accepted]
+    use = np.concatenate([np.arange(b.start, b.stop) for b in blocks])
+    prior = TIE_BREAK * smoothness(unknowns)[np.ix_(use, use)]
+    share = linalg.solve(matrix[np.ix_(use, use)] + prior, matrix[use, free] @ bow, assume_a='pos')
+    coefficient = np.zeros(unknowns.free)
+    coefficient[use] = share
+    found = []
+    for name in result.solution.accepted:
+        part = unknowns.free_blocks[name]
+        weight = float(coefficient[part] @ matrix[part, part] @ coefficient[part]) / own
+        if name in (*SQUARENESS, *MOTIONS) and weight > _SHARE:
+            found.append((weight, name))
+    return tuple(n for _, n in sorted(found, reverse=True))
+
+
+def _moves_nothing(result: Forecast, machine: Machine, error: str) -> bool:
+    influence = motion_influence(machine, error, result.pieces.origin)
+    return bool(np.abs(influence).max() < 1e-9)
+
+
+def _unseen(result: Forecast, machine: Machine, error: str, limit: float) -> Finding:
+    if error in MOTIONS and len(result.nodes[error[2]]) == 1:
+        words = f'{error}: the path does not move {error[2]}'
+        return Finding(error, (), words, f'lines that move {error[2]}')
+    others = imitators(result, error, limit)
+    if error in MOTIONS and unit_of(error) == 'rad' and _moves_nothing(result, machine, error):
+        about = AXES[DIRECTIONS.index(error[1]) - 3]
+        words = f'{error}: rotation about an axis through the target: it moves nothing'
+        return Finding(error, (), words, _second_offset(about))
+    if not chain_shows(machine, error):
+        about = AXES[DIRECTIONS.index(error[1]) - 3]
+        names = ' and '.join(others) or f'the translations of {error[2]}'
+        words = f'{error}: cannot be told from {names} {offset_in_words(machine)}'
+        return Finding(error, others, words, _second_offset(about))
+    if others:
+        words = f'{error}: this path mixes it up with {" and ".join(others)}'
+    else:
+        words = f'{error}: it acts along the lines of this path only, or where none is driven'
+    return Finding(error, others, words, 'face and space diagonals in several planes')
+
+
+def _second_offset(about: str) -> str:
+    across = ' or '.join(a for a in AXES if a != about)
+    return f'a second run with a target offset that differs in {across}'
+
+
+def _loose(name: str, positions: Array, nodes: int) -> Finding:
+    needs = f'face and space diagonals across {name[2]} there'
+    fixed = 2 if is_straightness(name) else 1
+    if len(positions) >= nodes - fixed:
+        words = f'{name}: not determined at any node but the reference'
+    else:
+        where = ', '.join(f'{p:g}' for p in positions)
+        words = f'{name}: not determined at {name[2]} = {where} m; interpolated there'
+    return Finding(name, (), words, needs)
+
+
+def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Finding, ...]:
+    """Say what a plan does not show.
+
+    Parameters
+    ----------
+    result : Forecast
+    machine : Machine
+    limit : float
+        m or rad; ``unidentifiable_above``.
+
+    Returns
+    -------
+    tuple of Finding
+        Unseen errors first, then motions that are not determined at single nodes, then parts of
+        the axis ranges that are not driven.
+    """
+    found = [_unseen(result, machine, error, limit) for error in result.not_identifiable]
+    for name, positions in result.loose_nodes.items():
+        found.append(_loose(name, positions, len(result.nodes[name[2]])))
+    found += _not_driven(result, machine)
+    return tuple(found)
+
+
+def _not_driven(result: Forecast, machine: Machine) -> list[Finding]:
+    """Ends of the axis ranges beyond the plan: no forecast holds there."""
+    found = []
+    for axis in AXES:
+        nodes, spec = result.nodes[axis], machine.axes[axis]
+        gap = max(nodes[0] - spec.min, spec.max - nodes[-1])
+        if gap > 1e-6 and len(nodes) > 1:
+            words = (
+                f'{axis}: driven from {nodes[0]:g} m to {nodes[-1]:g} m; beyond, up to '
+                f'{1e3 * gap:.1f} mm, tables are held constant and this forecast does not count'
+            )
+            found.append(Finding(axis, (), words, 'a smaller margin'))
+    return found

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Systematic contributions in the forecast of a plan: declared ones, and typical ones beside.
+
+The sensitivities are those of the budget; a plan stands in for the recording that it would give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
+from otf_core.budget.typical import missing_keys, typical_runs
+from otf_core.model.observation import Samples
+from otf_core.model.plan import Plan
+from otf_core.model.presets import TYPICAL
+from otf_core.model.tables import ErrorTables
+from otf_core.pieces.runs import Recording, Run
+from otf_core.planning.forecast import Forecast, Setup, grid_uncertainty, tracker_pose
+from otf_core.solving.joint import JointSolution, SolvedRun, tables_of
+from otf_core.solving.normal import Whitener
+from otf_core.solving.roughness import Roughness
+from otf_core.solving.system import build_system
+from otf_core.solving.tabulate import table_rows
+from otf_core.tracking.alignment import Alignment
+
+Array = NDArray[np.float64]
+
+
+def planned_solution(
+    plan: Plan, setup: Setup, found: Forecast
+) -> tuple[Run, JointSolution, ErrorTables]:
+    """Run, solution and tables that a recording of the plan would give, with zero deviations."""
+    pose, pieces = tracker_pose(setup), found.pieces
+    system = build_system(setup.machine, pieces, pose, found.unknowns)
+    whitener = Whitener(system, pieces, setup.noise)
+    still = Samples(np.zeros(0, np.int64), np.zeros((0, 3)))
+    alignment = Alignment(pose, plan.path.points, np.zeros(0, np.int64), 1.0, True)
+    run = Run(Recording(still, plan.path, setup.machine), alignment, pieces, pose, setup.noise)
+    solved = SolvedRun(pose, system, whitener, np.zeros_like(system.deviation))
+    nothing = Roughness({}, np.zeros((found.unknowns.free,) * 2), np.zeros((0, 0)), 0.0, 0.0)
+    done = JointSolution(found.unknowns, found.solution, nothing, found.normal, (solved,), 1)
+    return run, done, tables_of(setup.machine, found.unknowns, found.solution)
+
+
+@dataclass(frozen=True)
+class PlannedSystematic:
+    """Mean uncertainty of the grid vector, rigid motion taken out, by what it contains.
+
+    Attributes
+    ----------
+    declared, missing : tuple of str
+        Contributions as the budget calls them; ``missing``: at least one key is not declared.
+    noise, with_declared, with_typical : float
+        m, k = 1: of the noise alone; with the declared contributions; with typical values for
+        the missing keys too.
+    """
+
+    declared: tuple[str, ...]
+    missing: tuple[str, ...]
+    noise: float
+    with_declared: float
+    with_typical: float
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Lines for forecast.txt."""
+        lines = []
+        if self.declared:
+            lines.append(
+                f'with the declared contributions ({", ".join(self.declared)}) the mean grid '
+                f'uncertainty is {1e6 * self.with_declared:.3f} um'
+            )
+        if self.missing:
+            lines.append(
+                f'WARNING {", ".join(self.missing)}: not or only in part declared in '
+                f'machine.yaml; with typical values (presets {", ".join(TYPICAL)}) it would be '
+                f'{1e6 * self.with_typical:.3f} um'
+            )
+        return tuple(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Entry of plan.json."""
+        return {
+            'declared': list(self.declared),
+            'missing': list(self.missing),
+            'typical': list(TYPICAL),
+            'mean_grid_u_noise': self.noise,
+            'mean_grid_u_with_declared': self.with_declared,
+            'mean_grid_u_with_typical': self.with_typical,
+        }
+
+
+def planned_systematic(plan: Plan, setup: Setup, found: Forecast) -> PlannedSystematic:
+    """Forecast the grid with declared contributions, and with typical ones for the others.
+
+    Parameters
+    ----------
+    plan : Plan
+    setup : Setup
+    found : Forecast
+        Of this plan.
+    """
+    bare, done, tables = planned_solution(plan, setup, found)
+    # the end of the recording is all that is asked of its samples
+    ends = Samples(np.array([0, round(1e9 * found.duration)]), np.zeros((2, 3)))
+    run = replace(bare, recording=replace(bare.recording, samples=ends))
+    rows = table_rows(found.unknowns, found.nodes)
+
+    def added(sources: Sequence[Any], runs: Sequence[Run]) -> Array:
+        total = np.zeros_like(found.covariance)
+        for source in sources:
+            change = rows @ systematic_sensitivity(source, runs, done, tables)
+            total += change @ change.T
+        return total
+
+    def mean(covariance: Array) -> float:
+        free = grid_uncertainty(setup.machine, found.nodes, covariance, found.grid)[1]
+        return float(np.linalg.norm(free, axis=1).mean())
+
+    keys = missing_keys([run])
+    missing = [s for s in SYSTEMATIC if set(s.keys) & set(keys)]
+    declared = declared_sources([run])
+    own = found.covariance + added(declared, [run])
+    return PlannedSystematic(
+        tuple(s.source for s in declared),
+        tuple(s.source for s in missing),
+        found.mean_grid_u,
+        mean(own) if declared else found.mean_grid_u,
+        mean(own + added(missing, typical_runs([run], keys))),
+    )

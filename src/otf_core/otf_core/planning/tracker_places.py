@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where to put the tracker: places around and above the volume, compared by forecast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import ConfigError
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.plan import Plan
+from otf_core.planning.forecast import BESIDE, Setup, forecast
+
+Array = NDArray[np.float64]
+
+_PIECE = 0.02
+"""m; length of pieces that suffices to compare places."""
+
+
+@dataclass(frozen=True)
+class TrackerPlace:
+    """One place and what the plan would show from there.
+
+    Attributes
+    ----------
+    place : ndarray, shape (3,), m
+        Beam origin in the machine frame.
+    words : str
+    mean_grid_u : float
+        m; forecast with tables no finer than ``candidate_lines.INTERVALS`` per axis.
+    shortest, longest : float
+        m; beam over the path.
+    """
+
+    place: Array
+    words: str
+    mean_grid_u: float
+    shortest: float
+    longest: float
+
+
+def beam_lengths(plan: Plan, place: Array) -> tuple[float, float]:
+    """Shortest and longest beam over the path, m."""
+    start, step = plan.path.points[:-1], np.diff(plan.path.points, axis=0)
+    length = np.maximum(np.einsum('ij,ij->i', step, step), 1e-18)
+    share = np.clip(np.einsum('ij,ij->i', place - start, step) / length, 0.0, 1.0)
+    near = np.linalg.norm(start + share[:, None] * step - place, axis=1).min()
+    far = np.linalg.norm(plan.path.points - place, axis=1).max()
+    return float(near), float(far)
+
+
+def advice(places: list[TrackerPlace], own: float) -> list[str]:
+    """Say in words where the tracker stands best.
+
+    Parameters
+    ----------
+    places : list of TrackerPlace
+        Ranked.
+    own : float
+        m; mean grid uncertainty from the place that the plan is made for, likewise rough.
+    """
+    if not places:
+        return ['no place around the volume keeps all beams within the range limits']
+    best, worst = places[0], places[-1]
+    x, y, z = best.place
+    return [
+        f'best of {len(places)} places: {best.words} ({x:.3f}, {y:.3f}, {z:.3f}) m: '
+        f'{best.mean_grid_u / own:.2f} times the mean grid uncertainty of the place assumed here',
+        f'worst: {worst.words}: {worst.mean_grid_u / own:.2f} times',
+        'the nearer the better, as far as the range limits and a free beam allow; '
+        'that the beam is free and the target looks at the tracker is not checked',
+    ]
+
+
+def rough(setup: Setup) -> Setup:
+    """Return a set-up that is quick to judge and good enough to compare places."""
+    return replace(
+        setup,
+        calibration=replace(setup.calibration, piece_length=_PIECE),
+        config=replace(setup.config, grid=min(setup.config.grid, 5)),
+    )
+
+
+def check_place(plan: Plan, setup: Setup) -> None:
+    """Refuse a place whose beams leave the range limits; ConfigError says by how much."""
+    near, far = beam_lengths(plan, setup.place)
+    low, high = setup.config.min_range, setup.config.max_range
+    if near < low or far > high:
+        raise ConfigError(
+            f'tracker_place: beams from {setup.place.tolist()} m to the path are {near:.3f} m to '
+            f'{far:.3f} m long; the tracker measures {low:g} m to {high:g} m'
+        )
+
+
+def _words(side: tuple[int, ...], distance: float) -> str:
+    signs = ''.join(
+        f'{"+" if s > 0 else "-"}{a}' for a, s in zip(AXES[:2], side[:2], strict=True) if s
+    )
+    if not signs:
+        return f'above the middle, {distance:.2f} m away'
+    height = 'at half height' if side[2] == 0 else 'and above'
+    where = 'beyond the edge' if len(signs) > 2 else 'on the side'
+    return f'{where} {signs} {height}, {distance:.2f} m away'
+
+
+def candidate_places(machine: Machine, near: float) -> list[tuple[Array, str]]:
+    """Places on every side, beyond every edge and above; with words.
+
+    Parameters
+    ----------
+    machine : Machine
+    near : float
+        m, from the working volume; on the sides also twice as far.
+    """
+    centre = 0.5 * (machine.lower + machine.upper)
+    half = 0.5 * (machine.upper - machine.lower)
+    found = []
+    for distance, x, y, z in product((near, 2 * near), (-1, 0, 1), (-1, 0, 1), (0, 1)):
+        side = np.array([x, y, z])
+        if side.any() and (distance == near or np.abs(side).sum() == 1):
+            away = distance * side / np.linalg.norm(side)
+            found.append((centre + side * half + away, _words((x, y, z), distance)))
+    return found
+
+
+def compare_places(plan: Plan, setup: Setup) -> list[TrackerPlace]:
+    """Rank places of the tracker for one plan.
+
+    Parameters
+    ----------
+    plan : Plan
+    setup : Setup
+        Its own place is left out.
+
+    Returns
+    -------
+    list of TrackerPlace
+        Best first; places whose beams leave the range limits are not listed. That the beam is
+        free and the target looks at the tracker is not checked.
+    """
+    limits, quick = setup.config, rough(setup)
+    near = max(BESIDE, limits.min_range)
+    found = []
+    for place, words in candidate_places(setup.machine, near):
+        shortest, longest = beam_lengths(plan, place)
+        if shortest >= limits.min_range and longest <= limits.max_range:
+            u = forecast(plan, quick.at(place)).mean_grid_u
+            found.append(TrackerPlace(place, words, u, shortest, longest))
+    return sorted(found, key=lambda p: p.mean_grid_u)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Standard uncertainties of predictions, and how far residuals exceed the assumed noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.kinematics import motion_influence, squareness_influence
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.nodes import interval
+from otf_core.model.tables import MOTIONS, SQUARENESS
+
+Array = NDArray[np.float64]
+
+
+def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Array:
+    """Derivatives of the volumetric error with respect to squareness and node values.
+
+    Parameters
+    ----------
+    machine : Machine
+    nodes : mapping of motion name to ndarray, m
+    q : ndarray, shape (n, 3), m
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3 + sum of nodes)
+        C0Y, B0Z, A0Z, then the nodes of EXX, EYX, ... ECZ.
+    """
+    columns = [squareness_influence(name, q)[:, :, None] for name in SQUARENESS]
+    for name in MOTIONS:
+        count = len(nodes[name])
+        hat = np.zeros((len(q), count))
+        index, fraction = interval(nodes[name], q[:, AXES.index(name[2])])
+        row = np.arange(len(q))
+        hat[row, index] = 1.0 - fraction
+        if count > 1:
+            hat[row, index + 1] += fraction
+        columns.append(motion_influence(machine, name, q)[:, :, None] * hat[:, None, :])
+    return np.concatenate(columns, axis=2)
+
+
+def prediction_uncertainty(
+    machine: Machine, nodes: dict[str, Array], covariance: Array, q: Array
+) -> Array:
+    """Standard uncertainty of predicted volumetric errors (JCGM 102, linear propagation).
+
+    Parameters
+    ----------
+    machine : Machine
+    nodes : mapping of motion name to ndarray, m
+    covariance : ndarray, shape (m, m)
+        Of squareness and nodes, in the order of ``prediction_rows``.
+    q : ndarray, shape (n, 3), m
+
+    Returns
+    -------
+    ndarray, shape (n, 3), m
+        k = 1, for the errors in the gauge of the tables.
+    """
+    result = np.empty_like(q)
+    for start in range(0, len(q), 500):
+        rows = prediction_rows(machine, nodes, q[start : start + 500])
+        flat = rows.reshape(-1, rows.shape[2])
+        variance = np.einsum('ij,ij->i', flat @ covariance, flat)
+        result[start : start + 500] = np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3)
+    return result

@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files and the text of a calibration.
+
+``error_tables.json`` (INTERFACES layout; holds the covariance in full precision, so that a copy
+of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv``
+(the same, forward and backward), ``residuals.csv`` (one row a path piece), ``summary.txt``.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.budget.typical import typical_to_dict
+from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
+from otf_core.effects.stated import effects_to_list, format_effects
+from otf_core.files.csv_points import tidy, write_csv
+from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.provenance import COVERAGE, provenance
+from otf_core.model.tables import MOTIONS, SQUARENESS, tables_to_dict, unit_of
+from otf_core.prediction.covariance import pack_covariance
+from otf_core.prediction.driven_volume import driven_volume
+from otf_core.reports.budget import budget_lines, budget_to_dict, expanded, format_budget
+from otf_core.reports.calibration_words import (
+    convention_lines,
+    squareness_words,
+    volumetric_error,
+    volumetric_line,
+)
+from otf_core.reports.reversal import format_reversal, reversal_csv, reversal_to_dict
+
+TABLES_FILE = 'error_tables.json'
+
+
+def result_to_dict(result: CalibrationResult, verb: str = 'calibrate') -> dict[str, Any]:
+    """Return a calibration as plain data in the layout of error_tables.json."""
+    data = tables_to_dict(result.tables)
+    pose, lines = result.T_machine_tracker, budget_lines(result.tables, result.budget)
+    for name, wide in expanded(result.tables, lines).items():
+        data['squareness' if name in SQUARENESS else 'motions'][name] |= wide
+    data |= {
+        'alignment': {
+            'rotation': pose.rotation.tolist(),
+            'translation': pose.translation.tolist(),
+        },
+        'fit': asdict(result.fit),
+        'reversal': reversal_to_dict(result.reversal, result.tables),
+        'runs': [_run_to_dict(run) for run in result.runs],
+        'run_id': result.run_id,
+        'gauge': GAUGE,
+        'spacing': _spacing(result),
+        'prior': {name: asdict(known) for name, known in result.prior.items()},
+        'covariance': pack_covariance(result.covariance),
+        **budget_to_dict(result.tables, result.budget, lines),
+        'driven': driven_volume(
+            np.concatenate([run.q for run in result.runs]),
+            result.config.corner_exclusion + result.config.piece_length,
+        ).to_dict(),
+        'typical_systematic': typical_to_dict(result.typical),
+        'not_identifiable': list(result.not_identifiable),
+        'effects': effects_to_list(result.effects),
+        'warnings': list(result.warnings),
+        'failed_gates': list(result.failed_gates),
+        'config': asdict(result.config),
+        'volumetric_error': volumetric_error(result.tables),
+        'provenance': provenance(
+            verb,
+            method='standstill' if result.runs[0].pieces.standstill else 'otf',
+            runs=result.origin,
+            coverage=f'{COVERAGE}; U: expanded uncertainty for 95 %, k beside it',
+        ),
+    }
+    return data
+
+
+def _run_to_dict(run: RunResult) -> dict[str, Any]:
+    pose = run.T_machine_tracker
+    return {
+        'name': run.name,
+        'target_offset': run.target_offset.tolist(),
+        'alignment': {
+            'rotation': pose.rotation.tolist(),
+            'translation': pose.translation.tolist(),
+        },
+        'coverage': run.coverage,
+        'samples': run.samples,
+        'pieces': len(run.pieces),
+        'residual_rms': float(np.sqrt(np.mean(np.sum(run.residual**2, axis=0)))),
+        'noise': asdict(run.noise),
+        'misfit': asdict(run.misfit),
+    }
+
+
+def _spacing(result: CalibrationResult) -> dict[str, Any]:
+    """Spacing of the nodes, and what straight lines between them cost: wished for and taken."""
+    costs = [
+        {
+            'fraction': fraction,
+            'grid': cost.grid,
+            'motions': {n: {'unit': unit_of(n), 'rms': v} for n, v in cost.motions.items()},
+        }
+        for fraction, cost in sorted(result.table_costs.items())
+    ]
+    return {'table_pitch_over': result.fraction, 'cost': costs}
+
+
+def _tidy_rows(result: CalibrationResult) -> str:
+    lines = ['motion,axis,position,value,unit,u,identifiable,U,k']
+    wide = expanded(result.tables, budget_lines(result.tables, result.budget))
+    for name in MOTIONS:
+        table = result.tables.motions[name]
+        known = table.node_identifiable
+        flags = np.ones(len(table.position)) if known is None else known
+        k = wide[name]['k']
+        rows = zip(table.position, table.value, table.u, flags, wide[name]['U'], strict=True)
+        for position, value, u, seen, wide_u in rows:
+            lines.append(
+                f'{name},{name[2]},{tidy(position)!r},{float(value) + 0.0!r},{unit_of(name)},'
+                f'{float(u)!r},{str(bool(seen)).lower()},{wide_u!r},{_factor(k)}'
+            )
+    for name in SQUARENESS:
+        entry = result.tables.squareness[name]
+        seen = name not in result.not_identifiable
+        lines.append(
+            f'{name},,,{entry.value + 0.0!r},rad,{entry.u!r},{str(seen).lower()},'
+            f'{wide[name]["U"]!r},{_factor(wide[name]["k"])}'
+        )
+    return '\n'.join(lines) + '\n'
+
+
+def _factor(k: float | None) -> str:
+    """Coverage factor in a CSV cell; empty where nothing is uncertain."""
+    return '' if k is None else repr(float(k))
+
+
+_MOVING, _STANDING = ('2', '3'), ('1', '2', '3')
+"""Names of the components of a deviation: two across the path; along the beam and two across."""
+
+
+def _component_names(run: RunResult) -> tuple[str, ...]:
+    return _STANDING if run.pieces.standstill else _MOVING
+
+
+def _residual_columns(number: int, run: RunResult) -> NDArray[np.float64]:
+    pieces = run.pieces
+    return np.column_stack(
+        [
+            np.full(len(pieces), number),
+            pieces.time,
+            pieces.leg,
+            pieces.count,
+            pieces.speed,
+            run.q,
+            *run.axes,
+            run.deviation.T,
+            run.residual.T,
+        ]
+    )
+
+
+def _residual_header(run: RunResult) -> str:
+    names = _component_names(run)
+    columns = ['run', 'time', 'leg', 'count', 'speed', 'x', 'y', 'z']
+    columns += [f'a{k}{axis}' for k in names for axis in 'xyz']
+    columns += [f'{what}{k}' for what in ('deviation', 'residual') for k in names]
+    return ','.join(columns)
+
+
+def write_calibration(
+    result: CalibrationResult, folder: str | Path, verb: str = 'calibrate'
+) -> list[Path]:
+    """Write all files of a calibration; error_tables.json last.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+    folder : str or Path
+        Made if missing; files of the same names are replaced.
+    verb : str
+        Command that the files come from.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be written.
+    """
+    folder = ensure_folder(folder)
+    write_text(folder / 'error_tables.csv', _tidy_rows(result))
+    write_text(folder / 'reversal.csv', reversal_csv(result.reversal, result.tables))
+    rows = [_residual_columns(k, run) for k, run in enumerate(result.runs)]
+    write_csv(folder / 'residuals.csv', _residual_header(result.runs[0]), np.concatenate(rows))
+    write_text(folder / 'summary.txt', format_result(result) + '\n')
+    write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result, verb), indent=1) + '\n')
+    names = (TABLES_FILE, 'error_tables.csv', 'reversal.csv', 'residuals.csv', 'summary.txt')
+    return [folder / name for name in names]
+
+
+def format_result(result: CalibrationResult) -> str:
+    """Return the text for a terminal: warnings first, then fit, squareness, tables."""
+    fit, machine = result.fit, result.tables.machine
+    lines = [f'WARNING {text}' for text in result.warnings]
+    lines += [f'FAILED {text}' for text in result.failed_gates]
+    lines += [
+        f'{machine.name}, chain {machine.chain}, run {result.run_id}',
+        f'samples {fit.samples}, used {fit.used} in {fit.pieces} path pieces; '
+        f'{fit.unknowns} unknowns, rank {fit.rank}; path driven {100 * fit.coverage:.1f} %',
+        f'mean distance from the path {1e6 * fit.path_mae_before:.2f} um, compensated '
+        f'{1e6 * fit.path_mae_after:.2f} um; residual rms {1e6 * fit.residual_rms:.2f} um',
+        volumetric_line(result.tables),
+        *(_run_line(number, run) for number, run in enumerate(result.runs, start=1)),
+        *convention_lines(result),
+        '',
+        format_tables(result),
+        '',
+        *([format_effects(result.effects), ''] if result.effects else []),
+        format_reversal(result.reversal),
+        '',
+        format_budget(result.tables, result.budget, budget_lines(result.tables, result.budget)),
+    ]
+    return '\n'.join(lines)
+
+
+def _run_line(number: int, run: RunResult) -> str:
+    place, offset = (
+        ', '.join(f'{v:.3f}' for v in vector)
+        for vector in (run.T_machine_tracker.translation, run.target_offset)
+    )
+    return (
+        f'run {number}{f" ({run.name})" if run.name else ""}: {run.samples} samples, '
+        f'{100 * run.coverage:.1f} % driven, tracker at ({place}) m, target offset ({offset}) m'
+    )
+
+
+def format_tables(result: CalibrationResult) -> str:
+    """Return the error tables as text: span and standard uncertainty of every motion."""
+    lines = ['squareness  value (urad)  u, k = 1 (urad)']
+    for name in SQUARENESS:
+        entry = result.tables.squareness[name]
+        known = name not in result.not_identifiable
+        lines.append(
+            f'{name:<10}{1e6 * entry.value:>14.2f}{1e6 * entry.u:>17.2f}  '
+            f'{squareness_words(name, entry.value)}'
+            if known
+            else f'{name:<10}  not identifiable in these data'
+        )
+    lines += ['', 'motion  unit  nodes       min       max    mean u, k = 1']
+    for name in MOTIONS:
+        table = result.tables.motions[name]
+        unit = 'um' if unit_of(name) == 'm' else 'urad'
+        row = f'{name:<8}{unit:<6}{len(table.position):>5}'
+        if table.identifiable:
+            row += f'{1e6 * table.value.min():>10.2f}{1e6 * table.value.max():>10.2f}'
+            row += f'{1e6 * table.u.mean():>17.2f}'
+        else:
+            row += '   not identifiable in these data'
+        lines.append(row)
+    lines += ['', f'Gauge: {GAUGE}.', _spacing_in_words(result)]
+    return '\n'.join(lines)
+
+
+def _spacing_in_words(result: CalibrationResult) -> str:
+    wish, taken = result.table_costs[1], result.table_costs[result.fraction]
+    worst = max(wish.motions, key=lambda name: wish.motions[name])
+    unit = 'um' if unit_of(worst) == 'm' else 'urad'
+    costs = (
+        f'straight lines between nodes cost {1e6 * wish.grid:.2f} um on the grid '
+        f'(most in {worst}: {1e6 * wish.motions[worst]:.2f} {unit})'
+    )
+    if result.fraction == 1:
+        return f'Nodes stand table_pitch apart; {costs}.'
+    return (
+        f'Nodes stand at 1/{result.fraction} of table_pitch, where straight lines cost '
+        f'{1e6 * taken.grid:.2f} um on the grid; at table_pitch {costs}.'
+    )

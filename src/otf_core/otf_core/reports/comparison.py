@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A comparison as data, as text and as files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.comparison.compare import COVERAGE, Comparison, agreement
+from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.evaluation import mean_length
+from otf_core.model.machine import AXES
+from otf_core.model.provenance import provenance
+from otf_core.model.tables import unit_of
+from otf_core.reports.plots.comparison import draw_motions, draw_volume
+
+Array = NDArray[np.float64]
+
+SCHEMA = 'otf-comparison/1'
+CONVENTION = (
+    'positioning and rotations zero at axis position 0, else at the common minimum; straightness '
+    'zero at both ends of the common range; squareness left out'
+)
+
+
+def _largest(normalised: Array) -> float:
+    known = normalised[np.isfinite(normalised)]
+    return float(known.max()) if known.size else 0.0
+
+
+def comparison_to_dict(result: Comparison) -> dict[str, Any]:
+    """Return a comparison as plain data."""
+    volume = result.volume
+    motions = {}
+    for name, motion in result.motions.items():
+        motions[name] = {
+            'unit': unit_of(name),
+            'position': motion.position.tolist(),
+            'a': motion.a.tolist(),
+            'b': motion.b.tolist(),
+            'u_a': motion.u_a.tolist(),
+            'u_b': motion.u_b.tolist(),
+            'normalised_error': [None if np.isnan(v) else float(v) for v in motion.normalised],
+            'largest_difference': float(np.abs(motion.difference).max()),
+            'within': agreement(motion.normalised),
+        }
+    difference = volume.difference
+    data: dict[str, Any] = {
+        'schema': SCHEMA,
+        'a': result.names[0],
+        'b': result.names[1],
+        'convention': CONVENTION,
+        'counted_as_translations': list(result.common.folded),
+        'motions': motions,
+        'volume': {
+            'points': len(volume.q),
+            'mae_a': mean_length(volume.a),
+            'mae_b': mean_length(volume.b),
+            'mae_difference': mean_length(difference),
+            'mean_absolute': dict(
+                zip(AXES, np.abs(difference).mean(axis=0).tolist(), strict=True)
+            ),
+            'standard_deviation': dict(zip(AXES, difference.std(axis=0).tolist(), strict=True)),
+            'within': agreement(volume.normalised),
+            'coverage_factor': COVERAGE,
+        },
+    }
+    if volume.squareness is not None:
+        keys = ('mae_a', 'mae_b', 'mae_difference')
+        data['volume_with_squareness'] = dict(zip(keys, volume.squareness, strict=True))
+    return data
+
+
+def format_comparison(result: Comparison) -> str:
+    """Return the text for a terminal."""
+    a, b = result.names
+    lines = [
+        f'a: {a}',
+        f'b: {b}',
+        f'{CONVENTION}.',
+        '',
+        'motion  unit   largest |b - a|   rms b - a   mean u_a   mean u_b   largest E_n  E_n <= 1',
+    ]
+    for name, motion in result.motions.items():
+        rms = float(np.sqrt(np.mean(motion.difference**2)))
+        lines.append(
+            f'{name:<8}{"um" if unit_of(name) == "m" else "urad":<5}'
+            f'{1e6 * np.abs(motion.difference).max():>17.2f}{1e6 * rms:>12.2f}'
+            f'{1e6 * motion.u_a.mean():>11.2f}{1e6 * motion.u_b.mean():>11.2f}'
+            f'{_largest(motion.normalised):>14.2f}{100 * agreement(motion.normalised):>9.0f} %'
+        )
+    if result.common.folded:
+        lines.append(
+            f'{", ".join(result.common.folded)}: one side cannot tell them from translations; '
+            f'counted as such'
+        )
+    volume = result.volume
+    lines += [
+        '',
+        f'volume, {len(volume.q)} points: mean error a {1e6 * mean_length(volume.a):.2f} um, '
+        f'b {1e6 * mean_length(volume.b):.2f} um, '
+        f'b - a {1e6 * mean_length(volume.difference):.2f} um; '
+        f'E_n <= 1 for {100 * agreement(volume.normalised):.0f} % of the components',
+    ]
+    if volume.squareness is not None:
+        lines.append(
+            'with squareness, without rigid motion: a {:.2f} um, b {:.2f} um, '
+            'b - a {:.2f} um'.format(*(1e6 * v for v in volume.squareness))
+        )
+    return '\n'.join(lines)
+
+
+def write_comparison(
+    result: Comparison, folder: str | Path, about: Mapping[str, Any] | None = None
+) -> list[Path]:
+    """Write motions.svg, volume.svg, comparison.txt and, last, comparison.json.
+
+    Parameters
+    ----------
+    result : Comparison
+    folder : str or Path
+    about : mapping, optional
+        Block ``provenance`` of the JSON file; what is known without it if not given.
+
+    Returns
+    -------
+    list of Path
+    """
+    folder = ensure_folder(folder)
+    data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}
+    files = [draw_motions(result, folder), draw_volume(result, folder)]
+    files += [folder / 'comparison.txt', folder / 'comparison.json']
+    write_text(files[2], format_comparison(result) + '\n')
+    content = json.dumps(data, indent=1, allow_nan=False)
+    write_text(files[3], content + '\n')
+    return files

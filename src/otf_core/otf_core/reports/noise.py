@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A noise report as data, as text and as files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.provenance import provenance
+from otf_core.noise.report import QUANTITIES, NoiseReport
+from otf_core.reports.plots.noise import draw_noise
+
+Array = NDArray[np.float64]
+
+SCHEMA = 'otf-noise/1'
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def noise_to_dict(report: NoiseReport) -> dict[str, Any]:
+    """Return a report as plain data in the layout of noise.json."""
+    noise = report.noise
+    return {
+        'schema': SCHEMA,
+        'u_range': float(noise.total[0]),
+        'u_angle': noise.total[1:].tolist(),
+        'white_range': float(noise.white[0]),
+        'white_angle': noise.white[1:].tolist(),
+        'correlation_time': noise.correlation_time,
+        'standstills': report.standstills,
+        'samples': noise.samples,
+        'uncertainty': {
+            'u_range': _number(report.u_total[0]),
+            'u_angle': [_number(v) for v in report.u_total[1:]],
+            'white_range': _number(report.u_white[0]),
+            'white_angle': [_number(v) for v in report.u_white[1:]],
+            'correlation_time': _number(report.u_correlation_time),
+        },
+        'windows': noise.standstills,
+        'windows_left_out': noise.left_out,
+        'duration': report.duration,
+        'rate': report.rate,
+        'distance': report.distance,
+        'tails': {
+            name: {
+                'excess_kurtosis': tail.excess_kurtosis,
+                'student_freedom': tail.freedom,
+                'beyond_4_sigma': tail.beyond,
+            }
+            for name, tail in zip(QUANTITIES, report.tails, strict=True)
+        },
+        'peaks': [
+            {'of': QUANTITIES[p.quantity], 'frequency': p.frequency, 'rms': p.rms}
+            for p in report.peaks
+        ],
+        'lost': {
+            'samples': report.lost.samples,
+            'gaps': report.lost.gaps,
+            'longest': report.lost.longest,
+        },
+        'steps': [{'time': s.time, 'size': s.size.tolist()} for s in report.steps],
+        'drift': None
+        if report.drift is None
+        else {'duration': report.drift.duration, 'change': report.drift.change.tolist()},
+        'warnings': list(report.warnings),
+    }
+
+
+def _level_rows(report: NoiseReport) -> list[str]:
+    rows = []
+    for k, name in enumerate(QUANTITIES):
+        tail, unit = report.tails[k], 'um' if k == 0 else 'urad'
+        freedom = 'normal' if tail.freedom is None else f't({tail.freedom:.0f})'
+        rows.append(
+            f'{name:<18}{unit:<5}{1e6 * report.noise.total[k]:>8.3f}'
+            f'{1e6 * report.u_total[k]:>8.3f}{1e6 * report.noise.white[k]:>9.3f}'
+            f'{1e6 * report.u_white[k]:>8.3f}{tail.excess_kurtosis:>11.2f}  {freedom}'
+        )
+    return rows
+
+
+def _event_rows(report: NoiseReport) -> list[str]:
+    def sized(values: Array) -> str:
+        return f'{values[0]:+.2f} um, {values[1]:+.2f} urad, {values[2]:+.2f} urad'
+
+    lost = report.lost
+    rows = ['no samples lost']
+    if lost.samples:
+        rows = [f'{lost.samples} samples lost in {lost.gaps} gaps, longest {lost.longest:.2f} s']
+    if report.steps:
+        largest = max(report.steps, key=lambda s: float(np.max(np.abs(s.size))))
+        rows.append(
+            f'{len(report.steps)} steps within standstills, the largest at {largest.time:.1f} s: '
+            f'{sized(1e6 * largest.size)}'
+        )
+    if report.drift is not None:
+        rows.append(f'drift in {report.drift.duration:.1f} s: {sized(1e6 * report.drift.change)}')
+    return rows
+
+
+def format_noise(report: NoiseReport) -> str:
+    """Return the text for a terminal: warnings first."""
+    noise = report.noise
+    colour = (
+        f'correlation time of the slow part {noise.correlation_time:.2f} s '
+        f'(+/- {report.u_correlation_time:.2f})'
+        if noise.correlation_time
+        else 'the noise is white'
+    )
+    lines = [f'WARNING {text}' for text in report.warnings]
+    lines += [
+        f'{report.standstills} standstills; used {report.duration:.1f} s, {noise.samples} samples '
+        f'at {report.rate:.0f} Hz in {noise.standstills} windows, {noise.left_out} louder ones '
+        f'left out; beam {report.distance:.2f} m',
+        '',
+        'noise (k = 1)     unit    total     +/-    white     +/-   kurtosis  tails',
+        *_level_rows(report),
+        '',
+        colour,
+    ]
+    lines += _event_rows(report)
+    lines += [
+        f'peak of the {QUANTITIES[p.quantity]} at {p.frequency:.1f} Hz: {1e6 * p.rms:.3f} '
+        f'{"um" if p.quantity == 0 else "urad"} rms'
+        for p in report.peaks
+    ] or ['no peaks in the spectrum']
+    return '\n'.join(lines)
+
+
+def write_noise(
+    report: NoiseReport, folder: str | Path, about: Mapping[str, Any] | None = None
+) -> list[Path]:
+    """Write noise.svg, noise.txt and, last, noise.json.
+
+    Parameters
+    ----------
+    report : NoiseReport
+    folder : str or Path
+    about : mapping, optional
+        Block ``provenance`` of the JSON file; what is known without it if not given.
+
+    Returns
+    -------
+    list of Path
+    """
+    folder = ensure_folder(folder)
+    data = noise_to_dict(report) | {'provenance': about or provenance('noise')}
+    files = [draw_noise(report, folder), folder / 'noise.txt', folder / 'noise.json']
+    write_text(files[1], format_noise(report) + '\n')
+    content = json.dumps(data, indent=1, allow_nan=False)
+    write_text(files[2], content + '\n')
+    return files

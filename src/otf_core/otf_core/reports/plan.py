@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``otf plan`` writes: path.csv, plan.json, forecast.txt and the NC program.
+
+plan.json (``otf-plan/1``), SI units: machine, path, feed, dwell, what the forecast assumed, the
+forecast with its grid, findings in words, places of the tracker, and effects beyond the rigid
+body, see ``EffectForecast``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from otf_core.files.csv_points import tidy, write_csv
+from otf_core.files.writing import write_text
+from otf_core.model.machine import AXES
+from otf_core.model.provenance import provenance
+from otf_core.model.tables import MOTIONS, SQUARENESS, unit_of
+from otf_core.planning.forecast import Forecast
+from otf_core.planning.judged import PlanReport
+from otf_core.planning.nc import Dialect, program
+from otf_core.planning.plan_json import SCHEMA
+
+
+def _margin(report: PlanReport) -> float:
+    """Least distance of the path from the ends of the axis ranges, m."""
+    points, machine = report.plan.path.points, report.setup.machine
+    inside = np.minimum(points - machine.lower, machine.upper - points).min()
+    return float(max(inside, 0.0))
+
+
+def _errors(found: Forecast) -> dict[str, Any]:
+    entries: dict[str, Any] = {}
+    for name in (*SQUARENESS, *MOTIONS):
+        entry: dict[str, Any] = {'unit': unit_of(name) if name in MOTIONS else 'rad'}
+        if name in MOTIONS:
+            entry |= {'axis': name[2], 'position': found.nodes[name[2]].tolist()}
+        entry |= {
+            'identifiable': name in found.solution.accepted,
+            'node_identifiable': found.seen_at(name).tolist(),
+            'u': found.u[name].tolist(),
+        }
+        entries[name] = entry
+    return entries
+
+
+def report_to_dict(report: PlanReport) -> dict[str, Any]:
+    """Return a report as plain data in the layout of plan.json."""
+    plan, found, setup = report.plan, report.forecast, report.setup
+    return {
+        'schema': SCHEMA,
+        'machine': setup.machine.to_dict(),
+        'how': report.how,
+        'path': plan.path.points.tolist(),
+        'feed': plan.feed.tolist(),
+        'dwell': plan.dwell.tolist(),
+        'length': plan.path.length,
+        'duration': found.duration,
+        'margin': _margin(report),
+        'assumed': {
+            'tracker_place': setup.place.tolist(),
+            'noise': asdict(setup.noise),
+            'rate': setup.config.rate,
+            'acceleration': setup.config.acceleration,
+        },
+        'forecast': {
+            'pieces': len(found.pieces),
+            'unknowns': found.solution.unknowns,
+            'rank': found.solution.rank,
+            'holds': 'noise',
+            'mean_grid_u': found.mean_grid_u,
+            'mean_grid_u_in_gauge': float(np.linalg.norm(found.grid_u, axis=1).mean()),
+            'errors': _errors(found),
+            'grid': {
+                'point': found.grid.tolist(),
+                'u': found.grid_u_free.tolist(),
+                'u_in_gauge': found.grid_u.tolist(),
+            },
+        },
+        'systematic': report.systematic.to_dict() if report.systematic else None,
+        'not_shown': [asdict(f) for f in report.findings],
+        'tracker_places': [asdict(p) | {'place': p.place.tolist()} for p in report.places],
+        'effects': {e.effect: dict(e.data) for e in report.effects},
+    }
+
+
+def _table(found: Forecast) -> list[str]:
+    lines = [f'{"error":6} {"mean u":>10} {"max u":>10}']
+    for name in (*SQUARENESS, *MOTIONS):
+        if name not in found.solution.accepted:
+            lines.append(f'{name:6} not identifiable')
+            continue
+        u, unit = 1e6 * found.u[name], 'um' if name in MOTIONS and unit_of(name) == 'm' else 'urad'
+        lines.append(f'{name:6} {u.mean():10.3f} {u.max():10.3f} {unit}')
+    return lines
+
+
+def format_report(report: PlanReport) -> str:
+    """Return the text of forecast.txt; it stands for itself in a terminal."""
+    plan, found, setup = report.plan, report.forecast, report.setup
+    free = np.linalg.norm(found.grid_u_free, axis=1)
+    gauge = np.linalg.norm(found.grid_u, axis=1)
+    feeds = np.unique(np.rint(60e3 * plan.feed)).astype(int)
+    x, y, z = setup.place
+    noise = setup.noise
+    lines = [
+        f'Plan: {report.how}',
+        f'{len(plan.path.points)} points, {plan.path.length:.2f} m, {found.duration:.0f} s with '
+        f'accelerations of {setup.config.acceleration:g} m/s^2 and dwells',
+        f'feeds {", ".join(map(str, feeds))} mm/min; at least {1e3 * _margin(report):.1f} mm '
+        f'inside the axis ranges',
+        f'Assumed: tracker at ({x:.3f}, {y:.3f}, {z:.3f}) m in the machine frame, '
+        f'{setup.config.rate:g} samples/s; noise of a sample {1e6 * noise.u_range:.2g} um along '
+        f'the beam,',
+        f'  {1e6 * noise.u_angle:.2g} urad across, {100 * (1 - noise.white_angle):.0f} % of the '
+        f'variance correlated over {noise.correlation_time:.2g} s',
+        '',
+        f'Forecast of tracker noise alone, standard uncertainties (k = 1), '
+        f'{found.solution.rank} of {found.solution.unknowns} unknowns determined',
+        f'mean grid uncertainty {1e6 * free.mean():.3f} um, largest {1e6 * free.max():.3f} um '
+        f'(best rigid motion of the grid taken out)',
+        f'in the gauge of the tables {1e6 * gauge.mean():.3f} um, largest '
+        f'{1e6 * gauge.max():.3f} um',
+        *(report.systematic.words if report.systematic else ()),
+        *_table(found),
+        '',
+        'What this plan does not show:',
+        *(f'  {f.words}; needs {f.needs}' for f in report.findings),
+        *(['  nothing is missing'] if not report.findings else []),
+        '',
+        'Tracker:',
+        *(f'  {line}' for line in report.advice),
+        *(
+            f'  {p.words:52} {1e6 * p.mean_grid_u:7.3f} um, beams {p.shortest:.2f} m to '
+            f'{p.longest:.2f} m'
+            for p in report.places
+        ),
+    ]
+    if report.effects:
+        lines += ['', 'Effects beyond the rigid body:', *(f'  {e.words}' for e in report.effects)]
+    return '\n'.join(lines) + '\n'
+
+
+def _mm(value: float) -> str:
+    return f'{round(1e3 * float(value), 3) + 0.0:.3f}'
+
+
+def program_header(report: PlanReport) -> list[str]:
+    """Comment lines at the head of a program."""
+    plan = report.plan
+    low, high = plan.path.points.min(axis=0), plan.path.points.max(axis=0)
+    spans = [f'{a} {_mm(lo)} TO {_mm(hi)}' for a, lo, hi in zip(AXES, low, high, strict=True)]
+    return [
+        'OTF PATH FOR A LASER TRACKER CALIBRATION',
+        f'MACHINE {report.setup.machine.name}',
+        f'{len(plan.path.points)} POINTS, {plan.path.length:.2f} M, '
+        f'{report.forecast.duration:.0f} S',
+        f'{", ".join(spans)} MM',
+        'ERROR COMPENSATION OFF OR AS IT IS TO BE CHECKED - TRY IN THE AIR FIRST',
+    ]
+
+
+def write_report(
+    report: PlanReport,
+    folder: Path,
+    dialect: Dialect | None,
+    about: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Write all files of a plan, the program only for a dialect; plan.json last.
+
+    Parameters
+    ----------
+    report : PlanReport
+    folder : Path
+    dialect : Dialect, optional
+    about : mapping, optional
+        Block ``provenance`` of plan.json; of the machine alone if not given.
+
+    Raises
+    ------
+    ConfigError
+        If the dialect cannot express the plan; nothing is written then.
+    """
+    files = []
+    text = None if dialect is None else program(dialect, report.plan, program_header(report))
+    if dialect is not None and text is not None:
+        files.append(folder / dialect.file_name)
+        write_text(files[-1], text)
+    files.append(folder / 'path.csv')
+    write_csv(files[-1], 'x,y,z', np.vectorize(tidy)(report.plan.path.points))
+    files.append(folder / 'forecast.txt')
+    write_text(files[-1], format_report(report))
+    files.append(folder / 'plan.json')
+    block = about or provenance('plan', machines=[report.setup.machine])
+    content = report_to_dict(report) | {'provenance': block}
+    write_text(files[-1], json.dumps(content) + '\n')
+    return files

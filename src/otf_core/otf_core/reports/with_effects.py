@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a calibration with effects taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from otf_core.diagnosis.calibrate_with_effects import EffectsCalibration
+from otf_core.effects import AppliedEffect
+from otf_core.effects.effects_yaml import write_effects
+from otf_core.reports.calibration import write_calibration
+
+PLAIN_FOLDER = 'plain'
+EFFECTS_FILE = 'effects_taken_off'
+
+
+def write_with_effects(done: EffectsCalibration, folder: str | Path) -> list[Path]:
+    """Write the calibration, the effects taken off, and the plain calibration in ``plain/``.
+
+    Without effects taken off there is no folder ``plain``: the tables are the plain ones.
+
+    Returns
+    -------
+    list of Path
+    """
+    folder = Path(folder)
+    files = []
+    if done.applied[0]:
+        files = write_calibration(done.plain, folder / PLAIN_FOLDER)[:1]
+    written = write_calibration(done.result, folder)
+    machine = done.result.tables.machine
+    for number, applied in enumerate(done.applied):
+        if applied and (not number or _differs(applied, done.applied[0])):
+            name = f'{EFFECTS_FILE}_run_{number + 1}' if number else EFFECTS_FILE
+            files.append(folder / f'{name}.yaml')
+            write_effects(files[-1], applied, machine)
+    return [*written, *files]
+
+
+def _differs(a: Sequence[AppliedEffect], b: Sequence[AppliedEffect]) -> bool:
+    return any(dict(x.parameters) != dict(y.parameters) for x, y in zip(a, b, strict=True))

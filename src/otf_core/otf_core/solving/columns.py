@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Columns of shared parameters over the pieces of all runs, and what they do to the estimates.
+
+A displacement theta c of the measured points, c known and theta not, moves the estimates of
+generalised least squares by theta S with
+
+    S = (A^T W A)^-1 A^T W c
+
+(GUM, JCGM 102 section 6: the sensitivity to an input that is not estimated; a "consider
+parameter"). The estimates stay as they are; their covariance gains u(theta)^2 S S^T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.effects import State
+from otf_core.effects.state import state_on_path
+from otf_core.model.frames import RigidTransform
+from otf_core.model.tables import ErrorTables
+from otf_core.pieces.runs import Run
+from otf_core.solving.joint import JointSolution, SolvedRun
+
+Array = NDArray[np.float64]
+
+
+def piece_state(
+    run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
+) -> State:
+    """State of the pieces of one run; standstills count as points of the first leg."""
+    return state_at(run, solved.system.q, solved.pose, nodes, tables)
+
+
+def state_at(
+    run: Run,
+    q: Array,
+    pose: RigidTransform,
+    nodes: dict[str, Array],
+    tables: ErrorTables | None,
+) -> State:
+    """State of the pieces of one run, which lie at q (p, 3), m, on its path."""
+    pieces = run.pieces
+    return state_on_path(
+        run.machine,
+        run.alignment.corners,
+        np.zeros_like(pieces.leg) if pieces.standstill else pieces.line,
+        q,
+        pieces.speed,
+        pieces.time,
+        pose,
+        nodes,
+        tables,
+        float(run.recording.samples.time[-1]),
+        run.alignment.shape,
+    )
+
+
+def across(solved: SolvedRun, columns: Array) -> Array:
+    """Components (c, p, k) along the rows of displacements (p, 3, k)."""
+    return np.asarray(np.einsum('cij,ijk->cik', solved.system.axes, columns))
+
+
+def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
+    """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
+    parts = [
+        solved.system.design.T @ solved.whitener.weighted(part).reshape(-1, part.shape[2])
+        for solved, part in zip(done.runs, columns, strict=True)
+    ]
+    return np.asarray(sum(parts))
+
+
+def sensitivity(done: JointSolution, columns: Sequence[Array]) -> Array:
+    """Change of the estimates per unit of each column, shape (full, k).
+
+    Parameters
+    ----------
+    done : JointSolution
+    columns : sequence of ndarray, each of shape (c, p, k), m
+        One entry per run.
+    """
+    return np.asarray(done.solution.covariance @ projected(done, columns))
+
+
+def name_in_run(name: str, run: int) -> str:
+    """Name of a coefficient that belongs to one run; plain in the first."""
+    return f'{name} (run {run + 1})' if run else name
+
+
+def column_size(plain: Array) -> Array:
+    """Root mean square of columns (r, k) over the rows where they act at all, shape (k,)."""
+    square = plain**2
+    acts = square > 0.02**2 * square.max(axis=0, initial=1e-300)
+    return np.asarray(np.sqrt(square.sum(axis=0) / np.maximum(acts.sum(axis=0), 1)))

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far inside its curves a machine drives: filters and lags of the drives.
+
+A moving average of length T, or a second-order lag, puts a machine driving at speed v on a curve
+of curvature k inside it by c v^2 k (c = T^2 / 24 for the average; ISO 230-4 calls the outcome the
+radial deviation). Lines do not show it, tables can take it for errors of scale. So where a run has
+curves, c is estimated beside the tables as one more unknown of the run: with residuals r, weights
+W, the column b of c across the path and the change S of the tables per unit of it,
+
+    c = b^T W r / b^T W (b - A S).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.pieces.runs import Run
+from otf_core.solving.columns import across, sensitivity
+from otf_core.solving.joint import JointSolution
+from otf_core.solving.reversal_choice import ReversalSolution
+
+Array = NDArray[np.float64]
+
+SIGNIFICANT = 6.0
+"""Standard deviations; curves share slow noise, so that these are somewhat too small."""
+MATTERS = 1e-7
+"""m; driven inside by less is left as it is."""
+UNCLEAR = 1e-6
+"""m; an uncertainty of it that is worth a remark."""
+
+
+def lags(runs: Sequence[Run], done: JointSolution) -> list[tuple[float, float]]:
+    """Square of time by which each run drives inside its curves, and its uncertainty, s^2.
+
+    Both are zero for a run without curves. The uncertainty holds what the residuals have beyond
+    the assumed noise, and how the curves of the run differ: parts of one share slow noise.
+    """
+    found = []
+    for number, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+        if not len(run.pieces.bend):
+            found.append((0.0, 0.0))
+            continue
+        columns = [
+            np.zeros((*s.system.deviation.shape, 1)) for s in done.runs
+        ]  # of all runs: they share the tables
+        columns[number] = across(solved, run.pieces.bend[:, :, None])
+        change = sensitivity(done, columns)
+        shape = solved.system.deviation.shape
+        left = columns[number][..., 0] - (solved.system.design @ change[:, 0]).reshape(shape)
+        weights = solved.whitener.weighted(columns[number])[..., 0]
+        own = float(np.sum(weights * left))
+        if own <= 0.0:
+            found.append((0.0, 0.0))
+            continue
+        white = solved.whitener.vector(solved.residual)
+        scale = max(1.0, float(np.sqrt(np.mean(white**2))))
+        lag = float(np.sum(weights * solved.residual)) / own
+        parts = np.sum(weights * (solved.residual - lag * left), axis=0)
+        curve = run.alignment.shape.stretch[run.pieces.line]
+        spread = float(np.sqrt(np.sum(np.bincount(curve, parts) ** 2))) / own
+        found.append((lag, max(scale / np.sqrt(own), spread)))
+    return found
+
+
+def moved_onto_curves(runs: Sequence[Run], solved: ReversalSolution) -> list[Run] | None:
+    """Runs whose paths lie as far inside their curves as was driven; None if none does.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        With all their pieces.
+    solved : ReversalSolution
+        Of these runs.
+    """
+    moved = list(runs)
+    found = lags(solved.runs, solved.done)
+    for k, (run, (lag, u)) in enumerate(zip(runs, found, strict=True)):
+        if _size(run, lag) > MATTERS and abs(lag) > SIGNIFICANT * u:
+            shift = lag * run.pieces.bend
+            pieces = replace(run.pieces, origin=run.pieces.origin + shift)
+            moved[k] = replace(run, pieces=pieces)
+    return None if all(a is b for a, b in zip(moved, runs, strict=True)) else moved
+
+
+def _size(run: Run, lag: float) -> float:
+    """How far a run drives inside its curves at most, m."""
+    bend = run.pieces.bend
+    return abs(lag) * float(np.linalg.norm(bend, axis=1).max()) if len(bend) else 0.0
+
+
+def curve_remarks(runs: Sequence[Run], done: JointSolution) -> list[str]:
+    """What the reader of a result should know of the curves of its runs."""
+    said = [r.alignment.remark for r in runs if r.alignment.remark]
+    for run, (_, u) in zip(runs, lags(runs, done), strict=True):
+        if _size(run, u) > UNCLEAR:
+            said.append(
+                f'how far inside its curves the machine drives (filters, lag) is uncertain by '
+                f'{1e6 * _size(run, u):.2g} um, which the stated uncertainties do not hold: add '
+                f'straight lines to the path'
+            )
+    return said

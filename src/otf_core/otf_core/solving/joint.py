@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint solution of runs: common tables, one pose per run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
+from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import Machine
+from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
+from otf_core.pieces.runs import Run, blamed
+from otf_core.solving.noise_fit import FittedNoise, fit_noise
+from otf_core.solving.normal import NormalEquations, Whitener, leg_bounds, normal_equations
+from otf_core.solving.roughness import Roughness, Search
+from otf_core.solving.solution import Solution, identifiable_blocks, solve
+from otf_core.solving.system import System, build_system
+from otf_core.solving.unknowns import Unknowns, free_values, pose_block
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Progress = Callable[[str, float], None]
+
+MAX_REPETITIONS = 4
+"""Repeated solutions; bad pieces bend the tables at first and hide others."""
+LEAST = 2e-6
+"""m; pieces that are off by less are never left out."""
+TRAIL = 0.5
+"""Share of the limit from which a piece beside one that is left out is left out as well."""
+NOISE_SETTLED = 0.1
+"""Change of the logarithms of noise and misfit below which they count as settled."""
+FINE = 8
+"""Parts of an interval between knots in tables for use inside."""
+
+
+@dataclass(frozen=True)
+class SolvedRun:
+    """One run at the solution.
+
+    Attributes
+    ----------
+    pose : RigidTransform
+        Tracker to machine.
+    system : System
+    whitener : Whitener
+    residual : ndarray, shape (c, p), m
+        Deviation less model.
+    """
+
+    pose: RigidTransform
+    system: System
+    whitener: Whitener
+    residual: Array
+
+
+@dataclass(frozen=True)
+class JointSolution:
+    """Solution of all runs.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    solution : Solution
+    roughness : Roughness
+    normal : NormalEquations
+        Of the first iteration, or of the last, see ``settled``.
+    runs : tuple of SolvedRun
+    iterations : int
+    """
+
+    unknowns: Unknowns
+    solution: Solution
+    roughness: Roughness
+    normal: NormalEquations
+    runs: tuple[SolvedRun, ...]
+    iterations: int
+
+
+@dataclass(frozen=True)
+class Start:
+    """What an earlier solution found that a later one of the same blocks starts from.
+
+    Attributes
+    ----------
+    logs : mapping of motion to ndarray
+        See ``roughness.Roughness``.
+    accepted : tuple of str
+        Blocks that the data determine.
+    """
+
+    logs: Mapping[str, Array]
+    accepted: tuple[str, ...]
+
+    @classmethod
+    def after(cls, done: JointSolution) -> Start:
+        """What a solution found."""
+        return cls(done.roughness.logs, done.solution.accepted)
+
+
+def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> ErrorTables:
+    """Error tables of a solution, fine enough for linear interpolation to cost nothing.
+
+    For use inside; what is written has the nodes of ``tabulate``.
+    """
+    cover, motions, squareness = solution.covariance, {}, {}
+    for name in MOTIONS:
+        block, basis = unknowns.blocks[name], unknowns.bases[name[2]]
+        position = basis.finer(1 if basis.degree == 1 else FINE)
+        rows, seen = basis.matrix(position), name in solution.accepted
+        u = np.sqrt(np.maximum(np.einsum('ij,jk,ik->i', rows, cover[block, block], rows), 0.0))
+        motions[name] = MotionTable(
+            position, rows @ solution.value[block] + 0.0, u if seen else 0.0 * u, seen
+        )
+    for name in SQUARENESS:
+        place = unknowns.blocks[name].start
+        u_angle = float(np.sqrt(max(cover[place, place], 0.0)))
+        squareness[name] = Squareness(float(solution.value[place]), u_angle)
+    return ErrorTables(machine, motions, squareness)
+
+
+def _systems(
+    runs: Sequence[Run],
+    poses: Sequence[RigidTransform],
+    unknowns: Unknowns,
+    tables: ErrorTables | None,
+) -> list[System]:
+    return [
+        build_system(run.machine, run.pieces, pose, unknowns, tables, run=k)
+        for k, (run, pose) in enumerate(zip(runs, poses, strict=True))
+    ]
+
+
+def summed(
+    systems: Sequence[System], unknowns: Unknowns, whiteners: Sequence[Whitener]
+) -> NormalEquations:
+    """Sum up the normal equations of all runs."""
+    pairs = zip(systems, whiteners, strict=True)
+    return reduce(add, (normal_equations(s, unknowns, w) for s, w in pairs))
+
+
+def solve_robustly(
+    runs: Sequence[Run],
+    unknowns: Unknowns,
+    config: CalibrationConfig,
+    progress: Progress,
+    start: Start | None = None,
+) -> tuple[list[Run], JointSolution]:
+    """Solve, leave out pieces far from the solution, fit the noise, solve again.
+
+    Bursts of bad samples longer than the window of the outlier test, and corners rounded beyond
+    ``corner_exclusion``, show as pieces many robust standard deviations off.
+
+    Returns
+    -------
+    runs : list of Run
+        With the pieces that were kept, and noise and misfit as the residuals say them.
+    solution : JointSolution
+    """
+    runs = list(runs)
+    for _ in range(MAX_REPETITIONS):
+        done = solve_jointly(runs, unknowns, config, progress, start)
+        start = Start.after(done)
+        drop = [
+            _far_pieces(s.residual, r.pieces.leg, config.outlier_limit)
+            for s, r in zip(done.runs, runs, strict=True)
+        ]
+        fitted = [fitted_noise(r, s, done) for r, s in zip(runs, done.runs, strict=True)]
+        if not any(d.any() for d in drop) and all(
+            r.fitted is not None and _same_noise(f, r.fitted)
+            for f, r in zip(fitted, runs, strict=True)
+        ):
+            return runs, done
+        runs = [
+            replace(r, pieces=r.pieces.without(d), fitted=f.logs, pose=s.pose)
+            for r, d, f, s in zip(runs, drop, fitted, done.runs, strict=True)
+        ]
+    return runs, solve_jointly(runs, unknowns, config, progress, start)
+
+
+def _same_noise(found: FittedNoise, before: Array) -> bool:
+    """Tell whether noise has settled: it changed by little, or by less than is known of it."""
+    change = np.abs(found.logs - before)
+    return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * found.u)))
+
+
+def fitted_noise(run: Run, solved: SolvedRun, done: JointSolution) -> FittedNoise:
+    """What the residuals of one run say of noise and misfit, see ``noise_fit.fit_noise``."""
+    return fit_noise(
+        solved.system,
+        run.pieces,
+        solved.residual,
+        run.noise,
+        done.solution.covariance,
+        run.fitted,
+    )
+
+
+def _far_pieces(residual: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
+    """Pieces far from the solution, or from their leg, and what trails off beside them.
+
+    What holds for a whole leg is no bad piece but an effect. A corner that the control rounds
+    fades out along the leg: its last part is no outlier by itself.
+    """
+    own = residual.copy()
+    for low, high in leg_bounds(leg):
+        own[:, low:high] -= np.median(residual[:, low:high], axis=1, keepdims=True)
+    distance, beyond = (np.linalg.norm(v, axis=0) for v in (own, residual))
+    sigma, whole = (float(np.median(v)) / RAYLEIGH_MEDIAN for v in (distance, beyond))
+    far = (distance > max(limit * sigma, LEAST)) | (beyond > max(limit * whole, GROSS))
+    same = leg[1:] == leg[:-1]
+    beside = np.zeros_like(far)
+    beside[1:] |= far[:-1] & same
+    beside[:-1] |= far[1:] & same
+    return np.asarray(far | (beside & (distance > TRAIL * limit * sigma)))
+
+
+def solve_jointly(
+    runs: Sequence[Run],
+    unknowns: Unknowns,
+    config: CalibrationConfig,
+    progress: Progress,
+    start: Start | None = None,
+) -> JointSolution:
+    """Solve, move the poses, re-derive the positions on the paths; until nothing changes.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    unknowns : Unknowns
+    config : CalibrationConfig
+    progress : callable(stage, fraction)
+    start : Start, optional
+        What an earlier solution of the same blocks found.
+
+    Raises
+    ------
+    InputError
+        If the solution does not settle.
+    """
+    machine, limit = runs[0].machine, config.unidentifiable_above
+    poses = [run.pose for run in runs]
+    systems = _systems(runs, poses, unknowns, None)
+    whiteners = _whiteners(runs, systems)
+    accepted = start.accepted if start else _seen_blocks(runs, unknowns, whiteners, limit)
+    normal = summed(systems, unknowns, whiteners)
+    rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
+    solution = solve(normal, unknowns, limit, accepted, rough.precision)
+    left = _left(systems, solution)
+    change = np.inf
+    for iteration in range(2, config.max_iterations + 1):
+        motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
+        poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
+        solution = _without_poses(solution, unknowns, len(runs))
+        systems = _systems(runs, poses, unknowns, tables_of(machine, unknowns, solution))
+        solution = _improved(solution, unknowns, rough, systems, whiteners)
+        before, left = left, _left(systems, solution)
+        change = max(float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True))
+        progress('solving', iteration / (iteration + 1))
+        if change < config.alignment_stop:
+            solved = zip(poses, systems, whiteners, left, strict=True)
+            done = tuple(SolvedRun(*parts) for parts in solved)
+            return JointSolution(unknowns, solution, rough, normal, done, iteration)
+    names = ', '.join(run.recording.name for run in runs if run.recording.name)
+    raise InputError(
+        f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
+        f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
+    )
+
+
+def settled(done: JointSolution, limit: float) -> JointSolution:
+    """Take the covariance at the last positions on the paths instead of the first.
+
+    They differ by 1e-4 of the noise, but contributions that are alike for the whole run are so
+    much larger than the noise that they would come out wrong by up to 1 %.
+
+    Parameters
+    ----------
+    done : JointSolution
+    limit : float
+        m and rad; ``unidentifiable_above``.
+    """
+    parts = [s.system for s in done.runs], done.unknowns, [s.whitener for s in done.runs]
+    normal, old = summed(*parts), done.solution
+    last = solve(normal, done.unknowns, limit, old.accepted, done.roughness.precision)
+    return replace(done, normal=normal, solution=replace(old, covariance=last.covariance))
+
+
+def _whiteners(runs: Sequence[Run], systems: Sequence[System]) -> list[Whitener]:
+    found = []
+    for system, run in zip(systems, runs, strict=True):
+        with blamed(run.recording):
+            found.append(Whitener(system, run.pieces, *run.noise_and_misfit))
+    return found
+
+
+def _seen_blocks(
+    runs: Sequence[Run], unknowns: Unknowns, whiteners: Sequence[Whitener], limit: float
+) -> tuple[str, ...]:
+    """Blocks of unknowns that the data determine."""
+    judged = [
+        build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
+        for k, run in enumerate(runs)
+    ]
+    return identifiable_blocks(summed(judged, unknowns, whiteners), unknowns, limit)
+
+
+def _left(systems: Sequence[System], solution: Solution) -> list[Array]:
+    return [s.deviation - (s.design @ solution.value).reshape(s.deviation.shape) for s in systems]
+
+
+def _without_poses(solution: Solution, unknowns: Unknowns, runs: int) -> Solution:
+    value = solution.value.copy()
+    for k in range(runs):
+        value[unknowns.blocks[pose_block(k)]] = 0.0
+    return replace(solution, value=value)
+
+
+def _improved(
+    solution: Solution,
+    unknowns: Unknowns,
+    rough: Roughness,
+    systems: Sequence[System],
+    whiteners: Sequence[Whitener],
+) -> Solution:
+    """One Newton step with the normal matrix of the first iteration, which hardly changes.
+
+    With C the covariance of the solution and K^-1 the precision of the prior, the estimates x
+    move by C (A^T W (y - A x) - K^-1 x).
+    """
+    pull = np.zeros(unknowns.full)
+    for system, whitener, rest in zip(systems, whiteners, _left(systems, solution), strict=True):
+        pull += system.design.T @ whitener.weighted(rest).reshape(-1)
+    free = free_values(unknowns, solution.value)
+    step = unknowns.gauge.T @ pull - rough.precision @ free
+    lifted = free_values(unknowns, solution.covariance.T).T  # C as full by free
+    return replace(solution, value=solution.value + lifted @ step)

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Normal equations with noise that is correlated in time (generalised least squares).
+
+Pieces of one leg share slow noise, so their covariance is a full matrix; legs are separated by
+corners and count as independent. Each leg's rows are freed of the correlation by the inverse
+Cholesky factor of its covariance and added to the normal equations: the cost grows linearly with
+the path, and only the normal matrix is kept. With independent samples this is the paper's
+weighting (Eq. 4-6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+
+from otf_core.errors import InputError
+from otf_core.noise.model import Misfit, NoiseModel, covariance_parts
+from otf_core.pieces.pieces import Pieces
+from otf_core.solving.system import System
+from otf_core.solving.unknowns import Unknowns
+
+Array = NDArray[np.float64]
+
+NO_MISFIT = Misfit()
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Sums over rows.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (k, k)
+    right : ndarray, shape (k,)
+    square : float
+        Sum of the squared whitened deviations.
+    rows : int
+    """
+
+    matrix: Array
+    right: Array
+    square: float
+    rows: int
+
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        """Return the sums over the rows of both."""
+        return NormalEquations(
+            self.matrix + other.matrix,
+            self.right + other.right,
+            self.square + other.square,
+            self.rows + other.rows,
+        )
+
+    def less(self, part: NormalEquations) -> NormalEquations:
+        """Return the sums over the rows that are not in ``part``."""
+        return NormalEquations(
+            self.matrix - part.matrix,
+            self.right - part.right,
+            self.square - part.square,
+            self.rows - part.rows,
+        )
+
+
+class Whitener:
+    """Frees the rows of each leg of the correlation of their noise.
+
+    Parameters
+    ----------
+    system : System
+        Its noise shares are used; they change little from iteration to iteration.
+    pieces : Pieces
+    noise : NoiseModel
+    misfit : Misfit
+    """
+
+    def __init__(
+        self, system: System, pieces: Pieces, noise: NoiseModel, misfit: Misfit = NO_MISFIT
+    ) -> None:
+        self.bounds = leg_bounds(pieces.leg)
+        self._factors = [
+            [
+                _factor(leg_parts(system, pieces, noise, misfit, component, low, high), leg)
+                for component in range(len(system.deviation))
+            ]
+            for low, high in self.bounds
+            for leg in [int(pieces.leg[low])]
+        ]
+
+    @property
+    def factors(self) -> tuple[tuple[Array, ...], ...]:
+        """Lower Cholesky factor of every leg and component, m."""
+        return tuple(tuple(leg) for leg in self._factors)
+
+    @property
+    def expected(self) -> Array:
+        """Standard deviation of the noise of every piece, shape (c, p), m."""
+        return np.stack([
+            np.concatenate([np.linalg.norm(leg[c], axis=1) for leg in self._factors])
+            for c in range(len(self._factors[0]))
+        ])  # fmt: skip
+
+    def leg_rows(self, leg: int, component: int, rows: Array) -> Array:
+        """Whiten the rows (m, k) of one component of one leg."""
+        factor = self._factors[leg][component]
+        return np.asarray(solve_triangular(factor, rows, lower=True, check_finite=False))
+
+    def vector(self, values: Array) -> Array:
+        """Whiten values of shape (c, p)."""
+        result = np.empty_like(values)
+        for leg, (low, high) in enumerate(self.bounds):
+            for component in range(len(values)):
+                part = values[component, low:high]
+                result[component, low:high] = self.leg_rows(leg, component, part)
+        return result
+
+    def weighted(self, values: Array) -> Array:
+        """Multiply values (c, p, ...) by the inverse covariance of the noise."""
+        result = np.empty_like(values)
+        for (low, high), leg in zip(self.bounds, self._factors, strict=True):
+            for component, factor in enumerate(leg):
+                part = values[component, low:high]
+                result[component, low:high] = cho_solve((factor, True), part, check_finite=False)
+        return result
+
+
+def leg_parts(
+    system: System,
+    pieces: Pieces,
+    noise: NoiseModel,
+    misfit: Misfit,
+    component: int,
+    low: int,
+    high: int,
+) -> tuple[Array, Array, Array, Array]:
+    """Parts of the covariance of successive pieces of one leg; see ``noise.covariance_parts``."""
+    part = slice(low, high)
+    shares = (system.along[component, part], system.across[component, part])
+    windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
+    return covariance_parts(noise, misfit, shares, windows)
+
+
+def _factor(parts: Sequence[Array], leg: int) -> Array:
+    try:
+        return np.asarray(cholesky(sum(parts), lower=True, check_finite=False))
+    except LinAlgError:
+        raise InputError(
+            f'leg {leg} of the path: its samples belong to two passes; '
+            f'path and track do not agree there'
+        ) from None
+
+
+def leg_bounds(leg: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """First piece and one past the last of every leg, in driving order."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(leg)) + 1, [len(leg)]])
+    return [(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def normal_equations(system: System, unknowns: Unknowns, whitener: Whitener) -> NormalEquations:
+    """Sum up the whitened rows of all legs for the free unknowns."""
+    return sum_groups(system, unknowns, whitener, np.zeros(len(whitener.bounds), dtype=int))[0]
+
+
+def sum_groups(
+    system: System,
+    unknowns: Unknowns,
+    whitener: Whitener,
+    group: NDArray[np.int64],
+    extra: Array | None = None,
+    groups: int = 0,
+) -> list[NormalEquations]:
+    """Sum up whitened rows, group by group of legs.
+
+    Parameters
+    ----------
+    system : System
+    unknowns : Unknowns
+    whitener : Whitener
+    group : ndarray of int, shape (legs,)
+        Group of each entry of ``whitener.bounds``, from 0.
+    extra : ndarray, shape (c, p, k), optional
+        Further columns, appended to the free unknowns.
+    groups : int
+        Number of groups, if some may be empty.
+
+    Returns
+    -------
+    list of NormalEquations
+    """
+    design = sparse.csr_array(system.design @ unknowns.gauge)
+    count = system.deviation.shape[1]
+    width = 0 if extra is None else extra.shape[2]
+    size = unknowns.free + width
+    groups = max(groups, int(group.max()) + 1)
+    products = np.zeros((groups, size + 1, size + 1))
+    rows = np.zeros(groups, dtype=int)
+    for leg, (low, high) in enumerate(whitener.bounds):
+        g = int(group[leg])
+        for component in range(len(system.deviation)):
+            dense = np.zeros((high - low, size + 1))
+            fill_rows(dense, design, component * count + low)
+            if extra is not None:
+                dense[:, unknowns.free : -1] = extra[component, low:high]
+            dense[:, -1] = system.deviation[component, low:high]
+            white = whitener.leg_rows(leg, component, dense)
+            products[g] += white.T @ white
+            rows[g] += high - low
+    return [
+        NormalEquations(p[:-1, :-1].copy(), p[:-1, -1].copy(), float(p[-1, -1]), int(n))
+        for p, n in zip(products, rows, strict=True)
+    ]
+
+
+def fill_rows(dense: Array, design: sparse.csr_array, start: int) -> None:
+    """Write successive rows of a sparse matrix, from ``start`` on, into a dense one of zeros."""
+    ends = design.indptr[start : start + len(dense) + 1]
+    row = np.repeat(np.arange(len(dense)), np.diff(ends))
+    part = slice(ends[0], ends[-1])
+    dense[row, design.indices[part]] = design.data[part]

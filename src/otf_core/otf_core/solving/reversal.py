@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reversal of the error motions: how they differ between forward and backward travel.
+
+Unknowns are the coefficients of the effects ``backlash`` (constants of EXX, EYY, EZZ) and
+``direction_dependent_tables`` (all others), with their formulas:
+
+    delta = 1/2 sign(d_a) sum_k c_k P_k(u_a) J_m(q)      motion m of axis a
+
+The reversal value of a motion is its error in forward travel less that in backward travel
+(ISO 230-2: difference of the means of the two directions of approach); tables hold the mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.effects.backlash import HELD, Backlash
+from otf_core.effects.direction_dependent_tables import (
+    ORDER,
+    DirectionDependentTables,
+    polynomials,
+)
+from otf_core.effects.position import scaled_position
+from otf_core.effects.state import state_of_travel
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.tables import MOTIONS, ErrorTables
+from otf_core.solving.unknowns import Unknowns, reversal_block
+
+Array = NDArray[np.float64]
+
+MODELS = {'none': 0, 'constant': 1, 'tables': ORDER + 1}
+"""Polynomials per motion in every model, the simplest first."""
+
+
+@dataclass(frozen=True)
+class ReversalTable:
+    """Reversal value of one motion along its axis.
+
+    Attributes
+    ----------
+    position : ndarray, shape (k,), m
+        Nodes of the table of the motion.
+    value, u : ndarray, shape (k,), m or rad
+        Forward less backward, and its standard uncertainty (k = 1).
+    identifiable : bool
+        False if the data cannot see it; its values are zero then.
+    """
+
+    position: Array
+    value: Array
+    u: Array
+    identifiable: bool
+
+
+@dataclass(frozen=True)
+class Reversal:
+    """Reversal model of a calibration.
+
+    Attributes
+    ----------
+    model : str
+        A name of ``MODELS``.
+    evidence : mapping of str to number or text
+        Why this model: see ``reversal_choice.choose``.
+    motions : mapping of motion name to ReversalTable
+        Empty for the model 'none'.
+    held : bool
+        Axes that stand stay on the side of their last travel.
+    """
+
+    model: str
+    evidence: Mapping[str, float | int | str]
+    motions: Mapping[str, ReversalTable]
+    held: bool = False
+
+    @property
+    def not_identifiable(self) -> tuple[str, ...]:
+        """Motions whose reversal the data cannot see."""
+        return tuple(n for n, table in self.motions.items() if not table.identifiable)
+
+
+def reversal_columns(
+    machine: Machine, q: Array, direction: Array, side: Array, unknowns: Unknowns
+) -> Iterator[tuple[str, Array]]:
+    """Displacement of the target per unit of every reversal coefficient.
+
+    Parameters
+    ----------
+    machine : Machine
+    q, direction : ndarray, shape (n, 3), m and 1
+        Positions and unit directions of travel or approach; a zero vector where unknown.
+    side : ndarray, shape (n, 3)
+        Sign of the travel of each axis, of its last where it stands.
+    unknowns : Unknowns
+        With the number of polynomials per motion, and ``held``.
+
+    Yields
+    ------
+    block : str
+        Name of the block of unknowns.
+    columns : ndarray, shape (n, 3)
+    """
+    if not unknowns.reversal:
+        return
+    state = replace(state_of_travel(machine, q, direction), side=side)
+    shape = {HELD: float(unknowns.held)}
+    backlash = Backlash().terms(state, shape).columns
+    for k, axis in enumerate(AXES):
+        yield reversal_block(f'E{axis}{axis}', 0), backlash[:, :, k]
+    tables = DirectionDependentTables().terms(state, {**shape, 'order': unknowns.reversal - 1.0})
+    for k, name in enumerate(tables.names):
+        yield name, tables.columns[:, :, k]
+
+
+def reversal_tables(
+    tables: ErrorTables,
+    unknowns: Unknowns,
+    estimate: Array,
+    covariance: Array,
+    accepted: Collection[str],
+) -> dict[str, ReversalTable]:
+    """Reversal values at the table nodes.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+        With the nodes.
+    unknowns : Unknowns
+    estimate, covariance : ndarray, shape (full,) and (full, full), m and rad
+    accepted : collection of str
+        Blocks that were solved for.
+    """
+    if not unknowns.reversal:
+        return {}
+    orders, found = range(unknowns.reversal), {}
+    machine = tables.machine
+    for motion in MOTIONS:
+        nodes, axis = tables.motions[motion].position, AXES.index(motion[2])
+        q = np.tile(machine.lower, (len(nodes), 1))
+        q[:, axis] = nodes
+        place = scaled_position(state_of_travel(machine, q, np.zeros_like(q)))[:, axis]
+        names = [reversal_block(motion, k) for k in orders]
+        index = [unknowns.blocks[n].start for n in names]
+        along = polynomials(place, unknowns.reversal - 1)
+        variance = np.einsum('ij,jk,ik->i', along, covariance[np.ix_(index, index)], along)
+        found[motion] = ReversalTable(
+            nodes,
+            along @ estimate[index] + 0.0,
+            np.sqrt(np.maximum(variance, 0.0)),
+            any(n in accepted for n in names),
+        )
+    return found

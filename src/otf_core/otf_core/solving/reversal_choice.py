@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which reversal model the data call for: cross-validation on held-out legs.
+
+Noise is correlated within a leg, so whole legs are held out: the legs are dealt to folds, and what
+each model leaves of a fold is judged with the model fitted to all others. With S_j the sum of the
+squared whitened residuals of leg j, the gain of a richer model over a simpler one is
+
+    D = sum_j ( S_j simple - S_j rich ),    s_D = sqrt(n) * standard deviation of the n differences
+
+A model of k parameters that are not there loses about k. The richer one is taken if D > 3 s_D.
+Servo mismatch flips with travel too, but grows with the feed: where it explains the held-out legs
+better, by the same rule, no reversal is modelled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from otf_core.config import CalibrationConfig
+from otf_core.effects.servo_mismatch import ServoMismatch
+from otf_core.effects.state import state_of_travel
+from otf_core.pieces.runs import Run
+from otf_core.solving.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
+from otf_core.solving.normal import sum_groups
+from otf_core.solving.reversal import MODELS
+from otf_core.solving.roughness import TRACE
+from otf_core.solving.shape_choice import choose_shapes
+from otf_core.solving.solution import estimate, free_columns, identifiable_blocks
+from otf_core.solving.system import System, build_system
+from otf_core.solving.unknowns import Unknowns, is_reversal, layout, reversal_order
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Evidence = dict[str, float | int | str]
+
+FOLDS = 8
+CLEAR = 3.0
+"""Gain over its own scatter from which a richer model is taken."""
+RIVAL = ServoMismatch()
+"""What is taken for a reversal most easily."""
+MIN_LEGS = 16
+"""Fewer legs tell nothing of the scatter: no reversal is modelled then."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A reversal model.
+
+    Attributes
+    ----------
+    model : str
+        A name of ``reversal.MODELS``.
+    held : bool
+        Axes that stand stay on the side of their last travel.
+    evidence : mapping of str to number or text
+    """
+
+    model: str
+    held: bool
+    evidence: Evidence
+
+
+@dataclass(frozen=True)
+class ReversalSolution:
+    """Solution with the reversal model that was asked for or chosen.
+
+    Attributes
+    ----------
+    runs : list of Run
+        With the pieces that were kept.
+    done : JointSolution
+    choice : Choice
+    """
+
+    runs: list[Run]
+    done: JointSolution
+    choice: Choice
+
+
+def solve_with_reversal(
+    runs: Sequence[Run], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress
+) -> ReversalSolution:
+    """Solve with the reversal model of the configuration, or with the one the data call for.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    nodes : mapping of axis to ndarray, m
+    config : CalibrationConfig
+    progress : callable(stage, fraction)
+    """
+    shapes = choose_shapes(runs, nodes, config, progress)
+    plain = layout(shapes.bases, len(runs))
+    kept, done = solve_robustly(shapes.runs, plain, config, progress, shapes.start)
+    choice = choose(kept, done, config)
+    if choice.model == 'none':
+        return ReversalSolution(kept, done, choice)
+    unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)
+    # reversal adds blocks: which of them the data determine is found out anew
+    return ReversalSolution(*solve_robustly(shapes.runs, unknowns, config, progress), choice)
+
+
+def choose(runs: Sequence[Run], done: JointSolution, config: CalibrationConfig) -> Choice:
+    """Choose a reversal model by what it leaves of held-out legs.
+
+    The model may be given by the configuration; whether axes that stand are held is always
+    chosen.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    done : JointSolution
+        Of the same runs, without reversal.
+    config : CalibrationConfig
+
+    Returns
+    -------
+    Choice
+        With the evidence: 'legs', 'folds', 'needed' gain over scatter; per model
+        'held_out_MODEL', sum of squared whitened residuals; 'gain_MODEL' and 'scatter_MODEL'
+        over the best simpler one, for the rival over the model chosen; 'rival', if it was
+        better.
+    """
+    given = config.reversal
+    if given == 'none':
+        return Choice('none', False, {'decided_by': 'configuration'})
+    fold = _folds(done)
+    legs = sum(len(f) for f in fold)
+    if legs < MIN_LEGS and given == 'auto':
+        few = f'too few legs: {legs}, {MIN_LEGS} needed'
+        return Choice('none', False, {'decided_by': few, 'legs': legs})
+    found: dict[float, Choice] = {}
+    for held in (False, True):
+        left = _held_out_squares(runs, done, fold, config.unidentifiable_above, held)
+        choice = Choice(given, held, {'decided_by': 'configuration'})
+        if given == 'auto':
+            choice = _chosen(left, held)
+        # of equals the first counts: nothing is held where there is no reversal
+        found.setdefault(float(left[choice.model].sum()), choice)
+        gains = [float(choice.evidence.get(f'gain_{model}', 1.0)) for model in MODELS]
+        if choice.model == 'none' and max(gains[1:]) <= 0.0:
+            break  # no reversal at all, so none that is held
+    return found[min(found)]
+
+
+def _chosen(left: dict[str, Array], held: bool) -> Choice:
+    """Choose among the models by the squares (legs,) that each leaves."""
+    legs = len(left['none'])
+    evidence: Evidence = {
+        'decided_by': 'held-out legs',
+        'legs': legs,
+        'folds': FOLDS,
+        'needed': CLEAR,
+        **{f'held_out_{model}': float(square.sum()) for model, square in left.items()},
+    }
+    best = 'none'
+    for model, square in left.items():
+        if model == best or (best == 'none' and model == RIVAL.name):
+            continue
+        difference = left[best] - square
+        gain, scatter = float(difference.sum()), float(np.sqrt(legs) * difference.std(ddof=1))
+        evidence |= {f'gain_{model}': gain, f'scatter_{model}': scatter}
+        if gain > CLEAR * scatter:
+            best = model
+    if best == RIVAL.name:
+        return Choice('none', False, evidence | {'rival': RIVAL.name})
+    return Choice(best, held, evidence)
+
+
+def _folds(done: JointSolution) -> list[Index]:
+    """Fold of every leg of every run; neighbouring legs go to different folds."""
+    folds, offset = [], 0
+    for solved in done.runs:
+        number = np.arange(len(solved.whitener.bounds)) + offset
+        # laps of one line do not always share a fold
+        folds.append((number * 5 + number // FOLDS) % FOLDS)
+        offset += len(number)
+    return folds
+
+
+def _held_out_squares(
+    runs: Sequence[Run], done: JointSolution, fold: Sequence[Index], limit: float, held: bool
+) -> dict[str, Array]:
+    """Squared whitened residual of every leg under every model fitted to the other folds."""
+    unknowns = layout(done.unknowns.bases, len(runs), max(MODELS.values()), held=held)
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    systems = [
+        build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
+        for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True))
+    ]
+    rivals = [_rival_columns(run, system) for run, system in zip(runs, systems, strict=True)]
+    sums = [
+        sum_groups(system, unknowns, solved.whitener, group, rival, FOLDS)
+        for system, solved, group, rival in zip(systems, done.runs, fold, rivals, strict=True)
+    ]
+    parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
+    total = reduce(add, parts)
+    seen = done.solution.accepted
+    visible = identifiable_blocks(total, unknowns, limit)
+    columns = {
+        model: free_columns(
+            unknowns,
+            [n for n in visible if reversal_order(n) < count and _motion(n) in seen],
+        )
+        for model, count in MODELS.items()
+    }
+    width = rivals[0].shape[2]
+    columns[RIVAL.name] = np.append(columns['none'], unknowns.free + np.arange(width))
+    loose = unknowns.free - done.unknowns.free + width
+    prior = block_diag(done.roughness.precision, TRACE / limit**2 * np.eye(loose))
+    left = {}
+    for model, use in columns.items():
+        values = [estimate(total.less(part), use, prior) for part in parts]
+        squares = [
+            _squares(system, solved, group, rival, unknowns, np.stack(values, axis=1))
+            for system, solved, group, rival in zip(systems, done.runs, fold, rivals, strict=True)
+        ]
+        left[model] = np.concatenate(squares)
+    return left
+
+
+def _motion(block: str) -> str:
+    return block[:3] if is_reversal(block) else block
+
+
+def _rival_columns(run: Run, system: System) -> Array:
+    """Columns of the rival across the path, shape (c, p, k)."""
+    state = state_of_travel(run.machine, system.q, run.pieces.direction)
+    terms = RIVAL.terms(replace(state, speed=run.pieces.speed), {})
+    return np.asarray(np.einsum('cij,ijk->cik', system.axes, terms.columns))
+
+
+def _squares(
+    system: System,
+    solved: SolvedRun,
+    fold: Index,
+    rival: Array,
+    unknowns: Unknowns,
+    values: Array,
+) -> Array:
+    """Sum of squares of each leg of a run with the values (columns, folds) of its fold."""
+    size = [high - low for low, high in solved.whitener.bounds]
+    number = np.repeat(np.arange(len(size)), size)
+    predicted = (system.design @ (unknowns.gauge @ values[: unknowns.free])).reshape(
+        *system.deviation.shape, FOLDS
+    ) + rival @ values[unknowns.free :]
+    of_fold = np.take_along_axis(predicted, fold[number][None, :, None], axis=2)[..., 0]
+    white = solved.whitener.vector(system.deviation - of_fold)
+    return np.asarray(np.bincount(number, (white**2).sum(axis=0), len(size)), dtype=float)

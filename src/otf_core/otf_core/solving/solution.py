@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rank-revealing solution of the normal equations (paper 1.2.6, 1.2.7).
+
+The normal matrix is reduced motion by motion: a block of columns that the accepted ones leave
+without information is dropped and its motion reported as not identifiable. 'Undetermined' has a
+physical meaning: the data leave more than ``unidentifiable_above`` (m, rad) uncertain. What
+single places of an accepted motion lack in data, its smoothness supplies (``roughness``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from otf_core.model.tables import MOTIONS
+from otf_core.solving.normal import NormalEquations
+from otf_core.solving.positive import Positive
+from otf_core.solving.unknowns import Unknowns, is_reversal
+
+Array = NDArray[np.float64]
+
+TIE_BREAK = 1e-2
+"""Weight of the smoothness condition, in units of 1 / unidentifiable_above^2."""
+SIZE = 1e-2
+"""Weight of the size of the values beside that of their second differences."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Estimates of the full vector of unknowns.
+
+    Attributes
+    ----------
+    value : ndarray, shape (full,), m and rad
+    covariance : ndarray, shape (full, full)
+        For the noise assumed in the normal equations and the prior.
+    accepted : tuple of str
+        Blocks that were solved for; all others are zero.
+    unknowns : int
+        Free unknowns after the gauge.
+    rank : int
+        Independent combinations of them that the data determine.
+    """
+
+    value: Array
+    covariance: Array
+    accepted: tuple[str, ...]
+    unknowns: int
+    rank: int
+
+
+def smoothness(unknowns: Unknowns) -> Array:
+    """Tie-breaker where no roughness is known: squared second differences, a trace of size."""
+    total = np.zeros((unknowns.full, unknowns.full))
+    for name, block in unknowns.blocks.items():
+        count = block.stop - block.start
+        if count > 2 and name in MOTIONS:
+            bend = np.diff(np.eye(count), 2, axis=0)
+            total[block, block] = bend.T @ bend
+    gauge = unknowns.gauge.toarray()
+    return np.asarray(gauge.T @ total @ gauge + SIZE * np.eye(unknowns.free))
+
+
+def identifiable_blocks(
+    normal: NormalEquations, unknowns: Unknowns, limit: float
+) -> tuple[str, ...]:
+    """Blocks that add information to the ones before them.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+        Of a system built with ``nodal_lever``.
+    unknowns : Unknowns
+    limit : float
+        m and rad; ``unidentifiable_above``. In its units an eigenvalue of the normal matrix
+        below 1 means undetermined.
+
+    Notes
+    -----
+    Reversal is not solved for where the motion itself is not identifiable: what little tells
+    them apart is the shape assumed along the axis, no property of the machine.
+    """
+    matrix = normal.matrix * limit**2
+    smooth = smoothness(unknowns)
+    accepted: list[str] = []
+    factor = np.zeros_like(matrix)
+    use = np.zeros(0, dtype=int)
+    for name, block in unknowns.free_blocks.items():
+        new = np.arange(block.start, block.stop)
+        if not new.size or (is_reversal(name) and name[:3] not in accepted):
+            continue
+        old, end = use.size, use.size + new.size
+        cross = linalg.solve_triangular(
+            factor[:old, :old], matrix[np.ix_(use, new)], lower=True, check_finite=False
+        )
+        left = matrix[np.ix_(new, new)] - cross.T @ cross
+        if linalg.eigvalsh(left)[-1] <= 1.0:
+            continue
+        factor[old:end, :old] = cross.T
+        factor[old:end, old:end] = linalg.cholesky(
+            left + TIE_BREAK * smooth[np.ix_(new, new)], lower=True
+        )
+        use = np.concatenate([use, new])
+        accepted.append(name)
+    return tuple(accepted)
+
+
+def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> NDArray[np.int64]:
+    """Places of blocks in the free vector."""
+    parts = (unknowns.free_blocks[n] for n in blocks)
+    return np.concatenate([np.arange(part.start, part.stop) for part in parts])
+
+
+def estimate(normal: NormalEquations, use: NDArray[np.int64], prior: Array) -> Array:
+    """Solve for some columns of normal equations, all others zero; see ``solve``.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+        Of k columns.
+    use : ndarray of int, shape (m,)
+    prior : ndarray, shape (k, k), 1 / (m, rad)^2
+
+    Returns
+    -------
+    ndarray, shape (k,), m and rad
+    """
+    place = np.ix_(use, use)
+    value = np.zeros(len(normal.right))
+    value[use] = linalg.solve(
+        normal.matrix[place] + prior[place], normal.right[use], assume_a='pos'
+    )
+    return value
+
+
+def solve(
+    normal: NormalEquations,
+    unknowns: Unknowns,
+    limit: float,
+    accepted: tuple[str, ...],
+    prior: Array,
+) -> Solution:
+    """Solve in the gauge of ``unknowns``.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+    unknowns : Unknowns
+    limit : float
+        m and rad; ``unidentifiable_above``.
+    accepted : tuple of str
+        Blocks to solve for.
+    prior : ndarray, shape (free, free), 1 / (m, rad)^2
+        Inverse covariance before any data, see ``roughness.Roughness``.
+
+    Returns
+    -------
+    Solution
+    """
+    use = free_columns(unknowns, accepted)
+    data = normal.matrix[np.ix_(use, use)] * limit**2
+    weight = data + prior[np.ix_(use, use)] * limit**2
+    factor = Positive(weight)
+    free = np.zeros(unknowns.free)
+    free[use] = factor.solve(normal.right[use] * limit)
+    cover = np.zeros((unknowns.free, unknowns.free))
+    cover[np.ix_(use, use)] = factor.inverse
+    gauge = unknowns.gauge
+    covariance = gauge @ (gauge @ cover).T
+    rank = int(np.sum(linalg.eigvalsh(data) > 1.0))
+    return Solution(gauge @ free * limit, covariance * limit**2, accepted, unknowns.free, rank)
+
+
+def determined_by_data(
+    normal: NormalEquations,
+    unknowns: Unknowns,
+    accepted: tuple[str, ...],
+    limit: float,
+    rows: Array,
+) -> NDArray[np.bool_]:
+    """Tell which combinations of unknowns the data determine without what is known before.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+    unknowns : Unknowns
+    accepted : tuple of str
+    limit : float
+        m and rad; ``unidentifiable_above``.
+    rows : ndarray, shape (m, full)
+        Such as the nodes of the tables, see ``tabulate.Tabulation``.
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+    """
+    use = free_columns(unknowns, accepted)
+    place = np.ix_(use, use)
+    weight = normal.matrix[place] * limit**2 + TIE_BREAK * smoothness(unknowns)[place]
+    own = (rows @ unknowns.gauge)[:, use]
+    return np.asarray(np.einsum('ij,ji->i', own, Positive(weight).solve(own.T)) <= 1.0)

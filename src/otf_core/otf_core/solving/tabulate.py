@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From smooth functions to tables: nodes fine enough that straight lines between them cost little.
+
+Node values are those of the table that is nearest to the function in the mean square over the
+range and keeps the gauge at its nodes exactly. Nodes stand at the spacing of machine.yaml
+(``table_pitch``), or at a whole fraction of it where the straight lines would cost more than
+``WORTH`` of the uncertainty of the grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from otf_core.model.evaluation import free_rows, mean_length, without_rigid_motion
+from otf_core.model.kinematics import motion_influence
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.nodes import table_nodes
+from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.solving.basis import Basis, linear
+from otf_core.solving.joint import JointSolution
+from otf_core.solving.solution import determined_by_data
+from otf_core.solving.system import model_rows
+from otf_core.solving.unknowns import Unknowns, motion_gauge
+
+Array = NDArray[np.float64]
+
+WORTH = 0.3
+"""Share of the mean uncertainty of the grid that straight lines between nodes may cost."""
+FRACTIONS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
+MOST_NODES = 1600
+"""Nodes of all motions together: their covariance is part of the file."""
+FIXED = 1e-12
+"""Nodes that depend less on the unknowns are fixed by the gauge."""
+PLACES = 216
+"""At which the cost on the grid is judged."""
+
+
+@dataclass(frozen=True)
+class Tabulation:
+    """Tables of a solution and how they were made.
+
+    Attributes
+    ----------
+    tables : ErrorTables
+        Values; uncertainties are not filled in.
+    rows : ndarray, shape (m, full)
+        C0Y, B0Z, A0Z and the nodes of EXX ... ECZ from the full vector of unknowns.
+    fraction : int
+        Nodes stand ``table_pitch / fraction`` apart.
+    costs : mapping of fraction to TableCost
+        What straight lines between nodes cost, for 1 (the wish) and for the fraction taken.
+    """
+
+    tables: ErrorTables
+    rows: Array
+    fraction: int
+    costs: Mapping[int, TableCost]
+
+    @property
+    def straight(self) -> Array:
+        """Variance of the nodes that stands for what straight lines miss, shape (m,).
+
+        Independent nodes of variance v make 2/3 v on the average over the places between them.
+        """
+        cost, motions = self.costs[self.fraction].motions, self.tables.motions
+        parts = [np.zeros(len(SQUARENESS))]
+        parts += [np.full(len(motions[m].position), 1.5 * cost[m] ** 2) for m in MOTIONS]
+        free = np.abs(self.rows).max(axis=1) > FIXED
+        return np.asarray(np.concatenate(parts) * free)
+
+
+@dataclass(frozen=True)
+class TableCost:
+    """What straight lines between nodes cost.
+
+    Attributes
+    ----------
+    motions : mapping of motion to float, m or rad
+        Root mean square over the range of function less table.
+    grid : float
+        m; mean length of the difference on a grid, rigid motion taken out.
+    """
+
+    motions: Mapping[str, float]
+    grid: float
+
+
+def projection(motion: str, basis: Basis, nodes: Array) -> Array:
+    """Node values of the best table from the coefficients, shape (nodes, size)."""
+    table = linear(nodes)
+    if basis.size == 1 or (
+        basis.degree == table.degree and np.array_equal(basis.knots, table.knots)
+    ):
+        return np.eye(basis.size)
+    gauge = motion_gauge(motion, table)
+    cuts = np.unique(np.concatenate([basis.knots, nodes]))
+    places, weights = np.polynomial.legendre.leggauss(4)
+    half = 0.5 * np.diff(cuts)
+    q = (cuts[:-1, None] + half[:, None] * (1.0 + places)).ravel()
+    weight = np.sqrt((half[:, None] * weights).ravel())[:, None]
+    hats = table.matrix(q) @ gauge
+    return np.asarray(gauge @ np.linalg.lstsq(hats * weight, basis.matrix(q) * weight)[0])
+
+
+def table_rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:
+    """C0Y, B0Z, A0Z and node values of EXX ... ECZ from the full vector, shape (m, full)."""
+    blocks = [np.eye(1)] * len(SQUARENESS)
+    blocks += [projection(m, unknowns.bases[m[2]], nodes[m[2]]) for m in MOTIONS]
+    order = [unknowns.blocks[n] for n in (*SQUARENESS, *MOTIONS)]
+    rows = np.zeros((sum(len(b) for b in blocks), unknowns.full))
+    rows[:, np.concatenate([np.arange(b.start, b.stop) for b in order])] = block_diag(*blocks)
+    return rows
+
+
+def by_motion(values: NDArray[Any], nodes: Mapping[str, Array]) -> dict[str, NDArray[Any]]:
+    """Node values of every motion among values (m,) in the order of ``table_rows``."""
+    ends = np.cumsum([len(SQUARENESS)] + [len(nodes[m[2]]) for m in MOTIONS])
+    return dict(zip(MOTIONS, np.split(values, ends[:-1])[1:], strict=True))
+
+
+def _cost(
+    machine: Machine, done: JointSolution, nodes: Mapping[str, Array], values: Mapping[str, Array]
+) -> TableCost:
+    unknowns = done.unknowns
+    grid = _inner_places(*_ends(unknowns))
+    field, motions = np.zeros_like(grid), {}
+    for name in MOTIONS:
+        basis, at = unknowns.bases[name[2]], nodes[name[2]]
+        coefficients = done.solution.value[unknowns.blocks[name]]
+
+        def left(q: Array, name: str = name, at: Array = at, basis: Basis = basis,
+                 coefficients: Array = coefficients) -> Array:  # fmt: skip
+            return np.asarray(basis.matrix(q) @ coefficients - np.interp(q, at, values[name]))
+
+        fine = linear(at).finer(16)
+        motions[name] = float(np.sqrt(np.mean(np.square(left(fine)))))
+        own = left(grid[:, AXES.index(name[2])])
+        field += own[:, None] * motion_influence(machine, name, grid)
+    return TableCost(motions, mean_length(without_rigid_motion(field, grid)))
+
+
+def _inner_places(low: Array, high: Array) -> Array:
+    """Places that fill the volume evenly and keep no step with nodes, shape (n, 3), m.
+
+    Multiples of the powers of the root of g^4 = g + 1, the remainders by 1 (additive recurrence).
+    """
+    steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+    share = (0.5 + np.arange(PLACES)[:, None] * steps) % 1.0
+    return np.asarray(low + share * (high - low))
+
+
+def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float) -> Tabulation:
+    """Make tables of the functions that were solved for.
+
+    Parameters
+    ----------
+    machine : Machine
+    done : JointSolution
+    grid_u : float
+        m; mean uncertainty of the grid, which decides how fine the tables are.
+    limit : float
+        m and rad; ``unidentifiable_above``.
+
+    Returns
+    -------
+    Tabulation
+    """
+    low, high = _ends(done.unknowns)
+    costs: dict[int, TableCost] = {}
+    best = None
+    for fraction in FRACTIONS:
+        nodes = table_nodes(_finer(machine, fraction), low, high)
+        if fraction > 1 and 6 * sum(len(n) for n in nodes.values()) > MOST_NODES:
+            break
+        rows = table_rows(done.unknowns, nodes)
+        value = rows @ done.solution.value
+        split = by_motion(value, nodes)
+        costs[fraction] = _cost(machine, done, nodes, split)
+        best = (fraction, nodes, rows, value, split)
+        if costs[fraction].grid <= WORTH * grid_u:
+            break
+    assert best is not None
+    fraction, nodes, rows, value, split = best
+    seen = done.solution.accepted
+    known = by_motion(determined_by_data(done.normal, done.unknowns, seen, limit, rows), nodes)
+    motions = {
+        m: MotionTable(
+            nodes[m[2]],
+            split[m] + 0.0,
+            np.zeros(len(split[m])),
+            m in seen,
+            known[m] if m in seen else np.zeros(len(split[m]), dtype=bool),
+        )
+        for m in MOTIONS
+    }
+    squareness = {n: Squareness(float(value[k])) for k, n in enumerate(SQUARENESS)}
+    kept = {k: costs[k] for k in {1, fraction}}
+    return Tabulation(ErrorTables(machine, motions, squareness), rows, fraction, kept)
+
+
+def _finer(machine: Machine, fraction: int) -> Machine:
+    axes = {
+        name: replace(axis, table_pitch=axis.table_pitch / fraction)
+        for name, axis in machine.axes.items()
+    }
+    return replace(machine, axes=axes)
+
+
+def mean_grid_uncertainty(machine: Machine, unknowns: Unknowns, covariance: Array) -> float:
+    """Mean over the driven volume of the uncertainty of the error vector, m.
+
+    Parameters
+    ----------
+    machine : Machine
+    unknowns : Unknowns
+    covariance : ndarray, shape (full, full)
+    """
+    grid = _inner_places(*_ends(unknowns))
+    rows = model_rows(machine, unknowns, grid)
+    free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
+    variance = np.maximum(np.einsum('ij,ij->i', free @ covariance, free), 0.0)
+    return float(np.sqrt(variance.reshape(-1, 3).sum(axis=1)).mean())
+
+
+def _ends(unknowns: Unknowns) -> tuple[Array, Array]:
+    knots = unknowns.knots
+    return np.array([knots[a][0] for a in AXES]), np.array([knots[a][-1] for a in AXES])

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unknowns of a calibration and their gauge.
+
+Unknowns are a pose correction per run (3 translations, 3 rotations), 3 squareness errors, the
+spline coefficients of 18 error motions and, if asked for, reversal coefficients of these motions.
+The gauge (docs/formulation.md): positioning and rotations are zero at the axis' zero position,
+else at its minimum; straightness is zero at both ends. Gauge conditions are met exactly, by
+leaving coefficients out: ``full = gauge @ free``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
+from otf_core.solving.basis import Basis
+
+Array = NDArray[np.float64]
+
+POSE = 6
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Layout of the unknowns.
+
+    Attributes
+    ----------
+    bases : mapping of axis to Basis
+        Functions that the motions of each axis are made of.
+    blocks : mapping of block name to slice
+        Place of the poses, the squareness names, the motions and the reversal coefficients in
+        the full vector; a dependent one gives way to those before it: pose, squareness,
+        translations, rotations, then reversal polynomial by polynomial.
+    gauge : sparse array, shape (full, free)
+    free_blocks : mapping of block name to slice
+        The same blocks in the free vector.
+    reversal : int
+        Reversal polynomials per motion.
+    held : bool
+        Axes that stand stay on the side of their last travel, see ``effects.backlash``.
+    """
+
+    bases: dict[str, Basis]
+    blocks: dict[str, slice]
+    gauge: sparse.csr_array
+    free_blocks: dict[str, slice]
+    reversal: int = 0
+    held: bool = False
+
+    @property
+    def knots(self) -> dict[str, Array]:
+        """Knots of each axis, m."""
+        return {axis: basis.knots for axis, basis in self.bases.items()}
+
+    @property
+    def full(self) -> int:
+        """Number of values in the full vector."""
+        return int(self.gauge.shape[0])
+
+    @cached_property
+    def kept(self) -> NDArray[np.int64]:
+        """Places of the free unknowns in the full vector, shape (free,)."""
+        dense = self.gauge.toarray()
+        alone = (np.count_nonzero(dense, axis=1) == 1) & (dense.max(axis=1, initial=0.0) == 1.0)
+        return np.flatnonzero(alone)
+
+    @property
+    def free(self) -> int:
+        """Number of values left by the gauge."""
+        return int(self.gauge.shape[1])
+
+
+def reference_position(low: float, high: float) -> float:
+    """Where positioning and rotations are zero: at zero, else at the minimum, m."""
+    return 0.0 if low <= 0.0 <= high else low
+
+
+def motion_gauge(motion: str, basis: Basis) -> Array:
+    """Columns that span the coefficients allowed by the gauge, shape (size, free)."""
+    columns = np.eye(basis.size)
+    if basis.size == 1:
+        return np.zeros((1, 0))
+    if is_straightness(motion):
+        return columns[:, 1:-1]
+    reference = reference_position(basis.knots[0], basis.knots[-1])
+    at = basis.matrix(np.array([reference]))[0]
+    dropped = int(np.argmax(at))
+    columns[dropped] = -at / at[dropped]
+    return np.delete(columns, dropped, axis=1)
+
+
+def pose_block(run: int) -> str:
+    """Name of the block of the pose correction of one run."""
+    return f'pose {run}'
+
+
+def reversal_block(motion: str, order: int) -> str:
+    """Name of the block of one reversal coefficient of a motion: as in the effects, EYX_1."""
+    return f'{motion}_{order}'
+
+
+def is_reversal(block: str) -> bool:
+    """Tell whether a block is a reversal coefficient; its first letters are the motion."""
+    return block[3:4] == '_' and block[:3] in MOTIONS
+
+
+def reversal_order(block: str) -> int:
+    """Order of the polynomial of a reversal coefficient; -1 for all other blocks."""
+    return int(block[4:]) if is_reversal(block) else -1
+
+
+def layout(
+    bases: dict[str, Basis], runs: int = 1, reversal: int = 0, *, held: bool = False
+) -> Unknowns:
+    """Lay out the unknowns.
+
+    Parameters
+    ----------
+    bases : mapping of axis to Basis
+    runs : int
+        Each has its own pose.
+    reversal : int
+        Reversal polynomials per motion.
+    held : bool
+        See ``Unknowns``.
+    """
+    order = [m for m in MOTIONS if unit_of(m) == 'm'] + [m for m in MOTIONS if unit_of(m) == 'rad']
+    parts: list[tuple[str, Array]] = [(pose_block(run), np.eye(POSE)) for run in range(runs)]
+    parts += [(name, np.eye(1)) for name in SQUARENESS]
+    parts += [(name, motion_gauge(name, bases[name[2]])) for name in order]
+    parts += [(reversal_block(m, k), np.eye(1)) for k in range(reversal) for m in order]
+    blocks, free_blocks = {}, {}
+    full = free = 0
+    for name, basis in parts:
+        blocks[name] = slice(full, full + basis.shape[0])
+        free_blocks[name] = slice(free, free + basis.shape[1])
+        full, free = full + basis.shape[0], free + basis.shape[1]
+    gauge = sparse.block_diag([basis for _, basis in parts], format='csr')
+    return Unknowns(bases, blocks, sparse.csr_array(gauge), free_blocks, reversal, held)
+
+
+def free_values(unknowns: Unknowns, full: Array) -> Array:
+    """Free unknowns of full ones (full, ...) that obey the gauge: those that it keeps."""
+    return np.asarray(full[unknowns.kept])

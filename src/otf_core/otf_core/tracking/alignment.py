@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Alignment of tracker samples with the nominal path (paper 1.2.3).
+
+Rough: ``matching``. Fine: each point's nearest point on its own leg, then the rigid motion that
+minimises the distances perpendicular to the legs, repeated to a stop criterion. The paper fits
+point to point; point to line is the same problem without the sliding along the path, and settles
+in three or four steps instead of hundreds (docs/formulation.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
+from otf_core.model.frames import RigidTransform
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.tracking.arcs import Bulge, bulge_of, with_arcs
+from otf_core.tracking.curves import SHORT_CURVE, Lines, Shape, straight_shape
+from otf_core.tracking.driven import Driven, as_planned, driven_path, sample_chords, visits
+from otf_core.tracking.guide import Guide
+from otf_core.tracking.matching import ENOUGH, LEAST, cut_track
+from otf_core.tracking.mirrored import mirrored
+from otf_core.tracking.no_match import MIRRORED, why_no_match
+from otf_core.tracking.order import FORWARD, OFF_PATH, Match, follow
+from otf_core.tracking.rounding import rounded_ends, sharpened
+from otf_core.tracking.track import Track, measured_track
+
+Array = NDArray[np.float64]
+
+DOUBTFUL = 0.9
+"""If a smaller share does, the track may be mirrored."""
+CLEARLY = 0.1
+"""More of the measured length that a mirrored track must explain."""
+SLIGHTLY = 0.005
+"""The same for a track with its corners sharpened."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Pose of the tracker and the leg of every sample.
+
+    Attributes
+    ----------
+    T_machine_tracker : RigidTransform
+    corners : ndarray, shape (m + 1, 3), m
+        Corner points of the path as driven, straight-through points removed; leg j runs from j
+        to j + 1. That is the published path, unless legs were repeated or driven backward.
+    leg : ndarray of int64, shape (n,)
+        Leg of every sample, ``OFF_PATH`` where there is none.
+    coverage : float
+        Driven share of the length of the published path.
+    last_leg_driven : bool
+        True if the track ends at the end of the path.
+    curves : Shape, optional
+        Which legs are chords of curves; none without it.
+    published : ndarray of int64, shape (m,), optional
+        Leg of the published path of every leg, ``OFF_PATH`` for connecting moves; the same
+        numbers without it.
+    rounded : ndarray, shape (m, 2), optional
+        Length at the start and the end of every leg that the machine rounds, m.
+    bulge : Bulge, optional
+        Whether curves were driven along chords or arcs; None if that makes no difference.
+    """
+
+    T_machine_tracker: RigidTransform
+    corners: Array
+    leg: NDArray[np.int64]
+    coverage: float
+    last_leg_driven: bool
+    curves: Shape | None = None
+    published: NDArray[np.int64] | None = None
+    rounded: Array | None = None
+    bulge: Bulge | None = None
+
+    @property
+    def shape(self) -> Shape:
+        """Corner points and curves."""
+        return self.curves or straight_shape(self.corners)
+
+    @property
+    def remark(self) -> str:
+        """What the reader of a result should know of the driven path; empty if nothing."""
+        return '' if self.bulge is None else self.bulge.remark
+
+
+def line_step(
+    points: Array, origin: Array, direction: Array, weight: Array
+) -> tuple[Array, Array]:
+    """One least-squares step of a rigid motion towards lines.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3), m
+        Measured points in the machine frame.
+    origin, direction : ndarray, shape (n, 3)
+        A point (m) and the unit direction of each point's line.
+    weight : ndarray, shape (n,)
+
+    Returns
+    -------
+    translation : ndarray, shape (3,), m
+    rotation_vector : ndarray, shape (3,), rad
+        About the origin of the machine frame.
+
+    Raises
+    ------
+    InputError
+        If the lines leave a motion free, such as turning about a single line.
+    """
+    centre = points.mean(axis=0)
+    local = points - centre
+    size = np.sqrt(np.mean(np.einsum('ij,ij->i', local, local))) or 1.0
+    turn = np.cross(np.eye(3)[:, None, :], local[None] / size).transpose(1, 2, 0)
+    columns = np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2)
+    columns = (
+        columns - direction[:, :, None] * np.einsum('ij,ijk->ik', direction, columns)[:, None]
+    )
+    offset = points - origin
+    offset = offset - direction * np.einsum('ij,ij->i', direction, offset)[:, None]
+    normal = np.einsum('n,nik,nil->kl', weight, columns, columns) / weight.sum()
+    right = -np.einsum('n,nik,ni->k', weight, columns, offset) / weight.sum()
+    if np.linalg.eigvalsh(normal)[0] < 1e-7:
+        raise InputError(
+            'the driven lines do not fix the place of the tracker (all parallel or too few); '
+            'record the whole path'
+        )
+    motion = np.linalg.solve(normal, right)
+    rotation_vector = motion[3:] / size
+    return motion[:3] - np.cross(rotation_vector, centre), rotation_vector
+
+
+def _refine(
+    match: Match, driven: Driven, rounded: Array, config: CalibrationConfig
+) -> RigidTransform:
+    """Fine alignment on the hops of the assigned legs."""
+    margin = np.maximum(config.corner_exclusion, rounded)
+    track, lines = match.track, Lines.of(driven.shape)
+    legs = _hop_legs(match)
+    use = legs != OFF_PATH
+    source = track.points[use]
+    chord = driven.chord[legs[use]]
+    pose = match.pose
+    for _ in range(config.max_iterations):
+        points = pose.apply(source)
+        chord = lines.settled(points, chord)
+        along = lines.start[chord] + lines.along(points, chord)
+        total = lines.total[chord]
+        inside = (along > margin[chord, 0]) & (along < total - margin[chord, 1])
+        if inside.sum() < 10:
+            raise InputError('hardly any point lies on a line of the path away from its corners')
+        weight = inside / total  # every leg counts alike, however fast it was driven
+        shift, turn = line_step(points, lines.shape.corners[chord], lines.unit[chord], weight)
+        moved = pose.moved_by(shift, turn)
+        change = float(np.abs(moved.apply(source) - points).max())
+        pose = moved
+        if change < max(config.alignment_stop, 1e-6):
+            break
+    return pose
+
+
+def _hop_legs(match: Match) -> NDArray[np.int64]:
+    """Measured leg of every hop of the track, ``OFF_PATH`` if it belongs to no leg of the path."""
+    legs = np.full(len(match.track.hops), OFF_PATH, dtype=np.int64)
+    pairs = zip(match.track.start, match.track.stop, match.leg, strict=True)
+    for k, (first, last, leg) in enumerate(pairs):
+        legs[first : last + 1] = k if leg != OFF_PATH else OFF_PATH
+    return legs
+
+
+def _match(track: Track, guide: Guide, tolerance: float) -> Match | None:
+    """Match a track; if that fails, with the rounding of its corners taken off."""
+    match = guide.find(track, tolerance)
+    if match is not None and match.explained > ENOUGH:
+        return match
+    sharp = sharpened(track, tolerance)
+    other = None if sharp is None else guide.find(sharp, tolerance)
+    if other is not None and (match is None or other.explained > match.explained + SLIGHTLY):
+        return other
+    return match
+
+
+def _coverage(match: Match, guide: Guide, slack: float) -> float:
+    """Share of the nominal length that was driven."""
+    vertices, curve = guide.vertices, guide.curve
+    length = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
+    driven = np.zeros(len(length))
+    if as_planned(visits(match, vertices, slack)):
+        use = match.leg != OFF_PATH
+        np.add.at(driven, match.leg[use], match.track.lengths[use])
+    else:
+        for leg, spans in _spans(match, vertices, length).items():
+            upto = 0.0
+            for low, high in sorted(spans):
+                driven[leg] += max(0.0, high - max(low, upto))
+                upto = max(upto, high)
+    # parts of a curve begin and end at points that the track passes, a hop more or less
+    seen, whole = np.bincount(curve, driven), np.bincount(curve, length)
+    return float(np.minimum(seen, whole).sum() / length.sum())
+
+
+def _spans(match: Match, vertices: Array, length: Array) -> dict[int, list[tuple[float, float]]]:
+    """Driven spans of every leg, m from its start."""
+    unit = np.diff(vertices, axis=0) / length[:, None]
+    places = [match.pose.apply(p) for p in (match.track.starts, match.track.ends)]
+    found: dict[int, list[tuple[float, float]]] = {}
+    for k in np.flatnonzero(match.leg != OFF_PATH).tolist():
+        j = int(match.leg[k])
+        low, high = sorted(float((p[k] - vertices[j]) @ unit[j]) for p in places)
+        found.setdefault(j, []).append((max(low, 0.0), min(high, float(length[j]))))
+    return found
+
+
+def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Alignment:
+    """Find the tracker's pose and the leg of every sample.
+
+    Parameters
+    ----------
+    samples : Samples
+    path : NominalPath
+    config : CalibrationConfig
+
+    Returns
+    -------
+    Alignment
+
+    Raises
+    ------
+    InputError
+        If samples and path do not belong together, or the pose is not determined; says why.
+    """
+    tolerance = config.match_tolerance
+    guide, track = Guide.of(path, tolerance), measured_track(samples, tolerance)
+    match = _match(track, guide, tolerance)
+    if match is None or match.explained < LEAST:
+        raise InputError(
+            f'samples do not follow the path: '
+            f'{why_no_match(samples, track, guide.vertices, tolerance)}'
+        )
+    if match.explained < DOUBTFUL and (
+        mirrored(track, guide, tolerance) > match.explained + CLEARLY
+    ):
+        raise InputError(f'samples do not follow the path: {MIRRORED}')
+    driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
+    track, rounded = match.track, _rounded(match, driven, config)
+    for _ in range(2):
+        pose = _refine(match, driven, rounded, config)
+        whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
+        match = follow(pose, whole, guide.vertices, tolerance, match.free)
+        if match.explained < LEAST:
+            raise InputError(
+                f'samples do not follow the path: only {100 * match.explained:.0f} % of '
+                f'the measured track lies within {1e3 * tolerance:g} mm of it; '
+                f'{why_no_match(samples, track, guide.vertices, tolerance)}'
+            )
+        driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
+        rounded = _rounded(match, driven, config)
+    pose = _refine(match, driven, rounded, config)
+    points = pose.apply(samples.xyz)
+    found = Alignment(
+        pose,
+        driven.shape.corners,
+        sample_chords(match, driven, points, config.corner_exclusion, 4 * tolerance),
+        _coverage(match, guide, 4 * tolerance),
+        _reaches_end(match, guide.vertices, tolerance),
+        driven.shape,
+        driven.published,
+        rounded,
+    )
+    if driven.shape.straight:
+        return found
+    return _on_arcs(found, points, SHORT_CURVE * config.corner_exclusion)
+
+
+def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
+    """Take the arcs through the joints of curves for the path, if they were driven."""
+    lines = Lines.of(found.shape)
+    on = np.flatnonzero(found.leg != OFF_PATH)
+    on = on[lines.shape.curved[found.leg[on]]]
+    bulge = bulge_of(points[on], found.leg[on], lines, least)
+    if bulge is None or not bulge.arcs:
+        return replace(found, bulge=bulge)
+    shape, start, parent = with_arcs(lines)
+    leg = np.where(found.leg == OFF_PATH, OFF_PATH, start[found.leg])
+    on = np.flatnonzero(leg != OFF_PATH)
+    leg[on] = Lines.of(shape).settled(points[on], leg[on])
+    assert found.published is not None and found.rounded is not None
+    return replace(
+        found,
+        corners=shape.corners,
+        leg=leg,
+        curves=shape,
+        published=found.published[parent],
+        rounded=found.rounded[parent],
+        bulge=bulge,
+    )
+
+
+def _rounded(match: Match, driven: Driven, config: CalibrationConfig) -> Array:
+    """Length at both ends of every leg of the driven path that is rounded, shape (m, 2), m."""
+    track, corners = match.track, driven.shape.corners
+    found = np.zeros((len(driven.shape.stretch), 2))
+    joined = np.append(track.joined, False)
+    lines = np.flatnonzero((driven.chord != OFF_PATH) & (driven.chord == driven.last))
+    for k in lines.tolist():
+        j = int(driven.chord[k])
+        points = match.pose.apply(track.points[track.start[k] : track.stop[k] + 1])
+        ends = (bool(joined[k]), bool(joined[k + 1]))
+        length = rounded_ends(points, corners[j : j + 2], ends, config.corner_exclusion)
+        found[j] = np.maximum(found[j], length)
+    return found
+
+
+def _reaches_end(match: Match, vertices: Array, tolerance: float) -> bool:
+    k = int(np.flatnonzero(match.leg != OFF_PATH)[-1])
+    end = match.pose.apply(match.track.ends[k : k + 1])[0]
+    return bool(
+        match.leg[k] == len(vertices) - 2
+        and match.sense[k] == FORWARD
+        and np.linalg.norm(end - vertices[-1]) < 4 * tolerance
+    )

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Curves in a path of straight lines: arcs, circles and helices published as short chords.
+
+A run of short chords that turn gently from one to the next is one *stretch*: the machine does not
+stop at its joints, so nothing is left out there, and its pieces may span them. A stretch is cut
+into *groups* that turn little enough to share one direction of the tracker's noise. A chord that
+is long, or that meets its neighbours at an angle, is a stretch and a group of its own: a leg.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.tracking.track import simplify
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+CHORD = 0.02
+"""m; longer lines are legs of their own, never chords of a curve."""
+GENTLE = np.radians(30.0)
+"""A sharper turn is a corner."""
+LEAST = 3
+"""Chords that make a curve; fewer are legs."""
+SHORT_CURVE = 4.0
+"""A curve shorter than this many corner exclusions is left out: it is a rounded corner."""
+GROUP_TURN, GROUP_LENGTH = 1.0, 0.5
+"""rad and m; groups turn no more and are no longer."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A path of corner points with its curves.
+
+    Attributes
+    ----------
+    corners : ndarray, shape (m + 1, 3), m
+        Chord j runs from corner j to corner j + 1.
+    stretch : ndarray of int64, shape (m,)
+        First chord of the curve that each chord belongs to; its own number if to none.
+    group : ndarray of int64, shape (m,)
+        First chord of the part of that curve.
+    """
+
+    corners: Array
+    stretch: Index
+    group: Index
+
+    @property
+    def straight(self) -> bool:
+        """True if every chord is a leg of its own."""
+        return bool(np.all(self.stretch == np.arange(len(self.stretch))))
+
+    @property
+    def curved(self) -> NDArray[np.bool_]:
+        """True for every chord that belongs to a curve, shape (m,)."""
+        number = np.arange(len(self.stretch))
+        return np.asarray(np.bincount(self.stretch, minlength=len(number))[self.stretch] > 1)
+
+    def vertices(self, tolerance: float) -> Index:
+        """Corner points that are matched: curves thinned to within ``tolerance``, m."""
+        bounds = [*np.unique(self.stretch).tolist(), len(self.stretch)]
+        kept = [
+            a + simplify(self.corners[a : b + 1], tolerance)[:-1] if b - a > 1 else [a]
+            for a, b in pairwise(bounds)
+        ]
+        return np.concatenate([*kept, [len(self.stretch)]]).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Chords of a shape as lines, and where they lie on their curves.
+
+    Attributes
+    ----------
+    shape : Shape
+    length : ndarray, shape (m,), m
+    unit : ndarray, shape (m, 3)
+    start : ndarray, shape (m,), m
+        Path length from the start of the stretch to the start of the chord.
+    total : ndarray, shape (m,), m
+        Length of the stretch.
+    """
+
+    shape: Shape
+    length: Array
+    unit: Array
+    start: Array
+    total: Array
+
+    @classmethod
+    def of(cls, shape: Shape) -> Lines:
+        """Measure the chords of a shape."""
+        step = np.diff(shape.corners, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        done = np.concatenate([[0.0], np.cumsum(length)])
+        curved = shape.curved
+        start = np.where(curved, done[:-1] - done[shape.stretch], 0.0)
+        total = np.bincount(shape.stretch, length, minlength=len(length))[shape.stretch]
+        return cls(shape, length, step / length[:, None], start, np.where(curved, total, length))
+
+    def along(self, points: Array, chord: Index) -> Array:
+        """Position of points on their chords, m from the start of the chord, not clipped."""
+        return np.asarray(
+            np.einsum('ij,ij->i', points - self.shape.corners[chord], self.unit[chord])
+        )
+
+    def settled(self, points: Array, chord: Index) -> Index:
+        """Nearest chord of the same stretch, found by stepping from a chord near by.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), m
+        chord : ndarray of int64, shape (n,)
+            Where to begin.
+        """
+        if self.shape.straight:
+            return chord
+        chord, moving = chord.copy(), np.flatnonzero(self.shape.curved[chord])
+        best = self._square(points[moving], chord[moving])
+        last = len(self.length) - 1
+        while len(moving):
+            moved = np.zeros(len(moving), dtype=bool)
+            for side in (-1, 1):
+                other = np.clip(chord[moving] + side, 0, last)
+                square = self._square(points[moving], other)
+                same = self.shape.stretch[other] == self.shape.stretch[chord[moving]]
+                better = same & (square < best * (1 - 1e-12) - 1e-24)
+                chord[moving[better]] = other[better]
+                best[better] = square[better]
+                moved |= better
+            moving, best = moving[moved], best[moved]
+        return chord
+
+    def _square(self, points: Array, chord: Index) -> Array:
+        """Squared distance of points from their chords, ends counted."""
+        along = np.clip(self.along(points, chord), 0.0, self.length[chord])
+        foot = self.shape.corners[chord] + along[:, None] * self.unit[chord]
+        off = points - foot
+        return np.asarray(np.einsum('ij,ij->i', off, off))
+
+
+def turns(unit: Array) -> Array:
+    """Angles between successive directions (m, 3), shape (m - 1,), rad."""
+    cross = np.linalg.norm(np.cross(unit[:-1], unit[1:]), axis=1)
+    return np.asarray(np.arctan2(cross, np.einsum('ij,ij->i', unit[:-1], unit[1:])))
+
+
+def straight_shape(corners: Array) -> Shape:
+    """Take every chord as a leg of its own."""
+    number = np.arange(len(corners) - 1)
+    return Shape(corners, number, number)
+
+
+def shape_of(corners: Array) -> Shape:
+    """Find the curves of a path.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (m + 1, 3), m
+        No point repeated.
+    """
+    step = np.diff(corners, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    number = np.arange(len(length))
+    if len(length) < LEAST or np.count_nonzero(length <= CHORD) < LEAST:
+        return straight_shape(corners)
+    turn = turns(step / length[:, None])
+    gentle = (turn <= GENTLE) & (length[:-1] <= CHORD) & (length[1:] <= CHORD)
+    first = np.concatenate([[True], ~gentle])
+    stretch = number[first][np.cumsum(first) - 1]
+    few = np.bincount(stretch, minlength=len(number))[stretch] < LEAST
+    stretch = np.where(few, number, stretch)
+    return Shape(corners, stretch, _groups(stretch, length, np.concatenate([[0.0], turn])))
+
+
+def _groups(stretch: Index, length: Array, turn: Array) -> Index:
+    """Cut stretches into parts; ``turn`` is the angle at the start of each chord, rad."""
+    group = stretch.copy()
+    bent = travelled = 0.0
+    for j, (own, size, angle) in enumerate(
+        zip(stretch.tolist(), length.tolist(), turn.tolist(), strict=True)
+    ):
+        bent, travelled = bent + angle, travelled + size
+        if j == own or bent > GROUP_TURN or travelled > GROUP_LENGTH:
+            group[j], bent, travelled = j, 0.0, size
+        else:
+            group[j] = group[j - 1]
+    return group

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rough alignment: which leg of the nominal path is each measured leg, and where is the tracker.
+
+The paper (1.2.3) uses start point, end point and centroid, which fails where the recording holds
+more or less than the path. Here short runs of measured corner points are compared with runs of
+nominal ones by their mutual distances; each agreement proposes a pose, and the pose under which
+the whole track follows the path in driving order (``order``) wins. Where corners do not tell,
+points at equal distances along track and path take their place (``arc_windows``).
+"""
+
+from __future__ import annotations
+
+from itertools import combinations, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.frames import RigidTransform, rigid_fit
+from otf_core.tracking.arc_windows import dense_points, propose
+from otf_core.tracking.order import OFF_PATH as OFF_PATH
+from otf_core.tracking.order import Match as Match
+from otf_core.tracking.order import follow as follow
+from otf_core.tracking.track import Track
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_MAX_WINDOWS = 60
+_MAX_HYPOTHESES = 4000
+_MAX_FULL = 24
+_MAX_ARCS, _MAX_FREE, _PROBES = 8, 6, 150
+LEAST = 0.3
+"""Share of the measured length that must follow the path."""
+DOUBTFUL = 0.5
+"""Share of the measured length; if less follows the path, corners may have deceived."""
+ALL = 0.99
+"""Share of the measured length; no better place of the tracker is looked for on curves."""
+ENOUGH = 0.97
+"""Share of the measured length; if so much follows the path as planned, nothing else is tried."""
+
+
+def _pair_distances(windows: Array) -> Array:
+    """Mutual distances of the points of each window (m, w, 3) -> (m, pairs)."""
+    pairs = list(combinations(range(windows.shape[1]), 2))
+    return np.stack(
+        [np.linalg.norm(windows[:, i] - windows[:, j], axis=1) for i, j in pairs], axis=1
+    )
+
+
+def _sliding(points: Array, width: int) -> Array:
+    """All runs of ``width`` successive points, shape (m, width, 3)."""
+    return np.stack([points[i : len(points) - width + 1 + i] for i in range(width)], axis=1)
+
+
+def _measured_windows(track: Track, width: int) -> Array:
+    """Runs of corner points of the track without a gap inside, those of largest extent first."""
+    windows = []
+    bounds = np.concatenate([np.flatnonzero(~track.joined), [len(track.joined)]])
+    for low, high in pairwise(bounds):
+        corners = np.concatenate([track.starts[low:high], track.ends[high - 1 : high]])
+        if len(corners) >= width:
+            windows.append(_sliding(corners, width))
+    if not windows:
+        return np.empty((0, width, 3))
+    found = np.concatenate(windows)
+    spread = np.linalg.svd(found - found.mean(axis=1, keepdims=True), compute_uv=False)
+    order = np.argsort(-(spread[:, 1] + spread[:, 2]), kind='stable')
+    return found[order[:_MAX_WINDOWS]]
+
+
+def _hypotheses(track: Track, corners: Array, tolerance: float) -> list[RigidTransform]:
+    poses: list[RigidTransform] = []
+    for width in (4, 3):
+        if len(corners) < width:
+            continue
+        nominal = _sliding(corners, width)
+        distances = _pair_distances(nominal)
+        for window in _measured_windows(track, width):
+            difference = np.abs(distances - _pair_distances(window[None]))
+            for k in np.flatnonzero(difference.max(axis=1) < 3 * tolerance):
+                pose = rigid_fit(window, nominal[k])
+                off = np.linalg.norm(pose.apply(window) - nominal[k], axis=1).max()
+                if off < 3 * tolerance:
+                    poses.append(pose)
+            if len(poses) > _MAX_HYPOTHESES:
+                break
+        if poses:
+            break
+    return poses
+
+
+def _quick_score(pose: RigidTransform, track: Track, tree: object, tolerance: float) -> float:
+    ends = pose.apply(np.concatenate([track.starts, track.ends]))
+    distance, _ = tree.query(ends, distance_upper_bound=5 * tolerance)  # type: ignore[attr-defined]
+    return float(np.sum(np.isfinite(distance)))
+
+
+def distinct_poses(
+    poses: list[RigidTransform], score: Array, points: Array, apart: float, most: int
+) -> list[RigidTransform]:
+    """Best poses that differ from each other.
+
+    Parameters
+    ----------
+    poses : list of RigidTransform
+    score : ndarray, shape (n,)
+        Higher is better.
+    points : ndarray, shape (k, 3), m
+        Points that two different poses move apart.
+    apart : float
+        m.
+    most : int
+    """
+    probe = points[:: max(1, len(points) // 50)]
+    found: list[RigidTransform] = []
+    places: list[Array] = []
+    for k in np.argsort(-score, kind='stable'):
+        moved = poses[k].apply(probe)
+        if all(np.abs(moved - p).max() > apart for p in places):
+            found.append(poses[k])
+            places.append(moved)
+        if len(found) >= most:
+            break
+    return found
+
+
+def cut_track(track: Track, pose: RigidTransform, cuts: Array, reach: float) -> Track:
+    """Cut measured legs where they pass points of the path: curves have no corners of their own.
+
+    Parameters
+    ----------
+    track : Track
+    pose : RigidTransform
+        Tracker to machine.
+    cuts : ndarray, shape (c, 3), m
+        Points of the path, machine frame.
+    reach : float
+        m; a hop so near passes the point.
+    """
+    if not len(cuts):
+        return track
+    found = set()
+    inverse = (cuts - pose.translation) @ pose.rotation
+    for point, near in zip(inverse, track.tree.query_ball_point(inverse, reach), strict=True):
+        hops = np.sort(np.array(near, dtype=np.int64))
+        for passage in np.split(hops, np.flatnonzero(np.diff(hops) > 1) + 1):
+            if len(passage):
+                distance = np.linalg.norm(track.points[passage] - point, axis=1)
+                found.add(int(passage[np.argmin(distance)]))
+    return track.cut_at(np.array(sorted(found), dtype=np.int64))
+
+
+def best_match(
+    poses: list[RigidTransform], track: Track, corners: Array, cuts: Array, tolerance: float
+) -> Match | None:
+    """Follow the path under every pose; as planned if that explains nearly all, else freely."""
+    if not poses:
+        return None
+    planned: list[Match] = []
+    for pose in poses:
+        whole = cut_track(track, pose, cuts, 2 * tolerance)
+        planned.append(follow(pose, whole, corners, tolerance, False))
+        if len(cuts) and planned[-1].explained > ALL:
+            break
+    planned.sort(key=_cost)
+    if planned[0].explained > ENOUGH:
+        return planned[0]
+    free: list[Match] = []
+    for match in planned[:_MAX_FREE]:
+        free.append(follow(match.pose, match.track, corners, tolerance))
+        if free[-1].explained > ENOUGH:
+            break
+    return min(free, key=_cost)
+
+
+def _by_length(track: Track, corners: Array, tolerance: float) -> list[RigidTransform]:
+    """Poses proposed by lengths under which enough of the track lies on the path."""
+    from scipy.spatial import cKDTree
+
+    poses = propose(track, corners, tolerance)
+    tree = cKDTree(dense_points(corners, tolerance)[0])
+    probe = track.points[:: max(1, len(track.points) // _PROBES)]
+    near = [tree.query(p.apply(probe), distance_upper_bound=5 * tolerance)[0] for p in poses]
+    share = np.array([float(np.isfinite(d).mean()) for d in near])
+    kept = np.flatnonzero(share > LEAST)
+    return distinct_poses(
+        [poses[k] for k in kept], share[kept], track.points, 5 * tolerance, _MAX_ARCS
+    )
+
+
+def _cost(match: Match) -> float:
+    return match.cost
+
+
+def find_match(
+    track: Track,
+    corners: Array,
+    tolerance: float,
+    cuts: Array | None = None,
+    by_length: bool = True,
+) -> Match | None:
+    """Find pose and assignment without any prior knowledge.
+
+    Parameters
+    ----------
+    track : Track
+    corners : ndarray, shape (n, 3), m
+        Nominal corner points, straight-through points removed.
+    tolerance : float
+        m; allowed distance of measured from nominal corners.
+    cuts : ndarray, shape (c, 3), m, optional
+        Those of them that lie on curves, where the track has no corner.
+    by_length : bool
+        Try lengths along the path where corners do not tell.
+
+    Returns
+    -------
+    Match or None
+        None if no part of the track fits any part of the path.
+    """
+    from scipy.spatial import cKDTree
+
+    cuts = np.empty((0, 3)) if cuts is None else cuts
+    poses = _hypotheses(track, corners, tolerance)
+    best = None
+    if poses:
+        tree = cKDTree(corners)
+        quick = np.array([_quick_score(p, track, tree, tolerance) for p in poses])
+        distinct = distinct_poses(poses, quick, track.points, 10 * tolerance, _MAX_FULL)
+        best = best_match(distinct, track, corners, cuts, 2 * tolerance)
+    if best is not None and best.explained > (ENOUGH if len(cuts) else DOUBTFUL):
+        return best
+    if not by_length:
+        return best
+    distinct = _by_length(track, corners, tolerance)
+    other = best_match(distinct, track, corners, cuts, 2 * tolerance)
+    if best is None or (other is not None and other.explained > best.explained + 0.01):
+        return other
+    return best

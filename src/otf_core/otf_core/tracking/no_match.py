@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why a track does not follow its path, or follows a part of it only."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import InputError
+from otf_core.model.frames import RigidTransform
+from otf_core.model.observation import Samples
+from otf_core.tracking.matching import OFF_PATH, Match, find_match, follow
+from otf_core.tracking.track import Track, measured_track
+
+Array = NDArray[np.float64]
+
+WIDER = (2.5, 5.0, 10.0)
+"""Multiples of the tolerance that are tried to say what is wrong."""
+LOW = 0.8
+"""Coverage below which a reason is looked for."""
+WHOLE = 0.8
+"""Share of a track that must lie on the path for a reason to hold."""
+STANDS_OUT = 2e-4
+"""m; a sample that lies further from the middle of its neighbours on a line stands out."""
+MANY = 0.1
+"""Share of samples standing out that is a reason."""
+BESIDE = 0.25
+"""Distance of lines over that of corners from which on rounded corners are not the reason."""
+INNER = (0.3, 0.7)
+"""Part of a leg that rounding of its corners leaves alone."""
+
+
+def explained(match: Match, track: Track) -> float:
+    """Share of the measured length that lies on the path."""
+    return float(track.lengths[match.leg != OFF_PATH].sum() / track.lengths.sum())
+
+
+def covered(match: Match, track: Track, corners: Array) -> float:
+    """Share of the nominal length that was driven."""
+    length = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    use = match.leg != OFF_PATH
+    driven = np.bincount(match.leg[use], track.lengths[use], minlength=len(length))
+    return float(np.minimum(driven, length).sum() / length.sum())
+
+
+def _with_points(track: Track, points: Array) -> Track:
+    return Track(track.hops, points, track.start, track.stop, track.joined)
+
+
+def mirrored_match(track: Track, corners: Array, tolerance: float) -> Match | None:
+    """Match the mirror image of a track."""
+    return find_match(_with_points(track, track.points * [-1.0, 1.0, 1.0]), corners, tolerance)
+
+
+MIRRORED = (
+    'the track fits only mirrored: the tracker coordinates are left-handed (or two axes of '
+    'the path are swapped); swap two coordinates or change the sign of one, in the driver'
+)
+
+
+def why_no_match(samples: Samples, track: Track, corners: Array, tolerance: float) -> str:
+    """Say why nothing fits, as far as the shapes tell."""
+    out, size = standing_out(samples)
+    ratio = np.ptp(track.points, axis=0).max() / np.ptp(corners, axis=0).max()
+    if out > MANY:
+        return (
+            f'about {100 * out:.0f} % of the samples lie {1e3 * size:.2g} mm and more beside '
+            f'their neighbours: outliers; look for reflections, a dirty target or a disturbed '
+            f'beam, and leave such samples out'
+        )
+    if not 0.3 < ratio < 3:
+        factor = 1000.0 if ratio > 1 else 0.001
+        fits = 0.5 < ratio / factor < 2
+        which = 'points seem' if ratio > 1 else 'path seems'
+        unit = f'; the {which} to be in mm, expected m' if fits else ''
+        return f'the measured track is {ratio:.3g} times as large as the path{unit}'
+    match = mirrored_match(track, corners, tolerance)
+    if match is not None and explained(match, track) > WHOLE:
+        return MIRRORED
+    return _resembles(samples, corners, tolerance) or (
+        f'no run of measured corners fits the path within match_tolerance '
+        f'({1e3 * tolerance:g} mm): do bag and path belong together?'
+    )
+
+
+def _resembles(samples: Samples, corners: Array, tolerance: float) -> str:
+    """Say within which tolerance the track would fit, and whether corners are why."""
+    for factor in WIDER:
+        enough = factor * tolerance
+        track = measured_track(samples, enough)
+        match = find_match(track, corners, enough)
+        if match is None or explained(match, track) <= WHOLE:
+            continue
+        beside = _beside_lines(match, track, corners)
+        if beside > BESIDE * enough:
+            return (
+                f'it resembles the path, but lies {1e3 * beside:.2g} mm beside the middle of its '
+                f'lines: the path of another program or machine, or of another scale?'
+            )
+        return (
+            f'it does within {1e3 * enough:g} mm, but match_tolerance is {1e3 * tolerance:g} mm. '
+            f'Its lines fit, its corners are rounded: raise match_tolerance to {enough:g} '
+            f'(m) and corner_exclusion to the length that is rounded, about {3 * enough:g}'
+        )
+    return ''
+
+
+def _beside_lines(match: Match, track: Track, corners: Array) -> float:
+    """Distance of the inner parts of the legs from their lines, root median square, m."""
+    points = match.pose.apply(track.points)
+    step = np.diff(corners, axis=0)
+    found = []
+    for first, last, leg in zip(track.start, track.stop, match.leg, strict=True):
+        low, high = (int(first + share * (last - first)) for share in INNER)
+        if leg == OFF_PATH or high - low < 2:
+            continue
+        unit = step[leg] / np.linalg.norm(step[leg])
+        away = points[low:high] - corners[leg]
+        found.append(float(np.mean(np.linalg.norm(np.cross(away, unit), axis=1))))
+    return float(np.percentile(found, 75)) if found else 0.0
+
+
+def standing_out(samples: Samples) -> tuple[float, float]:
+    """Share of samples that stand out from their neighbours, and by how much.
+
+    Returns
+    -------
+    share : float
+        A bad sample spoils the second differences of three.
+    size : float
+        Median of what stands out, m.
+    """
+    xyz = samples.xyz
+    if len(xyz) < 3:
+        return 0.0, 0.0
+    bend = 0.5 * np.linalg.norm(xyz[2:] - 2.0 * xyz[1:-1] + xyz[:-2], axis=1)
+    step = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
+    far = bend > max(STANDS_OUT, 0.25 * float(np.median(step)))
+    share = 1.0 - (1.0 - float(np.mean(far))) ** (1.0 / 3.0)
+    return share, float(np.median(bend[far])) if far.any() else 0.0
+
+
+def check_partial(
+    samples: Samples, pose: RigidTransform, now: float, corners: Array, tolerance: float
+) -> None:
+    """Look for the reason of a low coverage.
+
+    Parameters
+    ----------
+    samples : Samples
+    pose : RigidTransform
+        Tracker to machine, as aligned.
+    now : float
+        Driven share of the path length.
+    corners : ndarray, shape (n, 3), m
+    tolerance : float
+        m.
+
+    Raises
+    ------
+    InputError
+        If the mirror image fits much better, or the rest fits from another place of the tracker.
+    """
+    if now > LOW:
+        return
+    track = measured_track(samples, tolerance)
+    mirrored = mirrored_match(track, corners, tolerance)
+    if mirrored is not None and covered(mirrored, track, corners) > 0.5 * (1.0 + now):
+        raise InputError(f'samples do not follow the path: {MIRRORED}')
+    match = follow(pose, track, corners, tolerance)
+    _check_far_step(samples, track, match, corners, tolerance)
+
+
+def _check_far_step(
+    samples: Samples, track: Track, match: Match, corners: Array, tolerance: float
+) -> None:
+    """Raise where what lies off the path before or after some moment fits with another pose."""
+    on = match.leg != OFF_PATH
+    if not on.any():
+        return
+    first, last = int(np.argmax(on)), len(on) - int(np.argmax(on[::-1]))
+    for rest, moment in ((slice(last, None), last - 1), (slice(0, first), first)):
+        if track.lengths[rest].sum() < 0.2 * track.lengths.sum():
+            continue
+        other = Track(
+            track.hops,
+            track.points,
+            track.start[rest],
+            track.stop[rest],
+            track.joined[rest].copy(),
+        )
+        other.joined[:1] = False
+        again = find_match(other, corners, tolerance)
+        if again is None or explained(again, other) < WHOLE:
+            continue
+        middle = np.mean(track.points, axis=0)[None]
+        shift = float(np.linalg.norm(again.pose.apply(middle) - match.pose.apply(middle)))
+        edge = track.stop[moment] if rest.start else track.start[moment]
+        seconds = float(samples.time[track.hops[edge]])
+        raise InputError(
+            f'tracker or target moved about {seconds:.1f} s after the start by '
+            f'{1e3 * shift:.1f} mm: each part of the track follows the path, both together do '
+            f'not; clamp both and record again, or cut the recording there and give the parts '
+            f'as two runs'
+        )

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Has the machine finished the path? Judged from tracker samples as they come in."""
+
+from __future__ import annotations
+
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.tracking.alignment import align
+from otf_core.tracking.track import HOP
+
+END_STANDSTILL = 1.0
+"""s; standstill at the end point that ends a run."""
+MIN_TRAVEL = 0.5
+"""Share of the path length before which no end is looked for (gaps shorten the travel)."""
+
+
+class PathWatcher:
+    """Follows the travelled length and recognises standstill at the end point.
+
+    Travel and standstill are counted sample by sample; only a standstill after enough travel is
+    compared with the path (by ``at_end``, which aligns and takes a fraction of a second).
+
+    Parameters
+    ----------
+    path : NominalPath
+    config : CalibrationConfig
+    """
+
+    def __init__(self, path: NominalPath, config: CalibrationConfig) -> None:
+        self._path, self._config = path, config
+        self.travelled = 0.0
+        self._last: tuple[float, float, float] | None = None
+        self._still_since_ns: int | None = None
+        self._newest_ns = 0
+        self._judged = False
+
+    def add(self, stamp_ns: int, x: float, y: float, z: float) -> None:
+        """Take one sample: stamp in ns, tracker frame, m."""
+        if self._last is not None:
+            dx, dy, dz = x - self._last[0], y - self._last[1], z - self._last[2]
+            square = dx * dx + dy * dy + dz * dz
+            if square < HOP * HOP:
+                if self._still_since_ns is None:
+                    self._still_since_ns = stamp_ns
+                self._newest_ns = stamp_ns
+                return
+            self.travelled += square**0.5
+        self._last = (x, y, z)
+        self._still_since_ns = self._newest_ns = stamp_ns
+        self._judged = False
+
+    @property
+    def standstill(self) -> float:
+        """Seconds since the target last moved by a millimetre."""
+        if self._still_since_ns is None:
+            return 0.0
+        return (self._newest_ns - self._still_since_ns) * 1e-9
+
+    def worth_judging(self) -> bool:
+        """Tell, once per standstill, that ``at_end`` should be asked."""
+        ready = (
+            self.standstill >= END_STANDSTILL and self.travelled >= MIN_TRAVEL * self._path.length
+        )
+        if not ready or self._judged:
+            return False
+        self._judged = True
+        return True
+
+    def at_end(self, samples: Samples) -> bool:
+        """Tell whether the samples end at the end point, after the last leg of the path."""
+        try:
+            return align(samples, self._path, self._config).last_leg_driven
+        except InputError:
+            return False

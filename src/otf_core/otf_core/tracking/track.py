@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The measured track as straight legs, found from its shape alone.
+
+Samples are thinned to hops of fixed length, so standstill and pauses vanish; the track is broken
+where the beam was lost; each part is reduced to its corner points (Ramer 1972, Douglas and
+Peucker 1973). Nothing here knows the nominal path or the tracker's place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import InputError
+from otf_core.model.observation import Samples
+
+Array = NDArray[np.float64]
+
+HOP = 1e-3
+"""m; distance between the points that describe the track."""
+REACH = 4
+"""hops; distance over which a direction is taken."""
+GAP_TIME = 0.05
+"""s; at least this long without samples, and a hop of movement, is a gap."""
+STRIDE_TIME = 0.005
+"""s; samples are looked at this often."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """Straight legs of the measured track, in order of time.
+
+    Attributes
+    ----------
+    hops : ndarray of int64, shape (h,)
+        Sample index of the points that describe the track, about one per mm.
+    points : ndarray, shape (h, 3), m
+        Those points, single spikes removed.
+    start, stop : ndarray of int64, shape (k,)
+        First and last hop of every leg.
+    joined : ndarray of bool, shape (k,)
+        True if the leg begins at the corner where the one before it ended (no gap between).
+    """
+
+    hops: NDArray[np.int64]
+    points: Array
+    start: NDArray[np.int64]
+    stop: NDArray[np.int64]
+    joined: NDArray[np.bool_]
+
+    @property
+    def starts(self) -> Array:
+        """Start points of the legs, shape (k, 3), m."""
+        return self.points[self.start]
+
+    @property
+    def ends(self) -> Array:
+        """End points of the legs, shape (k, 3), m."""
+        return self.points[self.stop]
+
+    @property
+    def lengths(self) -> Array:
+        """Lengths of the legs, shape (k,), m."""
+        return np.asarray(np.linalg.norm(self.ends - self.starts, axis=1))
+
+    @cached_property
+    def tree(self) -> Any:
+        """The points as a k-d tree."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.points)
+
+    def cut_at(self, hops: NDArray[np.int64]) -> Track:
+        """Cut legs at hops; those at the ends of a leg are left out."""
+        leg = np.searchsorted(self.start, hops, side='right') - 1
+        inside = (leg >= 0) & (hops > self.start[leg]) & (hops < self.stop[leg])
+        cuts, leg = hops[inside], leg[inside]
+        start = np.sort(np.concatenate([self.start, cuts]))
+        stop = np.sort(np.concatenate([self.stop, cuts]))
+        joined = np.isin(start, cuts) | np.isin(start, self.start[self.joined])
+        return Track(self.hops, self.points, start, stop, joined)
+
+
+def _hop_selection(points: Array) -> NDArray[np.int64]:
+    """Keep a point whenever it is one hop away from the last one kept."""
+    kept = [0]
+    x0, y0, z0 = points[0].tolist()
+    limit = HOP * HOP
+    for i, (x, y, z) in enumerate(points.tolist()):
+        if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 >= limit:
+            kept.append(i)
+            x0, y0, z0 = x, y, z
+    return np.array(kept, dtype=np.int64)
+
+
+def _farthest(points: Array, i: int, j: int) -> tuple[int, float]:
+    """Index and distance of the point between i and j farthest from their segment."""
+    inner = points[i + 1 : j] - points[i]
+    chord = points[j] - points[i]
+    square = float(chord @ chord)
+    along = np.clip(inner @ chord / square, 0.0, 1.0) if square > 0 else np.zeros(len(inner))
+    offset = inner - along[:, None] * chord
+    distance = np.einsum('ij,ij->i', offset, offset)
+    k = int(np.argmax(distance))
+    return i + 1 + k, math.sqrt(float(distance[k]))
+
+
+def reversals(points: Array) -> NDArray[np.int64]:
+    """Points where the track turns by more than a right angle, shape (k,).
+
+    A line driven to and fro lies on its own chord, so distance alone does not show its ends.
+    """
+    if len(points) <= 2 * REACH:
+        return np.zeros(0, dtype=np.int64)
+    step = points[REACH:] - points[:-REACH]
+    turn = np.einsum('ij,ij->i', step[REACH:], step[:-REACH])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], turn < 0, [False]])))
+    found = [
+        int(low + np.argmin(turn[low:high])) + REACH
+        for low, high in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return np.array(found, dtype=np.int64)
+
+
+def simplify(points: Array, tolerance: float) -> NDArray[np.int64]:
+    """Corner points of a polyline (Ramer, Douglas, Peucker), between its reversals.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3), m
+    tolerance : float
+        m; no point lies further from the simplified polyline.
+
+    Returns
+    -------
+    ndarray of int64, shape (k,)
+        Indices of the corner points, first and last included.
+    """
+    ends = sorted({0, *reversals(points).tolist(), len(points) - 1})
+    keep = set(ends)
+    stack = list(pairwise(ends))
+    while stack:
+        i, j = stack.pop()
+        if j - i < 2:
+            continue
+        k, distance = _farthest(points, i, j)
+        if distance > tolerance:
+            keep.add(k)
+            stack += [(i, k), (k, j)]
+    return np.array(sorted(keep), dtype=np.int64)
+
+
+def measured_track(samples: Samples, tolerance: float) -> Track:
+    """Reduce samples to straight legs.
+
+    Parameters
+    ----------
+    samples : Samples
+    tolerance : float
+        m; deviation from a straight line that makes a corner.
+
+    Raises
+    ------
+    InputError
+        If the target hardly moved.
+    """
+    stride = 1
+    if len(samples) > 2:
+        step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+        stride = max(1, round(STRIDE_TIME / max(step, 1e-9)))
+    index = np.arange(0, len(samples), stride)
+    points = samples.xyz[index].copy()
+    if len(points) > 2:
+        points[1:-1] = np.median(np.stack([points[:-2], points[1:-1], points[2:]]), axis=0)
+    kept = _hop_selection(points) if len(points) else index
+    if len(kept) < 10:
+        raise InputError(
+            f'the target hardly moved in {len(samples)} samples; record while the machine drives '
+            f'the path'
+        )
+    hops, points = index[kept], points[kept]
+    quiet = np.diff(samples.stamp_ns[hops])  # a pause is no gap: look at the sample before
+    before = samples.stamp_ns[hops[1:]] - samples.stamp_ns[np.maximum(hops[1:] - stride, 0)]
+    gap = np.minimum(quiet, before) > max(
+        GAP_TIME * 1e9, 5 * stride * np.median(np.diff(samples.stamp_ns))
+    )
+    bounds = np.concatenate([[0], np.flatnonzero(gap) + 1, [len(hops)]])
+    starts, stops, joined = [], [], []
+    for low, high in pairwise(bounds):
+        if high - low < 3:
+            continue
+        corner = low + simplify(points[low:high], tolerance)
+        starts.append(corner[:-1])
+        stops.append(corner[1:])
+        joined.append(np.arange(len(corner) - 1) > 0)
+    if not starts:
+        raise InputError('the recording has so many gaps that no straight line is left in it')
+    return Track(
+        hops, points, np.concatenate(starts), np.concatenate(stops), np.concatenate(joined)
+    )

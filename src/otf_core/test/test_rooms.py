@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rooms of the package: every file has one, and imports lead to lower floors only."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import otf_core
+
+ROOT = Path(next(iter(otf_core.__path__)))
+FACES = ('__init__', 'errors', 'config', 'threads')
+"""All that lies beside the rooms; whatever is used everywhere, and the public names."""
+FLOORS = (
+    ('cli',),
+    ('reports',),
+    ('blind', 'validation'),
+    ('planning',),
+    ('diagnosis',),
+    ('calibration',),
+    ('budget', 'contradictions', 'sim'),
+    ('solving',),
+    ('effects', 'pieces', 'comparison'),
+    ('bags', 'noise', 'prediction', 'tracking'),
+    ('model',),
+    ('files',),
+)
+"""From the top floor down."""
+INSIDE = {
+    'diagnosis': (('diagnosis',), ('diagnosis.engine', 'diagnosis.place')),
+    'planning': (('planning',), ('planning.nc',)),
+    'reports': (('reports',), ('reports.plots',)),
+}
+"""Floors of rooms that have rooms inside."""
+NEVER = [
+    ('diagnosis', 'sim'),
+    ('planning', 'sim'),
+    ('reports', 'sim'),
+    ('reports', 'blind'),
+    ('validation', 'diagnosis'),
+    ('diagnosis.engine', 'diagnosis.place'),
+    ('diagnosis.place', 'diagnosis.engine'),
+]
+FLOOR_OF = {room: k for k, floor in enumerate(FLOORS) for room in floor}
+
+
+def module_of(file):
+    """Dotted name below the package."""
+    return '.'.join(file.relative_to(ROOT).with_suffix('').parts)
+
+
+MODULES = {module_of(f): f for f in sorted(ROOT.rglob('*.py'))}
+every_module = pytest.mark.parametrize('module', MODULES)
+
+
+def imported(module):
+    """Modules of the package that a module imports, dotted names below it."""
+    for node in ast.walk(ast.parse(MODULES[module].read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module.split('.')[0] == 'otf_core':
+            base = node.module.split('.')[1:]
+            for alias in node.names:
+                inner = '.'.join([*base, alias.name])
+                yield inner if inner in MODULES else '.'.join(base)
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.startswith('otf_core.'):
+                    yield alias.name.partition('.')[2]
+
+
+def room_of(module):
+    """Room of a module: its outermost folder."""
+    return module.partition('.')[0]
+
+
+def inner_room_of(module):
+    """Room of a module with the rooms inside rooms told apart."""
+    parts = module.split('.')
+    nested = '.'.join(parts[:2])
+    return nested if any(nested in floor for f in INSIDE.values() for floor in f) else parts[0]
+
+
+def test_every_room_stands_on_a_floor_and_every_floor_has_its_rooms():
+    rooms = {room_of(m) for m in MODULES if '.' in m}
+    assert rooms == set(FLOOR_OF)
+    assert {m for m in MODULES if '.' not in m} == set(FACES)
+    assert len(FLOORS) <= 12
+
+
+@every_module
+def test_imports_lead_down(module):
+    room = room_of(module)
+    if room in FACES:
+        return
+    for other in imported(module):
+        target = room_of(other)
+        if target != room and target not in FACES and other:
+            assert FLOOR_OF[target] > FLOOR_OF[room], f'{module} imports {other}'
+
+
+@every_module
+def test_imports_lead_down_inside_a_room(module):
+    floors = INSIDE.get(room_of(module), ())
+    level = {room: k for k, floor in enumerate(floors) for room in floor}
+    own = inner_room_of(module)
+    for other in imported(module):
+        target = inner_room_of(other)
+        if target != own and target in level:
+            assert level[target] > level[own], f'{module} imports {other}'
+
+
+@every_module
+def test_rooms_that_never_meet(module):
+    for a, b in NEVER:
+        if f'{module}.'.startswith(f'{a}.'):
+            assert not [o for o in imported(module) if f'{o}.'.startswith(f'{b}.')]
