@@ -8,22 +8,27 @@ with its twin, and is given the twin from here.
 
 from __future__ import annotations
 
-import json
 import pickle
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
 from otf_calibrator.diagnosis_task import Failure, Task
-from otf_core.diagnosis.complete import diagnose
+from otf_core.diagnosis.diagnose import diagnose
 from otf_core.errors import OtfError
-from otf_core.reports.diagnosis import write_diagnosis
+from otf_core.reports.diagnosis import diagnosis_to_dict, write_diagnosis
 from otf_core.sim.twin import twin_recording
 
-SPANS = {'solving': (0.0, 0.15), 'simulating': (0.15, 0.3), 'diagnosing': (0.3, 0.8)}
-"""Begin and end of the stages as shares of the time; from the last one on files are written."""
-WRITING = 0.8
+SPANS = {
+    'solving': (0.0, 0.25),
+    'simulating': (0.25, 0.4),
+    'diagnosing': (0.4, 0.8),
+    'correcting': (0.8, 0.95),
+}
+"""Begin and end of the stages as shares of the time; then files are written."""
+WRITING = 0.95
 
 
 def perform(task: Task, progress: Callable[[str, float], None]) -> dict[str, Any]:
@@ -50,13 +55,11 @@ def perform(task: Task, progress: Callable[[str, float], None]) -> dict[str, Any
         low, high = SPANS.get(stage, (0.0, 0.0))
         progress(stage, low + fraction * (high - low))
 
-    diagnosis, data = diagnose(
-        [task.recording], [task.name], twin_recording, (), task.config, tell
-    )
+    recording = replace(task.recording, name=task.name)
+    diagnosis = diagnose([recording], twin_recording, (), task.config, tell)
     progress('writing the report', WRITING)
-    files = write_diagnosis(diagnosis, data, task.folder, task.config)
-    content: dict[str, Any] = json.loads(files[-1].read_text(encoding='utf-8'))
-    return content
+    write_diagnosis(diagnosis, task.folder)
+    return diagnosis_to_dict(diagnosis)
 
 
 def main() -> int:

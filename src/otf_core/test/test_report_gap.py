@@ -4,14 +4,13 @@ import functools
 import re
 import sys
 from html.parser import HTMLParser
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from gap_cells import along, run_view
 
 from otf_core.diagnosis.place.where import describe_structure, where_of
-from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
+from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
 from otf_core.reports.gap import report_html, write_report
 from otf_core.reports.gap_words import confidence_words, next_measurements, quantity
 
@@ -101,6 +100,14 @@ def diagnosis(view, verdict='explained', found=(), **further):
         'unexplained_where': located()[2],
         'not_visible': HIDDEN,
         'where': located()[1],
+        'considered': (),
+        'smallest_found_um': {},
+        'contradictions': (),
+        'table_change_um': 0.0,
+        'applied': (),
+        'calibration': None,
+        'origin': (),
+        'shown': Shown((view,), CONDITIONS),
     }
     return Diagnosis(**{**fields, **further})
 
@@ -111,13 +118,8 @@ def view():
 
 
 @pytest.fixture(scope='module')
-def data(view):
-    return SimpleNamespace(views=(view,), conditions=CONDITIONS)
-
-
-@pytest.fixture(scope='module')
-def page(view, data):
-    return report_html(diagnosis(view, found=causes()), data)
+def page(view):
+    return report_html(diagnosis(view, found=causes()))
 
 
 @pytest.fixture
@@ -192,18 +194,18 @@ def test_axis_labels_keep_their_digits(page):
     assert 'feed 0.25 m/s' in page
 
 
-def test_strange_names_are_escaped(view, data):
+def test_strange_names_are_escaped(view):
     evil = '<script>alert("1")</script>&\'x'
     cause = NamedCause(evil, (evil,), {evil: 1e-6}, {}, {evil: evil}, 1.0, 0.5, 50.0, 0.9, (evil,))
-    asked = SimpleNamespace(
+    asked = Shown(
         views=(run_view(laps=1, name=evil), run_view(laps=1, name='b', seed=2)),
         conditions={evil: evil},
     )
     found = diagnosis(
         view, found=(cause,), runs=(evil,), sentence=evil, unexplained_where=evil,
-        not_visible=((evil, evil),),
+        not_visible=((evil, evil),), shown=asked,
     )  # fmt: skip
-    page = report_html(found, asked)
+    page = report_html(found)
     reader = parsed(page)
     assert '<script' not in page
     assert reader.faults == []
@@ -217,8 +219,8 @@ def test_strange_names_are_escaped(view, data):
         ('unknown', 'no effect of the catalogue explains the gap'),
     ],
 )
-def test_verdicts_without_causes_are_readable(view, data, verdict, words, no_pictures):
-    page = report_html(diagnosis(view, verdict, unexplained_where='since 60 s, step'), data)
+def test_verdicts_without_causes_are_readable(view, verdict, words, no_pictures):
+    page = report_html(diagnosis(view, verdict, unexplained_where='since 60 s, step'))
     reader = parsed(page)
     assert reader.faults == []
     assert words in reader.text
@@ -226,28 +228,28 @@ def test_verdicts_without_causes_are_readable(view, data, verdict, words, no_pic
     assert ('since 60 s, step' in reader.text.split('Where it lies')[0]) == (verdict == 'unknown')
 
 
-def test_report_without_matplotlib_says_so(view, data, monkeypatch):
+def test_report_without_matplotlib_says_so(view, monkeypatch):
     monkeypatch.setitem(sys.modules, 'matplotlib.figure', None)
-    page = report_html(diagnosis(view, found=causes()), data)
+    page = report_html(diagnosis(view, found=causes()))
     assert 'figures need matplotlib' in page
     assert parsed(page).faults == []
 
 
-def test_file_holds_the_page(view, data, tmp_path, no_pictures):
+def test_file_holds_the_page(view, tmp_path, no_pictures):
     found = diagnosis(view, found=causes())
-    write_report(found, data, tmp_path / 'report.html')
+    write_report(found, tmp_path / 'report.html')
     written = (tmp_path / 'report.html').read_text(encoding='utf-8')
-    assert written == report_html(found, data)
+    assert written == report_html(found)
     assert list(tmp_path.iterdir()) == [tmp_path / 'report.html']
 
 
-def test_long_lists_of_parameters_are_cut(view, data, no_pictures):
+def test_long_lists_of_parameters_are_cut(view, no_pictures):
     names = [f'S_{k}' for k in range(40)]
     cause = NamedCause(
         'direction_dependent_tables', ('X',), dict.fromkeys(names, 1e-6),
         dict.fromkeys(names, 1e-7), dict.fromkeys(names, 'm'), 2.0, 1.0, 50.0, 0.99, (),
     )  # fmt: skip
-    assert 'and 32 more in gap.json' in report_html(diagnosis(view, found=(cause,)), data)
+    assert 'and 32 more in gap.json' in report_html(diagnosis(view, found=(cause,)))
 
 
 def test_next_measurements_tell_rivals_apart_first(view):

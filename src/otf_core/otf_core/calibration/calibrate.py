@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,11 +35,10 @@ from otf_core.solving.joint import (
     Progress,
     SolvedRun,
     settled,
-    solve_robustly,
     tables_of,
 )
 from otf_core.solving.reversal import Reversal, reversal_tables
-from otf_core.solving.reversal_choice import Choice, ReversalSolution, solve_with_reversal
+from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import mean_grid_uncertainty, tabulate
 from otf_core.solving.unknowns import Unknowns
@@ -142,32 +141,62 @@ def calibrate_runs(
     Sanders et al., J. Manuf. Mater. Process. 2023, 7, 60, section 1.2.
     """
     config = config or CalibrationConfig()
-    progress = progress or (lambda stage, fraction: None)
     with one_thread():
-        progress('aligning', 0.0)
-        check_recordings(recordings)
-        runs, nodes = prepare(recordings, config)
-        runs = examine(runs, nodes, config)
-        progress('solving', 0.0)
-        solved = solve_with_reversal(runs, nodes, config, progress)
-        moved = moved_onto_curves(runs, solved)
-        if moved is not None:
-            solved = solve_with_reversal(moved, nodes, config, progress)
-        return assemble(solved, config)
+        solved = solve_recordings(recordings, config, progress, prepare)
+        return assemble(solved.solution, config)
 
 
-def calibrate_prepared(
-    runs: Sequence[Run],
-    unknowns: Unknowns,
+@dataclass(frozen=True)
+class SolvedRecordings:
+    """Recordings that are examined and solved: tables, corrections and a diagnosis start here.
+
+    Attributes
+    ----------
+    runs : list of Run
+        Mended where ``contradictions`` could mend them, with all their pieces.
+    nodes : mapping of axis to ndarray, m
+        Table nodes.
+    solution : ReversalSolution
+    """
+
+    runs: list[Run]
+    nodes: dict[str, Array]
+    solution: ReversalSolution
+
+    @property
+    def source(self) -> list[int]:
+        """Recording that each run is of, or a part of where it was cut."""
+        return [int(k) for k in np.cumsum([run.late == 0.0 for run in self.runs]) - 1]
+
+
+def solve_recordings(
+    recordings: Sequence[Recording],
     config: CalibrationConfig,
-    progress: Progress = lambda stage, fraction: None,
-) -> CalibrationResult:
-    """Calibrate runs that are reduced to pieces, without reversal; see ``calibrate_runs``."""
-    with one_thread():
-        progress('solving', 0.0)
-        config = replace(config, reversal='none')
-        kept, done = solve_robustly(runs, unknowns, config, progress)
-        return assemble(ReversalSolution(kept, done, Choice('none', False, {})), config)
+    progress: Progress | None = None,
+    prepare: Preparation = prepare_runs,
+    *,
+    mend: bool = True,
+) -> SolvedRecordings:
+    """Align, reduce to pieces, examine and solve.
+
+    Parameters
+    ----------
+    recordings, config, progress, prepare
+        As of ``calibrate_runs``.
+    mend : bool
+        Mend what can be mended, see ``contradictions.examine``.
+    """
+    progress = progress or (lambda stage, fraction: None)
+    progress('aligning', 0.0)
+    check_recordings(recordings)
+    runs, nodes = prepare(recordings, config)
+    runs = examine(runs, nodes, config, mend=mend)
+    progress('solving', 0.0)
+    solution = solve_with_reversal(runs, nodes, config, progress)
+    moved = moved_onto_curves(runs, solution)
+    if moved is not None:
+        runs, solution = moved, solve_with_reversal(moved, nodes, config, progress)
+    return SolvedRecordings(runs, nodes, solution)
 
 
 def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.calibration.calibrate import assemble
+from otf_core.calibration.calibrate import SolvedRecordings, assemble
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.effects import State
@@ -32,7 +32,7 @@ from otf_core.effects.stated import StatedEffect, TakenOff, effects_to_list
 from otf_core.effects.taken import Taken
 from otf_core.model.machine import AXES, Machine
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.runs import Recording, Run, prepare_runs
+from otf_core.pieces.runs import Run
 from otf_core.solving.columns import (
     across,
     column_size,
@@ -268,12 +268,12 @@ def solve_with_effects(
             continue
         start = Start.after(solved.done)
         again = solve_robustly(clean, solved.done.unknowns, config, progress, start)
-        solved = ReversalSolution(*again, solved.choice)
+        solved = ReversalSolution(*again, solved.choice, solved.plain)
     return solved, found
 
 
 def calibrate_without(
-    recordings: Sequence[Recording],
+    before: SolvedRecordings,
     effects: Sequence[Taken],
     config: CalibrationConfig,
     progress: Progress = lambda stage, fraction: None,
@@ -282,14 +282,14 @@ def calibrate_without(
 
     Parameters
     ----------
-    recordings : sequence of Recording
+    before : SolvedRecordings
+        The runs without that.
     effects : sequence of Taken
         At least one.
     config : CalibrationConfig
     progress : callable(stage, fraction), optional
     """
-    runs, nodes = prepare_runs(recordings, config)
-    solved, found = solve_with_effects(runs, nodes, effects, config, progress)
+    solved, found = solve_with_effects(before.runs, before.nodes, effects, config, progress)
     result = assemble(solved, config, found.taken_off(solved))
     stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
     run_id = hashlib.sha256((result.run_id + stated).encode()).hexdigest()

@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 
 from otf_core import __version__
 from otf_core.cli.measuring import (
-    DIAGNOSIS_PARAMETERS,
     run_calibrate,
     run_compare,
     run_diagnose,
@@ -148,7 +147,7 @@ def _parser() -> Parser:
     sub.add_argument(
         '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
     )
-    add_parameters(sub, CalibrationConfig, DIAGNOSIS_PARAMETERS)
+    add_parameters(sub, CalibrationConfig)
 
     sub = verb(
         'predict',

@@ -11,13 +11,11 @@ from otf_core.cli.options import output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
+from otf_core.pieces.finding import GATE
 from otf_core.pieces.runs import Recording
 
 if TYPE_CHECKING:
     from otf_core.calibration.result import CalibrationResult
-
-DIAGNOSIS_PARAMETERS = tuple(p.name for p in CalibrationConfig.infos() if p.name != 'reversal')
-"""Reversal is an effect like others there: tables are solved for without it."""
 
 
 def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
@@ -97,11 +95,10 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
 
 def run_diagnose(arguments: argparse.Namespace) -> int:
     """Where and why real runs depart from their simulation."""
-    config = parameters(CalibrationConfig, arguments, DIAGNOSIS_PARAMETERS)
-    from otf_core.diagnosis.complete import diagnose
-    from otf_core.diagnosis.result import format_diagnosis
+    config = parameters(CalibrationConfig, arguments)
+    from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import REGISTRY
-    from otf_core.reports.diagnosis import write_diagnosis
+    from otf_core.reports.diagnosis import format_diagnosis, write_diagnosis
     from otf_core.sim.twin import twin_recording
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
@@ -109,16 +106,13 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
         raise ConfigError(f'--exclude: {unknown[0]}: no effect; known: {", ".join(REGISTRY)}')
     out = output_folder(arguments, *arguments.bag, *arguments.machine)
     recordings = read_recordings(arguments)
-    diagnosis, data = diagnose(
-        recordings, arguments.bag, twin_recording, arguments.exclude, config
-    )
+    diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config)
     with out.filled('diagnose') as folder:
-        files = write_diagnosis(diagnosis, data, folder, config)
+        files = write_diagnosis(diagnosis, folder)
     say(format_diagnosis(diagnosis) + listed(files, arguments.out))
-    remarks = diagnosis.extra.get('contradictions', ())
-    for remark in remarks:
-        note(f'otf: {remark["severity"]}: {remark["check"]}: {remark["words"]}')
-    return QUALITY_GATE_FAILED if any(r['severity'] == 'gate' for r in remarks) else 0
+    for remark in diagnosis.contradictions:
+        note(f'otf: {remark.severity}: {remark.check}: {remark.words}')
+    return QUALITY_GATE_FAILED if any(r.severity == GATE for r in diagnosis.contradictions) else 0
 
 
 def run_noise(arguments: argparse.Namespace) -> int:

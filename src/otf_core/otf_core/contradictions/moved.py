@@ -159,12 +159,9 @@ def part_of(run: Run, first: int, last: int, nodes: Sequence[Array], config: Cal
 
 
 def split(
-    run: Run, step: Step, nodes: Sequence[Array], config: CalibrationConfig, late: float = 0.0
+    run: Run, step: Step, nodes: Sequence[Array], config: CalibrationConfig
 ) -> tuple[Run, Run] | None:
-    """Cut a run at a step; None if a part does not fix its pose.
-
-    ``late``: s, start of the run after that of its recording, for the names of the parts.
-    """
+    """Cut a run at a step; None if a part does not fix its pose."""
     time = run.recording.samples.time
     cut = int(np.searchsorted(time, step.time))
     name = run.recording.name or 'run'
@@ -175,11 +172,12 @@ def split(
         )
     except InputError:
         return None
-    seconds = late + step.time
+    seconds = run.late + step.time
     words = (f'{name} before {seconds:.1f} s', f'{name} after {seconds:.1f} s')
+    starts = (run.late, run.late + float(time[cut]))
     before, after = (
-        replace(part, recording=replace(part.recording, name=text))
-        for part, text in zip(parts, words, strict=True)
+        replace(part, recording=replace(part.recording, name=text), late=start)
+        for part, text, start in zip(parts, words, starts, strict=True)
     )
     return before, after
 
@@ -207,7 +205,6 @@ def settle_steps(
     """
     found: list[Finding] = []
     whole = model
-    begin = int(model.runs[0].recording.samples.stamp_ns[0])
     name = model.runs[0].recording.name
     for _ in range(MAX_STEPS):
         steps = [s for k in range(len(model.runs)) if (s := find_step(model, k)) is not None]
@@ -215,9 +212,8 @@ def settle_steps(
             break
         step = max(steps, key=lambda s: s.share)
         run = model.runs[step.run]
-        late = 1e-9 * (int(run.recording.samples.stamp_ns[0]) - begin)
-        parts = split(run, step, nodes, config, late) if mend else None
-        said = replace(step, time=late + step.time)
+        parts = split(run, step, nodes, config) if mend else None
+        said = replace(step, time=run.late + step.time)
         found.append(_finding(name, said, parts is not None, mend=mend))
         if parts is None:
             break

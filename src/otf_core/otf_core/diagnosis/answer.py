@@ -1,122 +1,61 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From findings to an answer: verdict, gap, causes with sizes, what the data could not show."""
+"""From an explanation to the answer: causes with their sizes, gap, sentence."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from otf_core.diagnosis.diagnose import Findings, verdict_of
 from otf_core.diagnosis.engine.assess import gap_um, shrink_interval, shrink_percent
 from otf_core.diagnosis.engine.noise_check import NoiseFinding
-from otf_core.diagnosis.engine.search import Cause, fit_jointly
-from otf_core.diagnosis.place.views import RunView
-from otf_core.diagnosis.place.where import Where
-from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
-from otf_core.effects import REGISTRY, AppliedEffect
-
-Array = NDArray[np.float64]
-
-SIGNIFICANT = 2.0
-"""Standard deviations at which an axis takes part in a cause."""
+from otf_core.diagnosis.explanation import Explanation
+from otf_core.diagnosis.fitted import FittedCause
+from otf_core.diagnosis.result import Gap, NamedCause
+from otf_core.effects import REGISTRY
 
 
-@dataclass(frozen=True)
-class DiagnosisData:
-    """What figures and files need besides the diagnosis.
+def named_causes(
+    explained: Explanation, fitted: Sequence[FittedCause], noise: NoiseFinding | None, gap: Gap
+) -> tuple[NamedCause, ...]:
+    """Causes as they are reported, first the one that shrinks the gap most.
 
-    Attributes
+    Parameters
     ----------
-    findings : Findings
-    views : tuple of RunView
-    conditions : mapping of str to str
-    applied : tuple of tuple of AppliedEffect
-        For every run the causes with their fitted parameters, ready for a simulation.
+    explained : Explanation
+    fitted : sequence of FittedCause
+        Of its causes.
+    noise : NoiseFinding, optional
+        Noise other than specified, a cause as well; it comes last.
+    gap : Gap
+        Its end is where the noise leads to.
     """
-
-    findings: Findings
-    views: tuple[RunView, ...]
-    conditions: Mapping[str, str]
-    applied: tuple[tuple[AppliedEffect, ...], ...]
-
-
-@dataclass(frozen=True)
-class _Fitted:
-    """Parameters of one cause."""
-
-    cause: Cause
-    value: Array
-    u: Array
-
-    @property
-    def names(self) -> list[str]:
-        return [self.cause.option.terms.names[i] for i in self.cause.option.take]
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Axes whose coefficients are significant, strongest first."""
-        option = self.cause.option
-        strength: dict[str, float] = {}
-        for i, value, u, size in zip(option.take, self.value, self.u, option.size, strict=True):
-            axis = option.terms.axes[i]
-            if axis and abs(value) > SIGNIFICANT * u:
-                strength[axis] = strength.get(axis, 0.0) + (value * size) ** 2
-        largest = max(strength.values(), default=0.0)
-        kept = {a: s for a, s in strength.items() if s > 0.02 * largest}
-        return tuple(sorted(kept, key=lambda a: -kept[a]))
-
-    def applied(self, run: int) -> AppliedEffect:
-        """The effect with its fitted parameters in one run."""
-        option = self.cause.option
-        of_first = option.terms.columns.shape[2]  # what other runs have of their own comes after
-        place = option.take - of_first * (run if option.effect.own_per_run else 0)
-        values = {
-            option.terms.names[i]: float(value)
-            for i, value in zip(place, self.value, strict=True)
-            if 0 <= i < of_first
-        }
-        return AppliedEffect(option.effect, {**option.shape, **values})
-
-
-def fitted_causes(findings: Findings) -> list[_Fitted]:
-    """Fit all causes jointly and split the parameters up again."""
-    if not findings.causes:
-        return []
-    fit = fit_jointly(findings.causes, findings.rows)
-    u = np.sqrt(np.diag(fit.covariance))
-    parts, start = [], 0
-    for cause in findings.causes:
-        stop = start + cause.option.take.size
-        parts.append(_Fitted(cause, fit.value[start:stop], u[start:stop]))
-        start = stop
-    return parts
-
-
-def _named_causes(findings: Findings) -> list[NamedCause]:
-    gaps = [gap_um(s.rms_um, findings.simulated_um) for s in findings.steps]
+    sizes = [gap_um(s.rms_um, explained.simulated_um) for s in explained.steps]
     named: list[NamedCause] = []
-    for k, part in enumerate(fitted_causes(findings)):
-        option = part.cause.option
-        units = dict(zip(option.terms.names, option.terms.units, strict=True))
-        units |= dict(zip(option.effect.shape_names, option.effect.shape_units, strict=True))
-        parameters = {**option.shape, **dict(zip(part.names, part.value.tolist(), strict=True))}
-        cause = NamedCause(
-            effect=option.effect.name,
-            axes=part.axes,
-            parameters=parameters,
-            u=dict(zip(part.names, part.u.tolist(), strict=True)),
-            units={n: units[n] for n in parameters},
-            before_um=gaps[k],
-            after_um=gaps[k + 1],
-            shrink_percent=shrink_percent(gaps[k], gaps[k + 1]),
-            confidence=part.cause.confidence,
-            indistinguishable_from=part.cause.indistinguishable,
-        )
-        _add(named, cause)
-    return named
+    for part, before, after in zip(fitted, sizes[:-1], sizes[1:], strict=True):
+        _add(named, _named_cause(part, before, after))
+    named.sort(key=lambda cause: cause.after_um - cause.before_um)
+    if noise is not None:
+        named.append(_noise_cause(noise, sizes[-1], gap.after_um))
+    return tuple(named)
+
+
+def _named_cause(part: FittedCause, before_um: float, after_um: float) -> NamedCause:
+    option = part.cause.option
+    units = dict(zip(option.terms.names, option.terms.units, strict=True))
+    units |= dict(zip(option.effect.shape_names, option.effect.shape_units, strict=True))
+    parameters = {**option.shape, **dict(zip(part.names, part.value.tolist(), strict=True))}
+    return NamedCause(
+        effect=option.effect.name,
+        axes=part.axes,
+        parameters=parameters,
+        u=dict(zip(part.names, part.u.tolist(), strict=True)),
+        units={n: units[n] for n in parameters},
+        before_um=before_um,
+        after_um=after_um,
+        shrink_percent=shrink_percent(before_um, after_um),
+        confidence=part.cause.confidence,
+        indistinguishable_from=part.cause.indistinguishable,
+    )
 
 
 def _add(named: list[NamedCause], cause: NamedCause) -> None:
@@ -180,107 +119,26 @@ def _spoken(causes: Sequence[NamedCause]) -> str:
     return ' and '.join(parts)
 
 
-def _gap(findings: Findings, simulated_after_um: float) -> Gap:
-    before, after = findings.steps[0], findings.steps[-1]
-    before_um = gap_um(before.rms_um, findings.simulated_um)
-    after_um = gap_um(after.rms_um, simulated_after_um)
+def gap_of(explained: Explanation, noise: NoiseFinding | None) -> Gap:
+    """Size of the gap without and with the causes; noise as found belongs to what is simulated."""
+    simulated_after = explained.simulated_um * (1.0 if noise is None else noise.level)
+    before, after = explained.steps[0], explained.steps[-1]
+    after_um = gap_um(after.rms_um, simulated_after)
     return Gap(
         measured_um=before.rms_um,
-        simulated_um=findings.simulated_um,
-        before_um=before_um,
+        simulated_um=explained.simulated_um,
+        before_um=explained.before_um,
         after_um=after_um,
-        shrink_percent=shrink_percent(before_um, after_um),
-        shrink_interval_percent=shrink_interval(before, after, simulated_after_um),
+        shrink_percent=shrink_percent(explained.before_um, after_um),
+        shrink_interval_percent=shrink_interval(before, after, simulated_after),
     )
 
 
-def _without_unknown(findings: Findings, verdict: str) -> Findings:
-    """Nothing is named where nothing explains the gap."""
-    if verdict != 'unknown':
-        return findings
-    first = findings.steps[0]
-    return replace(findings, causes=(), steps=(first,), fitted=first)
-
-
-def answer(
-    names: Sequence[str], findings: Findings, noise: NoiseFinding | None
-) -> tuple[Diagnosis, Findings]:
-    """Put findings into an answer; ``where`` is left empty.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of the runs.
-    findings : Findings
-    noise : NoiseFinding, optional
-        Noise other than specified.
-
-    Returns
-    -------
-    diagnosis : Diagnosis
-    findings : Findings
-        Less causes that explain too little to be named.
-    """
-    scale = float(np.sqrt(noise.variance_ratio)) if noise is not None else 1.0
-    simulated_after = findings.simulated_um * scale
-    judged = replace(findings, simulated_um=simulated_after) if noise else findings
-    verdict = verdict_of(judged)
-    findings = _without_unknown(findings, verdict)
-    causes = _named_causes(findings)
-    gap = _gap(findings, simulated_after)
-    if noise is not None and verdict != 'unknown':
-        last = gap_um(findings.steps[-1].rms_um, findings.simulated_um)
-        causes.append(_noise_cause(noise, last, gap.after_um))
-        verdict = 'explained' if verdict == 'none' else verdict
-    causes.sort(key=lambda c: c.after_um - c.before_um if c.effect != 'tracker_noise' else 0.0)
+def sentence_of(
+    verdict: str, gap: Gap, causes: Sequence[NamedCause], noise: NoiseFinding | None
+) -> str:
+    """The verdict in words."""
     sentence = _SENTENCES[verdict].format(
         before=gap.before_um, after=gap.after_um, causes=_spoken(causes)
     )
-    if noise is not None:
-        sentence += f' Tracker noise: {noise.words}.'
-    named = {c.effect for c in causes} | {n for c in causes for n in c.indistinguishable_from}
-    hidden = [n for n, v in findings.visible.items() if not v.visible and n not in named]
-    diagnosis = Diagnosis(
-        runs=tuple(names),
-        verdict=verdict,
-        sentence=sentence,
-        gap=gap,
-        causes=tuple(causes),
-        unexplained_um=gap.after_um,
-        unexplained_where='',
-        not_visible=tuple((n, REGISTRY[n].needs) for n in hidden),
-        where=Where(),
-        considered=findings.considered,
-        extra={
-            'smallest_found_um': {
-                n: 1e6 * v.smallest for n, v in findings.visible.items() if np.isfinite(v.smallest)
-            }
-        },
-    )
-    return diagnosis, findings
-
-
-def run_views(names: Sequence[str], findings: Findings) -> tuple[RunView, ...]:
-    """Plain arrays of every run for figures and words."""
-    rows, views = findings.rows, []
-    before, after = rows.by_run(findings.steps[0].rows), rows.by_run(findings.fitted.rows)
-    for name, run, solved, state, first, last in zip(
-        names, rows.runs, rows.done.runs, rows.states, before, after, strict=True
-    ):
-        views.append(
-            RunView(
-                name=name,
-                time=run.pieces.time,
-                leg=run.pieces.leg,
-                q=state.q,
-                direction=state.direction,
-                speed=state.speed,
-                beam=state.beam,
-                axes=solved.system.axes,
-                residual_before=first,
-                residual_after=last,
-                expected=solved.whitener.expected,
-                factors=solved.whitener.factors,
-            )
-        )
-    return tuple(views)
+    return sentence if noise is None else f'{sentence} Tracker noise: {noise.words}.'

@@ -1,271 +1,225 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where and why a real run departs from its simulation.
 
-Plain calibration; the same on the twin of the run (what would be left if nothing were
-unmodelled); search for effects that explain the rest; their size on legs they were not fitted
-on; what the data could not show.
+The calibration that the user gets, without reversal, which is a cause like any other; the same on
+a simulation of the runs; a search for effects that explain the rest; their size on legs they were
+not fitted on; where the gap lies; the calibration with the causes taken off.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import takewhile
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.calibration.calibrate import SolvedRecordings, assemble, solve_recordings
+from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.before import check_recordings
-from otf_core.contradictions.examine import examine
-from otf_core.diagnosis.engine.assess import Residuals, gap_um, plain_residuals, residuals_with
-from otf_core.diagnosis.engine.catalogue import (
-    Visibility,
-    collect_options,
-    effects_without,
-    shapes_from_lines,
-    spectral_lines,
-)
-from otf_core.diagnosis.engine.decoys import DECOY_NAMES, DECOYS
+from otf_core.diagnosis.answer import gap_of, named_causes, sentence_of
+from otf_core.diagnosis.corrected import with_causes
+from otf_core.diagnosis.engine.assess import Residuals, gap_um
+from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
+from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rows import Rows, build_rows
-from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance, search
-from otf_core.model.frames import RigidTransform
-from otf_core.model.tables import ErrorTables
-from otf_core.pieces.runs import Recording, Run, prepare_runs
-from otf_core.solving.joint import JointSolution, Progress, solve_jointly
-from otf_core.solving.shape_choice import choose_shapes
-from otf_core.solving.unknowns import layout
-from otf_core.threads import one_thread
+from otf_core.diagnosis.explanation import Explanation, explain
+from otf_core.diagnosis.fitted import fitted_causes
+from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.place.where import describe_structure, where_and_shape
+from otf_core.diagnosis.place.where_words import EVERYWHERE, NO_STRUCTURE
+from otf_core.diagnosis.result import Diagnosis, NamedCause, Shown
+from otf_core.diagnosis.simulated import Twin, simulated_residual_um
+from otf_core.diagnosis.verdict import Case, matters, verdict_of
+from otf_core.effects import REGISTRY
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.pieces.runs import Recording
+from otf_core.solving.joint import Progress
+from otf_core.threads import in_one_thread
 
 Array = NDArray[np.float64]
-Twin = Callable[[Run, RigidTransform, ErrorTables, int], Recording]
-
-MATERIAL_UM = 0.2
-"""um; a cause that changes the residual by less is not named."""
-MATERIAL_TABLES_UM = 0.45
-"""um; the same for table_resolution: smooth errors always leave a little between nodes."""
-MATERIAL_SHARE = 0.12
-"""Least share of a further cause in the gap, as amplitude."""
-NO_GAP_SHARE = 0.35
-"""Gap over simulated residual below which there is nothing to explain."""
-PLAIN_GAP_SHARE = 0.6
-"""The same for a residual without structure: the level of noise is known to ten percent only."""
-EXPLAINED_SHARE, KNOWN_SHARE = 0.3, 0.55
-"""Share of the gap left (as amplitude) up to which it counts as explained; as known at all."""
-PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE = 0.1, 0.25
-"""The same where what is left has a place or a shape: a cause leaves noise, a wrong one a part of
-the true one."""
-FREE_OF_STRUCTURE = 1.2
-"""Correlation of neighbouring pieces below which residuals count as noise."""
-NOISE_RANGE = (0.7, 1.4)
-"""Variances by which the twin's noise may be corrected."""
 
 
-@dataclass(frozen=True)
-class Findings:
-    """Everything a diagnosis computed, for report and files.
-
-    Attributes
-    ----------
-    rows : Rows
-    causes : tuple of Cause
-        Effects of the catalogue, in the order found.
-    simulated_um : float
-    steps : tuple of Residuals
-        Without causes, with the first, with the first two ... (held out).
-    fitted : Residuals
-        With all causes fitted to all legs.
-    visible : mapping of effect name to Visibility
-    considered : tuple of (name, log odds)
-    structured : bool
-        True if neighbouring pieces share more of the residual than noise explains.
-    known_um : float
-        Residual with the effects of the catalogue that the data speak for, too small ones to be
-        named included (held out), um.
-    known_rest : Residuals
-        The same, fitted to all legs.
-    left_has_place : bool
-        True if that rest stands out somewhere.
-    decoyed : bool
-        True if shapes outside the catalogue explain more than the causes.
-    """
-
-    rows: Rows
-    causes: tuple[Cause, ...]
-    simulated_um: float
-    steps: tuple[Residuals, ...]
-    fitted: Residuals
-    visible: dict[str, Visibility]
-    considered: tuple[tuple[str, float], ...]
-    known_um: float
-    known_rest: Residuals
-    structured: bool = True
-    left_has_place: bool = False
-    decoyed: bool = False
-
-
-def _solved(
-    recordings: Sequence[Recording],
-    config: CalibrationConfig,
-    progress: Progress,
-    *,
-    examined: bool = False,
-) -> tuple[list[Run], JointSolution]:
-    runs, nodes = prepare_runs(recordings, config)
-    if examined:
-        runs = examine(runs, nodes, config, mend=False)
-    shapes = choose_shapes(runs, nodes, config, progress)
-    unknowns = layout(shapes.bases, len(runs))
-    return runs, solve_jointly(shapes.runs, unknowns, config, progress, shapes.start)
-
-
-def simulated_residual_um(
-    rows: Rows, config: CalibrationConfig, twin: Twin, seed: int = 1
-) -> float:
-    """Residual that the same pipeline leaves on the twins of the runs, um."""
-    recordings = [
-        twin(run, solved.pose, rows.tables, seed + k)
-        for k, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True))
-    ]
-    runs, done = _solved(recordings, config, lambda stage, fraction: None)
-    return plain_residuals(build_rows(runs, done, config.unidentifiable_above)).rms_um
-
-
-def _material(name: str, before: Residuals, after: Residuals, whole_um: float) -> bool:
-    """Tell whether a cause matters: by its own trace, and beside the whole gap."""
-    trace = float(np.sqrt(max(0.0, before.rms_um**2 - after.rms_um**2)))
-    least = MATERIAL_TABLES_UM if name == 'table_resolution' else MATERIAL_UM
-    return trace > least and trace > MATERIAL_SHARE * whole_um
-
-
-def find(
+@in_one_thread
+def diagnose(
     recordings: Sequence[Recording],
     twin: Twin,
     exclude: Sequence[str] = (),
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
-) -> Findings:
-    """Search runs of one machine for effects.
+) -> Diagnosis:
+    """Diagnose runs of one machine.
 
     Parameters
     ----------
     recordings : sequence of Recording
+        No time relation between samples and path is needed.
     twin : callable
-        ``sim.twin.twin_recording``.
+        Simulates a run again: ``sim.twin.twin_recording``.
     exclude : sequence of str
         Effects taken out of the catalogue.
     config : CalibrationConfig, optional
+        Of the calibration.
     progress : callable(stage, fraction), optional
+        Called as work goes on, stage 'aligning', 'solving', 'simulating', 'diagnosing' or
+        'correcting'.
+
+    Raises
+    ------
+    InputError
+        As ``calibrate_runs``.
     """
     config = config or CalibrationConfig()
     progress = progress or (lambda stage, fraction: None)
-    with one_thread():
-        check_recordings(recordings)
-        runs, done = _solved(recordings, config, progress, examined=True)
-        progress('simulating', 0.0)
-        rows = build_rows(runs, done, config.unidentifiable_above)
-        simulated = simulated_residual_um(rows, config, twin)
-        progress('diagnosing', 0.0)
-        shapes = shapes_from_lines(spectral_lines(rows))
-        effects = [*effects_without(exclude), *DECOYS]
-        options, visible = collect_options(rows, effects, shapes)
-        progress('diagnosing', 0.5)
-        found, considered = search(rows, options)
-        progress('diagnosing', 0.8)
-        simulated *= _noise_level(rows, found)
-        causes, steps = _named(rows, found, simulated)
-        decoyed = _decoyed(causes, steps)
-        kept = [c for c in causes if _in_catalogue(c)]
-        if len(kept) < len(causes):  # what a decoy takes away is not explained
-            causes = kept
-            steps = [residuals_with(rows, kept[:k]) for k in range(len(kept) + 1)]
-        fitted = residuals_with(rows, causes, held_out=False)
-        # what is found after a decoy lives on what that left
-        first = takewhile(_in_catalogue, found)
-        known = [*causes, *(c for c in first if all(c is not named for named in causes))]
-        known_um, rest = steps[-1].rms_um, fitted
-        if len(known) > len(causes):
-            known_um = min(known_um, residuals_with(rows, known).rms_um)
-            rest = residuals_with(rows, known, held_out=False)
-    sight = {n: v for n, v in visible.items() if n not in DECOY_NAMES}
-    return Findings(
-        rows,
-        tuple(causes),
-        simulated,
-        tuple(steps),
-        fitted,
-        sight,
-        tuple(considered),
-        known_um,
-        rest,
-        _structure(rows, rows.residual) > FREE_OF_STRUCTURE,
-        decoyed=decoyed,
+    solved = solve_recordings(recordings, config, progress)
+    plain = assemble(solved.solution, config)
+    seen = _as_recorded(solved, recordings, config)
+    rows = build_rows(*seen.solution.plain, config.unidentifiable_above)
+    progress('simulating', 0.0)
+    simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
+    progress('diagnosing', 0.0)
+    found = search_catalogue(rows, exclude)
+    progress('diagnosing', 0.5)
+    explained = explain(rows, found.causes, simulated_um)
+    noise = None
+    if matters(explained.after_um, explained.simulated_um):
+        noise = check_noise(rows, config.standstill_speed, exclude)
+    left, has_place = _what_is_left(rows, explained)
+    verdict = verdict_of(_case(explained, noise, has_place=has_place))
+    if verdict == 'unknown':
+        explained, noise_cause = explained.without_causes(), None
+    else:
+        noise_cause = noise
+        verdict = 'explained' if noise and verdict == 'none' else verdict
+    fitted = fitted_causes(explained.causes, rows)
+    applied = tuple(tuple(part.applied(k) for part in fitted) for k in range(len(rows.runs)))
+    gap = gap_of(explained, noise)
+    causes = named_causes(explained, fitted, noise_cause, gap)
+    sentence = sentence_of(verdict, gap, causes, noise)
+    views = run_views(rows, explained)
+    where, shape = where_and_shape(views, project=rows.project)
+    progress('correcting', 0.0)
+    taken = [applied[k] for k in solved.source]
+    calibration = with_causes(solved, plain, explained.causes, taken, config, sentence)
+    return Diagnosis(
+        runs=tuple(r.name or f'run {k}' for k, r in enumerate(recordings, start=1)),
+        verdict=verdict,
+        sentence=sentence,
+        gap=gap,
+        causes=causes,
+        unexplained_um=gap.after_um,
+        unexplained_where=left if explained.causes else shape,
+        not_visible=_not_visible(found.visible, causes),
+        where=where,
+        considered=found.considered,
+        smallest_found_um={
+            n: 1e6 * v.smallest for n, v in found.visible.items() if np.isfinite(v.smallest)
+        },
+        contradictions=solved.runs[0].remarks,
+        table_change_um=_table_change_um(calibration),
+        applied=applied,
+        calibration=calibration,
+        origin=plain.origin,
+        shown=Shown(views, _conditions(solved, plain)),
     )
 
 
-def _named(
-    rows: Rows, found: Sequence[Cause], simulated: float
-) -> tuple[list[Cause], list[Residuals]]:
-    """Causes that matter, and the residuals step by step."""
-    causes: list[Cause] = []
-    steps = [plain_residuals(rows)]
-    whole = gap_um(steps[0].rms_um, simulated)
-    for cause in found:
-        after = residuals_with(rows, [*causes, cause])
-        if _material(cause.option.effect.name, steps[-1], after, whole):
-            causes.append(cause)
-            steps.append(after)
-    return causes, steps
+def _as_recorded(
+    solved: SolvedRecordings, recordings: Sequence[Recording], config: CalibrationConfig
+) -> SolvedRecordings:
+    """Solve runs uncut where the calibration cut them at a step: the step is in the gap."""
+    if len(solved.runs) == len(recordings):
+        return solved
+    return solve_recordings(recordings, config, mend=False)
 
 
-def _noise_level(rows: Rows, found: Sequence[Cause]) -> float:
-    """Correction of the twin's noise, from what the causes leave.
+def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:
+    """Shape of what the causes leave, and whether what all that is known leaves has a place."""
+    if not explained.causes:
+        return NO_STRUCTURE, False
 
-    How fast noise averages out over a piece is known to some ten percent from short stops. If
-    what is left has no structure, its size tells better.
-    """
-    residual = rows.residual
-    for cause in found:
-        residual = fit_out(cause.option, residual)
-    structure = _structure(rows, residual)
-    variance = float(np.mean(residual**2)) * len(residual) / (len(residual) - rows.base.shape[1])
-    if structure > FREE_OF_STRUCTURE or not NOISE_RANGE[0] < variance < NOISE_RANGE[1]:
-        return 1.0
-    return float(np.sqrt(variance))
+    def shape(rest: Residuals) -> str:
+        views = run_views(rows, explained, rest)
+        return describe_structure(views, 'residual_after', rows.project)
 
-
-def _structure(rows: Rows, residual: Array) -> float:
-    """Inflation by the correlation of neighbouring pieces; 1 for noise as assumed."""
-    return noise_variance(rows, residual) / max(float(np.mean(residual**2)), 1.0)
+    left = shape(explained.fitted)
+    same = explained.known_rest is explained.fitted
+    rest = left if same else shape(explained.known_rest)
+    return left, rest not in (NO_STRUCTURE, EVERYWHERE)
 
 
-def _in_catalogue(cause: Cause) -> bool:
-    return cause.option.effect.name not in DECOY_NAMES
+def _case(explained: Explanation, noise: NoiseFinding | None, *, has_place: bool) -> Case:
+    """What the verdict depends on, with noise as found in the simulation."""
+    simulated = explained.simulated_um * (1.0 if noise is None else noise.level)
+    return Case(
+        simulated_um=simulated,
+        before_um=gap_um(explained.steps[0].rms_um, simulated),
+        after_um=gap_um(explained.steps[-1].rms_um, simulated),
+        beyond_um=gap_um(explained.known_um, simulated),
+        named=bool(explained.causes),
+        structured=explained.structured,
+        left_has_place=has_place,
+        decoyed=explained.decoyed,
+    )
 
 
-def _decoyed(causes: Sequence[Cause], steps: Sequence[Residuals]) -> bool:
-    """Tell whether shapes outside the catalogue explain more than the effects named."""
-    power = {True: 0.0, False: 0.0}
-    for cause, before, after in zip(causes, steps[:-1], steps[1:], strict=True):
-        power[not _in_catalogue(cause)] += max(0.0, before.rms_um**2 - after.rms_um**2)
-    return power[True] > power[False]
+def _not_visible(
+    visible: dict[str, Visibility], causes: Sequence[NamedCause]
+) -> tuple[tuple[str, str], ...]:
+    """Effects that leave no trace in these data, and what would show them."""
+    named = {c.effect for c in causes} | {n for c in causes for n in c.indistinguishable_from}
+    hidden = [n for n, v in visible.items() if not v.visible and n not in named]
+    return tuple((n, REGISTRY[n].needs) for n in hidden)
 
 
-def verdict_of(findings: Findings) -> str:
-    """Verdict on the gap (INTERFACES section 6)."""
-    simulated = findings.simulated_um
-    before = gap_um(findings.steps[0].rms_um, simulated)
-    after = gap_um(findings.steps[-1].rms_um, simulated)
-    if findings.decoyed:
-        return 'unknown'
-    if not findings.causes:
-        least = NO_GAP_SHARE if findings.structured else PLAIN_GAP_SHARE
-        return 'none' if before < least * simulated else 'unknown'
-    explained, known = EXPLAINED_SHARE, KNOWN_SHARE
-    if findings.left_has_place:
-        explained, known = PLACED_EXPLAINED_SHARE, PLACED_KNOWN_SHARE
-    beyond = gap_um(findings.known_um, simulated)
-    if beyond > max(known * before, NO_GAP_SHARE * simulated):
-        return 'unknown'
-    left = after if after > NO_GAP_SHARE * simulated else 0.0
-    return 'explained' if left <= explained * before else 'partly_explained'
+def run_views(
+    rows: Rows, explained: Explanation, rest: Residuals | None = None
+) -> tuple[RunView, ...]:
+    """Plain arrays of every run, with the residuals without causes and with them (``rest``)."""
+    rest = rest or explained.fitted
+    parts = rows.by_run(explained.steps[0].rows), rows.by_run(rest.rows)
+    return tuple(
+        RunView(
+            name=run.recording.name or f'run {k}',
+            time=state.time,
+            leg=run.pieces.leg,
+            q=state.q,
+            direction=state.direction,
+            speed=state.speed,
+            beam=state.beam,
+            axes=solved.system.axes,
+            residual_before=before,
+            residual_after=after,
+            expected=whitener.expected,
+            factors=whitener.factors,
+        )
+        for k, (run, solved, whitener, state, before, after) in enumerate(
+            zip(rows.runs, rows.done.runs, rows.whiteners, rows.states, *parts, strict=True),
+            start=1,
+        )
+    )
+
+
+def _table_change_um(calibration: EffectsCalibration) -> float:
+    tables, other = calibration.plain.tables, calibration.result.tables
+    points = lattice(tables.machine)
+    change = displacement(other, points) - displacement(tables, points)
+    return 1e6 * mean_length(without_rigid_motion(change, points))
+
+
+def _conditions(solved: SolvedRecordings, plain: CalibrationResult) -> dict[str, str]:
+    first = solved.runs[0]
+    noise = first.noise
+    return {
+        'machine': first.machine.name,
+        'chain': str(first.machine.chain),
+        'samples': ', '.join(str(r.samples) for r in plain.runs),
+        'path pieces': ', '.join(str(len(r.pieces)) for r in plain.runs),
+        'reversal in the calibration': plain.reversal.model,
+        'tracker noise, as measured in standstills': (
+            f'{1e6 * noise.u_range:.2f} um along the beam, {1e6 * noise.u_angle:.2f} urad across, '
+            f'{100 * noise.white_angle:.0f} % white, correlated over '
+            f'{noise.correlation_time:.2f} s'
+        ),
+    }

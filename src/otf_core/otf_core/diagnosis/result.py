@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a diagnosis says, and its form as gap.json (INTERFACES section 6)."""
+"""What a diagnosis says."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
+from otf_core.calibration.with_effects import EffectsCalibration
+from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.place.where import Where
+from otf_core.effects import AppliedEffect
+from otf_core.model.provenance import Origin
+from otf_core.pieces.finding import Finding
 
-SCHEMA = 'otf-gap/1'
 VERDICTS = ('none', 'explained', 'partly_explained', 'unknown')
 
 
@@ -20,7 +23,7 @@ class Gap:
     Attributes
     ----------
     measured_um, simulated_um : float
-        Residual of the real run and of its simulation through the same pipeline.
+        Residual of the calibration, and of that of a simulation of the same runs.
     before_um, after_um : float
         sqrt(max(0, measured^2 - simulated^2)) without and with the causes; ``after`` is judged on
         legs that the causes were not fitted on.
@@ -68,12 +71,27 @@ class NamedCause:
 
 
 @dataclass(frozen=True)
+class Shown:
+    """What figures show: arrays of every run, and the conditions in words.
+
+    Attributes
+    ----------
+    views : tuple of RunView
+    conditions : mapping of str to str
+    """
+
+    views: tuple[RunView, ...]
+    conditions: Mapping[str, str]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Answer to: where and why does the real run depart from its simulation.
 
     Attributes
     ----------
     runs : tuple of str
+        Names of the recordings.
     verdict : str
         One of ``VERDICTS``.
     sentence : str
@@ -87,9 +105,19 @@ class Diagnosis:
     where : Where
     considered : tuple of (effect, log odds)
         Ranking of the last round of the search.
+    smallest_found_um : mapping of effect to float
+        Root mean square displacement from which an effect would be found.
+    contradictions : tuple of Finding
+        What the input contradicts, as the calibration says it.
     table_change_um : float
-        Mean change of the predicted volumetric error on a lattice when the causes are in the
-        calibration.
+        Mean change of the predicted volumetric error on a lattice by taking the causes off.
+    applied : tuple of tuple of AppliedEffect
+        For every run the causes with their fitted parameters, ready for a simulation.
+    calibration : EffectsCalibration
+        What ``calibrate`` gives, and what it gives with the causes taken off.
+    origin : tuple of Origin
+        The recordings.
+    shown : Shown
     """
 
     runs: tuple[str, ...]
@@ -101,49 +129,11 @@ class Diagnosis:
     unexplained_where: str
     not_visible: tuple[tuple[str, str], ...]
     where: Where
-    considered: tuple[tuple[str, float], ...] = ()
-    table_change_um: float = 0.0
-    extra: Mapping[str, Any] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the diagnosis as plain data in the layout of gap.json."""
-        return {
-            'schema': SCHEMA,
-            'runs': list(self.runs),
-            'verdict': self.verdict,
-            'sentence': self.sentence,
-            'gap': asdict(self.gap),
-            'causes': [asdict(c) for c in self.causes],
-            'unexplained': {'rms_um': self.unexplained_um, 'where': self.unexplained_where},
-            'not_visible': [{'effect': e, 'needs': n} for e, n in self.not_visible],
-            'where': asdict(self.where),
-            'considered': [{'effect': e, 'log_odds': s} for e, s in self.considered],
-            'table_change_um': self.table_change_um,
-            **self.extra,
-        }
-
-
-def format_diagnosis(diagnosis: Diagnosis) -> str:
-    """Return the text for a terminal."""
-    gap = diagnosis.gap
-    lines = [
-        f'verdict: {diagnosis.verdict}',
-        diagnosis.sentence,
-        f'residual {gap.measured_um:.2f} um, simulated {gap.simulated_um:.2f} um; gap '
-        f'{gap.before_um:.2f} um -> {gap.after_um:.2f} um',
-        '',
-    ]
-    for cause in diagnosis.causes:
-        axes = f' ({", ".join(cause.axes)})' if cause.axes else ''
-        lines.append(
-            f'cause {cause.effect}{axes}: gap {cause.before_um:.2f} um -> '
-            f'{cause.after_um:.2f} um, confidence {100 * cause.confidence:.0f} %'
-        )
-        for name, value in cause.parameters.items():
-            u = f' +/- {cause.u[name]:.2g} (k = 1)' if name in cause.u else ''
-            lines.append(f'    {name} = {value:.4g}{u} {cause.units.get(name, "")}'.rstrip())
-        if cause.indistinguishable_from:
-            lines.append(f'    not told from {", ".join(cause.indistinguishable_from)}')
-    lines += ['', diagnosis.where.summary, f'unexplained: {diagnosis.unexplained_where}', '']
-    lines += [f'not visible: {e}; needs {n}' for e, n in diagnosis.not_visible]
-    return '\n'.join(lines)
+    considered: tuple[tuple[str, float], ...]
+    smallest_found_um: Mapping[str, float]
+    contradictions: tuple[Finding, ...]
+    table_change_um: float
+    applied: tuple[tuple[AppliedEffect, ...], ...]
+    calibration: EffectsCalibration
+    origin: tuple[Origin, ...]
+    shown: Shown

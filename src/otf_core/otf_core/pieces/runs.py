@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -79,6 +79,8 @@ class Run:
         What the residuals say of noise and misfit, see ``noise_fit.fit_noise``.
     remarks : tuple of Finding
         What ``contradictions.examine`` found, with the first of several runs.
+    late : float, s
+        Where a recording was cut: start of this part after that of the recording.
     """
 
     recording: Recording
@@ -88,6 +90,7 @@ class Run:
     noise: NoiseModel
     fitted: Array | None = None
     remarks: tuple[Finding, ...] = ()
+    late: float = 0.0
 
     @property
     def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:
@@ -192,10 +195,20 @@ def prepare_runs(
     nodes = table_nodes(recordings[0].machine, low, high)
     runs = []
     for recording, alignment in zip(recordings, alignments, strict=True):
-        samples, spec = recording.samples, recording.machine.tracker
         with blamed(recording):
-            pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
-            pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
-            noise = noise_model(samples, spec, config.standstill_speed)
-        runs.append(Run(recording, alignment, pieces, pose, noise))
+            runs.append(reduced(recording, alignment, nodes, config))
     return runs, nodes
+
+
+def reduced(
+    recording: Recording,
+    alignment: Alignment,
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+) -> Run:
+    """Reduce an aligned recording to pieces for given table nodes."""
+    samples, spec = recording.samples, recording.machine.tracker
+    pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
+    pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
+    noise = noise_model(samples, spec, config.standstill_speed)
+    return Run(recording, alignment, pieces, pose, noise)

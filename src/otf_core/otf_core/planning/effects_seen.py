@@ -40,7 +40,9 @@ def forecast_rows(plan: Plan, setup: Setup, found: Forecast) -> Rows:
         tables,
         found.duration,
     )
-    return rows_of([run], done, tables, (state,), setup.calibration.unidentifiable_above)
+    return rows_of(
+        [run], done, [solved.whitener], tables, (state,), setup.calibration.unidentifiable_above
+    )
 
 
 def _whole(options: Sequence[Option]) -> list[Option]:

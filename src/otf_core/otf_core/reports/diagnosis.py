@@ -4,61 +4,74 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from otf_core.calibration.calibrate import calibrate_prepared
-from otf_core.calibration.correction import TABLES_OWN, calibrate_without
-from otf_core.calibration.result import CalibrationResult
-from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.answer import DiagnosisData
-from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
-from otf_core.effects.stated import FOUND
-from otf_core.effects.taken import taken
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.model.kinematics import displacement
-from otf_core.model.provenance import COVERAGE, origin_of, provenance
+from otf_core.model.provenance import COVERAGE, provenance
 from otf_core.reports.calibration import write_calibration
 from otf_core.reports.gap import write_report
-from otf_core.threads import in_one_thread
+
+SCHEMA = 'otf-gap/1'
 
 
-def _with_causes(
-    rows: Rows,
-    applied: Sequence[Sequence[AppliedEffect]],
-    plain: CalibrationResult,
-    config: CalibrationConfig,
-) -> CalibrationResult:
-    """Calibrate again with the causes taken off, reversal among them."""
-    found = [taken(list(one), FOUND) for one in zip(*applied, strict=True)]
-    taking = [one for one in found if one.effect.name not in TABLES_OWN]
-    if not taking:
-        return plain
-    config = replace(config, reversal='none')
-    return calibrate_without([r.recording for r in rows.runs], taking, config)[0]
+def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return a diagnosis as plain data in the layout of gap.json (INTERFACES section 6)."""
+    return {
+        'schema': SCHEMA,
+        'runs': list(diagnosis.runs),
+        'verdict': diagnosis.verdict,
+        'sentence': diagnosis.sentence,
+        'gap': asdict(diagnosis.gap),
+        'causes': [asdict(c) for c in diagnosis.causes],
+        'unexplained': {
+            'rms_um': diagnosis.unexplained_um,
+            'where': diagnosis.unexplained_where,
+        },
+        'not_visible': [{'effect': e, 'needs': n} for e, n in diagnosis.not_visible],
+        'where': asdict(diagnosis.where),
+        'considered': [{'effect': e, 'log_odds': s} for e, s in diagnosis.considered],
+        'table_change_um': diagnosis.table_change_um,
+        'smallest_found_um': dict(diagnosis.smallest_found_um),
+        'contradictions': [asdict(found) for found in diagnosis.contradictions],
+        'reversal': diagnosis.calibration.plain.reversal.model,
+        'run_id': diagnosis.calibration.plain.run_id,
+        'provenance': provenance(
+            'diagnose',
+            method='otf',
+            runs=diagnosis.origin,
+            coverage=f'{COVERAGE}; intervals: 95 %',
+        ),
+    }
 
 
-def _table_change_um(plain: CalibrationResult, other: CalibrationResult) -> float:
-    points = lattice(plain.tables.machine)
-    change = displacement(other.tables, points) - displacement(plain.tables, points)
-    return 1e6 * mean_length(without_rigid_motion(change, points))
-
-
-def _provenance(diagnosis: Diagnosis, rows: Rows) -> dict[str, Any]:
-    recordings = [run.recording for run in rows.runs]
-    named = zip(diagnosis.runs, recordings, strict=True)
-    return provenance(
-        'diagnose',
-        method='otf',
-        runs=[origin_of(name, r.samples, r.path, r.machine) for name, r in named],
-        coverage=f'{COVERAGE}; intervals: 95 %',
-    )
+def format_diagnosis(diagnosis: Diagnosis) -> str:
+    """Return the text for a terminal."""
+    gap = diagnosis.gap
+    lines = [
+        f'verdict: {diagnosis.verdict}',
+        diagnosis.sentence,
+        f'residual {gap.measured_um:.2f} um, simulated {gap.simulated_um:.2f} um; gap '
+        f'{gap.before_um:.2f} um -> {gap.after_um:.2f} um',
+        '',
+    ]
+    for cause in diagnosis.causes:
+        axes = f' ({", ".join(cause.axes)})' if cause.axes else ''
+        lines.append(
+            f'cause {cause.effect}{axes}: gap {cause.before_um:.2f} um -> '
+            f'{cause.after_um:.2f} um, confidence {100 * cause.confidence:.0f} %'
+        )
+        for name, value in cause.parameters.items():
+            u = f' +/- {cause.u[name]:.2g} (k = 1)' if name in cause.u else ''
+            lines.append(f'    {name} = {value:.4g}{u} {cause.units.get(name, "")}'.rstrip())
+        if cause.indistinguishable_from:
+            lines.append(f'    not told from {", ".join(cause.indistinguishable_from)}')
+    lines += ['', diagnosis.where.summary, f'unexplained: {diagnosis.unexplained_where}', '']
+    lines += [f'not visible: {e}; needs {n}' for e, n in diagnosis.not_visible]
+    return '\n'.join(lines)
 
 
 def effects_file(run: int) -> str:
@@ -66,36 +79,33 @@ def effects_file(run: int) -> str:
     return f'effects_run_{run + 1}.yaml' if run else 'effects.yaml'
 
 
-@in_one_thread
-def write_diagnosis(
-    diagnosis: Diagnosis,
-    data: DiagnosisData,
-    folder: str | Path,
-    config: CalibrationConfig | None = None,
-) -> list[Path]:
+def write_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
     """Write gap.json, report.html, and with causes effects.yaml and both calibrations.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    folder : str or Path
+        Made if missing.
 
     Returns
     -------
     list of Path
         gap.json last.
     """
-    config = config or CalibrationConfig()
     folder = ensure_folder(folder)
-    rows = data.findings.rows
     written: list[Path] = []
-    if data.applied[0]:
-        for number, (run, applied) in enumerate(zip(rows.runs, data.applied, strict=True)):
-            if not number or applied != data.applied[0]:
+    first, calibration = diagnosis.applied[0], diagnosis.calibration
+    if first:
+        machine = calibration.plain.tables.machine
+        for number, applied in enumerate(diagnosis.applied):
+            if not number or applied != first:
                 written.append(folder / effects_file(number))
-                write_effects(written[-1], applied, run.machine)
-        plain = calibrate_prepared(rows.runs, rows.done.unknowns, config)
-        better = _with_causes(rows, data.applied, plain, config)
-        diagnosis = replace(diagnosis, table_change_um=_table_change_um(plain, better))
-        write_calibration(plain, folder / 'calibration_plain', 'diagnose')
-        write_calibration(better, folder / 'calibration_with_effects', 'diagnose')
+                write_effects(written[-1], applied, machine)
+        write_calibration(calibration.plain, folder / 'calibration_plain', 'diagnose')
+        write_calibration(calibration.result, folder / 'calibration_with_effects', 'diagnose')
         written.append(folder / 'calibration_with_effects')
-    write_report(diagnosis, data, folder / 'report.html')
-    content = diagnosis.to_dict() | {'provenance': _provenance(diagnosis, rows)}
+    write_report(diagnosis, folder / 'report.html')
+    content = diagnosis_to_dict(diagnosis)
     write_text(folder / 'gap.json', json.dumps(content, indent=1) + '\n')
     return [*written, folder / 'report.html', folder / 'gap.json']

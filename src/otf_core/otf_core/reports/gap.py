@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from otf_core.diagnosis.place.views import ReportData
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
 from otf_core.errors import ConfigError
 from otf_core.files.writing import write_text
@@ -122,9 +121,9 @@ def _causes_section(diagnosis: Diagnosis) -> str:
     )
 
 
-def _figures_section(diagnosis: Diagnosis, data: ReportData) -> str:
+def _figures_section(diagnosis: Diagnosis) -> str:
     try:
-        return figures(data.views, bool(diagnosis.causes))
+        return figures(diagnosis.shown.views, bool(diagnosis.causes))
     except ConfigError as error:
         return f'<p class="soft">No pictures: {text(error)}</p>'
 
@@ -166,20 +165,15 @@ def _version() -> str:
         return 'not installed, run from source'
 
 
-def _conditions_section(diagnosis: Diagnosis, data: ReportData) -> str:
-    items = {'runs': ', '.join(diagnosis.runs), 'otf_core': _version(), **data.conditions}.items()
-    rows = ''.join(f'<tr><th>{text(k)}</th><td>{text(v)}</td></tr>' for k, v in items)
+def _conditions_section(diagnosis: Diagnosis) -> str:
+    first = {'runs': ', '.join(diagnosis.runs), 'otf_core': _version()}
+    items = first | dict(diagnosis.shown.conditions)
+    rows = ''.join(f'<tr><th>{text(k)}</th><td>{text(v)}</td></tr>' for k, v in items.items())
     return f'<table><tbody>{rows}</tbody></table>'
 
 
-def report_html(diagnosis: Diagnosis, data: ReportData) -> str:
-    """Return the report as HTML.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    data : ReportData
-    """
+def report_html(diagnosis: Diagnosis) -> str:
+    """Return the report as HTML."""
     causes = bool(diagnosis.causes)
     verdict = VERDICTS.get(diagnosis.verdict, diagnosis.verdict)
     sections = (
@@ -192,8 +186,8 @@ def report_html(diagnosis: Diagnosis, data: ReportData) -> str:
             'What to measure next',
             _list(next_measurements(diagnosis), 'Nothing more is needed for this question.'),
         ),
-        ('Pictures', _figures_section(diagnosis, data)),
-        ('Conditions', _conditions_section(diagnosis, data)),
+        ('Pictures', _figures_section(diagnosis)),
+        ('Conditions', _conditions_section(diagnosis)),
     )
     body = '\n'.join(
         f'<section>{f"<h2>{title}</h2>" if title else ""}{content}</section>'
@@ -209,14 +203,6 @@ def report_html(diagnosis: Diagnosis, data: ReportData) -> str:
     )
 
 
-def write_report(diagnosis: Diagnosis, data: ReportData, path: str | Path) -> None:
-    """Write the report, whole or not at all.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    data : ReportData
-        Arrays of the runs and the conditions.
-    path : str or Path
-    """
-    write_text(path, report_html(diagnosis, data))
+def write_report(diagnosis: Diagnosis, path: str | Path) -> None:
+    """Write the report, whole or not at all."""
+    write_text(path, report_html(diagnosis))

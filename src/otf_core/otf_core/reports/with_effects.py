@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from otf_core.diagnosis.calibrate_with_effects import EffectsCalibration
+from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.reports.calibration import write_calibration

@@ -49,11 +49,11 @@ def state_at(
         np.zeros_like(pieces.leg) if pieces.standstill else pieces.line,
         q,
         pieces.speed,
-        pieces.time,
+        run.late + pieces.time,
         pose,
         nodes,
         tables,
-        float(run.recording.samples.time[-1]),
+        run.late + float(run.recording.samples.time[-1]),
         run.alignment.shape,
     )
 

@@ -77,11 +77,14 @@ class ReversalSolution:
         With the pieces that were kept.
     done : JointSolution
     choice : Choice
+    plain : (list of Run, JointSolution)
+        The same without reversal.
     """
 
     runs: list[Run]
     done: JointSolution
     choice: Choice
+    plain: tuple[list[Run], JointSolution]
 
 
 def solve_with_reversal(
@@ -101,10 +104,11 @@ def solve_with_reversal(
     kept, done = solve_robustly(shapes.runs, plain, config, progress, shapes.start)
     choice = choose(kept, done, config)
     if choice.model == 'none':
-        return ReversalSolution(kept, done, choice)
+        return ReversalSolution(kept, done, choice, (kept, done))
     unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)
     # reversal adds blocks: which of them the data determine is found out anew
-    return ReversalSolution(*solve_robustly(shapes.runs, unknowns, config, progress), choice)
+    again = solve_robustly(shapes.runs, unknowns, config, progress)
+    return ReversalSolution(*again, choice, (kept, done))
 
 
 def choose(runs: Sequence[Run], done: JointSolution, config: CalibrationConfig) -> Choice:

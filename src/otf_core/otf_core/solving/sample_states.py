@@ -74,11 +74,11 @@ def sample_state(
         leg,
         q,
         run.pieces.speed[run.pieces.piece],
-        samples.time[index],
+        run.late + samples.time[index],
         pose,
         nodes,
         tables,
-        float(samples.time[-1]),
+        run.late + float(samples.time[-1]),
         run.alignment.shape,
     )
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole diagnosis on small simulated cells: what is named, what is not, what is written."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +9,16 @@ import pytest
 from core_cells import some_machine
 
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
-from otf_core.config import PlannerConfig, SimulationConfig
-from otf_core.diagnosis.complete import diagnose
+from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
+from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
+from otf_core.diagnosis.diagnose import diagnose
+from otf_core.diagnosis.engine.rows import build_rows
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
-from otf_core.model.tables import load_tables
+from otf_core.model.observation import Samples
+from otf_core.model.tables import MOTIONS, load_tables
 from otf_core.pieces.runs import Recording
 from otf_core.planning.creator import plan_path
 from otf_core.reports.diagnosis import write_diagnosis
@@ -24,44 +28,73 @@ from otf_core.sim.twin import twin_recording
 MACHINE = some_machine(pitch=0.05)
 PLAN = plan_path(MACHINE, PlannerConfig(feed=0.15, corner_dwell=0.4))
 BACKLASH = AppliedEffect(REGISTRY['backlash'], {'B_X': 6e-6, 'B_Y': -4e-6})
+GROWTH = AppliedEffect(
+    REGISTRY['thermal_axis_expansion'], {'tau': 200.0, 'until': 0.0, 'S_X': 40e-6, 'S_Y': 25e-6}
+)
 JOLT = AppliedEffect(
     UNKNOWN_EFFECTS['unknown_machine_step'], {'t0': 90.0, 'A_X': 4e-6, 'A_Z': -3e-6}
 )
 
 
-def recording(effects=(), seed=411):
+EFFECTS = {'none': [], 'backlash': [BACKLASH], 'growth': [GROWTH], 'jolt': [JOLT]}
+
+
+@functools.cache
+def recording(name='none', seed=411):
+    effects = EFFECTS[name]
     config = SimulationConfig(seed=seed, rate=100.0)
     return Recording(simulate(MACHINE, PLAN, config, None, effects).samples, PLAN.path, MACHINE)
 
 
-def diagnosed(run):
-    return diagnose([run], ['run'], twin_recording)
+def with_burst(run):
+    """The run with half a second of samples that are 60 um off, across a line."""
+    xyz = run.samples.xyz.copy()
+    xyz[20_000:20_050] += [0.0, 0.0, 60e-6]
+    return replace(run, samples=Samples(run.samples.stamp_ns, xyz))
+
+
+@functools.cache
+def diagnosed(name='none', burst=False):
+    run = recording(name)
+    return diagnose([with_burst(run) if burst else run], twin_recording)
+
+
+def same_tables(a, b):
+    return all(
+        np.array_equal(a.motions[n].value, b.motions[n].value)
+        and np.array_equal(a.motions[n].u, b.motions[n].u)
+        for n in MOTIONS
+    )
 
 
 @pytest.fixture(scope='module')
 def clean():
-    return diagnosed(recording())
+    return diagnosed()
 
 
 @pytest.fixture(scope='module')
 def with_backlash():
-    return diagnosed(recording([BACKLASH]))
+    return diagnosed('backlash')
 
 
 @pytest.fixture(scope='module')
-def folder(with_backlash, tmp_path_factory):
+def growing():
+    return diagnosed('growth')
+
+
+@pytest.fixture(scope='module')
+def folder(growing, tmp_path_factory):
     path = tmp_path_factory.mktemp('diagnosis')
-    write_diagnosis(*with_backlash, path)
+    write_diagnosis(growing, path)
     return path
 
 
 def test_run_without_effect_has_no_gap_and_no_cause(clean):
-    answer, _ = clean
-    assert (answer.verdict, answer.causes) == ('none', ())
+    assert (clean.verdict, clean.causes) == ('none', ())
 
 
 def test_backlash_is_named_on_its_axes_with_its_size(with_backlash):
-    answer, _ = with_backlash
+    answer = with_backlash
     assert answer.verdict == 'explained'
     assert [c.effect for c in answer.causes] == ['backlash']
     cause = answer.causes[0]
@@ -72,7 +105,7 @@ def test_backlash_is_named_on_its_axes_with_its_size(with_backlash):
 
 
 def test_gap_shrinks_to_little_where_the_cause_is_known(with_backlash):
-    gap = with_backlash[0].gap
+    gap = with_backlash.gap
     assert gap.after_um < 0.4 * gap.before_um
     low, high = gap.shrink_interval_percent
     assert low <= gap.shrink_percent <= high
@@ -80,7 +113,7 @@ def test_gap_shrinks_to_little_where_the_cause_is_known(with_backlash):
 
 def test_tables_with_the_cause_taken_off_are_nearer_to_those_without_it(folder, clean):
     points = lattice(MACHINE)
-    wanted = clean[1].findings.rows.tables
+    wanted = clean.calibration.result.tables
 
     def distance(name):
         tables = load_tables(folder / name / 'error_tables.json').tables
@@ -90,21 +123,51 @@ def test_tables_with_the_cause_taken_off_are_nearer_to_those_without_it(folder, 
     assert distance('calibration_with_effects') < 0.5 * distance('calibration_plain')
 
 
-def test_what_was_found_can_be_simulated(folder, with_backlash):
+def test_what_was_found_can_be_simulated(folder, growing):
     (again,) = read_effects(folder / 'effects.yaml', MACHINE)
-    assert again.effect.name == 'backlash'
-    found = with_backlash[0].causes[0].parameters
+    assert again.effect.name == growing.causes[0].effect == 'thermal_axis_expansion'
+    found = growing.causes[0].parameters
     assert again.parameters == {n: pytest.approx(v) for n, v in found.items()}
 
 
+def test_diagnosis_stands_on_the_calibration_that_the_user_gets(with_backlash):
+    given = calibrate_runs([recording('backlash')])
+    assert with_backlash.calibration.plain.run_id == given.run_id
+    assert same_tables(with_backlash.calibration.plain.tables, given.tables)
+
+
+def test_size_of_the_residual_is_that_of_the_calibration(growing):
+    fit = growing.calibration.plain.fit
+    assert growing.gap.measured_um == pytest.approx(1e6 * fit.residual_rms, rel=1e-4)
+
+
+def test_reversal_is_in_the_tables_and_a_cause_as_well(with_backlash):
+    assert with_backlash.calibration.plain.reversal.model == 'constant'
+    # the gap is that of tables without it
+    fit = with_backlash.calibration.plain.fit
+    assert with_backlash.gap.measured_um > 1.2e6 * fit.residual_rms
+
+
+def test_burst_of_bad_samples_is_in_neither_gap_nor_tables(clean):
+    found = diagnosed(burst=True)
+    assert (found.verdict, found.causes) == ('none', ())
+    assert found.gap.measured_um == pytest.approx(clean.gap.measured_um, rel=0.01)
+    points = lattice(MACHINE)
+    change = displacement(found.calibration.plain.tables, points) - displacement(
+        clean.calibration.plain.tables, points
+    )
+    assert mean_length(without_rigid_motion(change, points)) < 0.1e-6
+
+
 def test_jolt_is_unknown_and_described():
-    answer, _ = diagnosed(recording([JOLT]))
+    answer = diagnosed('jolt')
     assert (answer.verdict, answer.causes) == ('unknown', ())
     assert 'step' in answer.unexplained_where
 
 
-def test_drifts_have_coefficients_of_their_own_in_every_run(clean):
-    rows = clean[1].findings.rows
+def test_drifts_have_coefficients_of_their_own_in_every_run():
+    solved = solve_recordings([recording()], CalibrationConfig())
+    rows = build_rows(*solved.solution.plain, CalibrationConfig().unidentifiable_above)
     twice = replace(
         rows,
         runs=rows.runs * 2,

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from otf_core.diagnosis.engine.evidence import estimate
 from otf_core.diagnosis.engine.rows import FOLDS, Rows
@@ -55,16 +54,9 @@ def _per_piece(rows: Rows, values: Array) -> Residuals:
     return Residuals(np.concatenate(square), np.concatenate(legs), values)
 
 
-def _left_by_tables(rows: Rows, plain: Array) -> Array:
-    """Deviations (r,) less tables and poses fitted to them with full weight."""
-    white = rows.whiten(plain[:, None])[:, 0]
-    inner = linalg.cho_solve((rows.factor, True), rows.base.T @ white)
-    return np.asarray(plain - rows.plain_base @ inner)
-
-
 def plain_residuals(rows: Rows) -> Residuals:
-    """Residuals of the plain calibration."""
-    return _per_piece(rows, _left_by_tables(rows, rows.plain_deviation))
+    """Residuals that the calibration leaves."""
+    return _per_piece(rows, rows.left(rows.plain_deviation))
 
 
 def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True) -> Residuals:
@@ -76,7 +68,7 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
     causes : sequence of Cause
     held_out : bool
         Each leg is judged with coefficients fitted without the legs of its fold; tables and
-        poses are fitted to all legs, as in the calibration without the causes.
+        poses are fitted to all legs with the weights of the calibration without the causes.
     """
     if not causes:
         return plain_residuals(rows)
@@ -90,7 +82,7 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
         if not judge.any():
             continue
         coefficients = estimate(own[fit], size, rows.residual[fit]).value
-        left = _left_by_tables(rows, rows.plain_deviation - plain @ coefficients)
+        left = rows.left(rows.plain_deviation - plain @ coefficients)
         values[judge] = left[judge]
     return _per_piece(rows, values)
 

@@ -10,8 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.diagnosis.engine.decoys import DECOY_NAMES, DECOYS
 from otf_core.diagnosis.engine.evidence import Option, axis_subsets
 from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.search import Cause, search
 from otf_core.diagnosis.engine.spectral import Line, strongest_lines
 from otf_core.effects import REGISTRY, Effect, Shape, Terms
 from otf_core.solving.columns import column_size
@@ -81,6 +83,33 @@ def effects_without(names: Sequence[str]) -> list[Effect]:
     """Effects of the catalogue that displace, less the named ones."""
     left = [e for e in REGISTRY.values() if e.name not in names]
     return [e for e in left if e.name != 'tracker_noise']
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search of the catalogue found.
+
+    Attributes
+    ----------
+    causes : tuple of Cause
+        In the order found, decoys among them.
+    considered : tuple of (effect, log odds)
+        The ranking of the last round.
+    visible : mapping of effect to Visibility
+    """
+
+    causes: tuple[Cause, ...]
+    considered: tuple[tuple[str, float], ...]
+    visible: dict[str, Visibility]
+
+
+def search_catalogue(rows: Rows, exclude: Sequence[str]) -> Found:
+    """Search rows for the effects of the catalogue, less the excluded ones, and for decoys."""
+    shapes = shapes_from_lines(spectral_lines(rows))
+    options, visible = collect_options(rows, [*effects_without(exclude), *DECOYS], shapes)
+    causes, considered = search(rows, options)
+    sight = {name: v for name, v in visible.items() if name not in DECOY_NAMES}
+    return Found(tuple(causes), tuple(considered), sight)
 
 
 def collect_options(

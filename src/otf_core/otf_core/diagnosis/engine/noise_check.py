@@ -43,6 +43,11 @@ class NoiseFinding:
     variance_ratio: float
     words: str
 
+    @property
+    def level(self) -> float:
+        """Mean standard deviation over the specified one."""
+        return float(np.sqrt(self.variance_ratio))
+
 
 def _freedom(run: Run, speed: float) -> float | None:
     """Degrees of freedom of the tails over all standstills, from successive differences."""

@@ -20,8 +20,9 @@ from scipy import linalg
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
-from otf_core.solving.columns import across, name_in_run, piece_state
-from otf_core.solving.joint import JointSolution, SolvedRun, summed, tables_of
+from otf_core.solving.columns import across, name_in_run, piece_state, sensitivity
+from otf_core.solving.joint import JointSolution, settled, summed, tables_of
+from otf_core.solving.normal import Whitener
 from otf_core.solving.sample_states import sample_state
 from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
 
@@ -39,12 +40,15 @@ class Rows:
     ----------
     runs : tuple of Run
     done : JointSolution
+        Of the calibration, without reversal: its residuals are the gap.
+    whiteners : tuple of Whitener
+        One per run, noise alone: what the calibration takes for misfit may be the gap.
     tables : ErrorTables
         As solved.
     states : tuple of State
         One per run, one entry per piece.
-    plain_base, plain_deviation : ndarray, shape (r, b) and (r,), m
-        ``base`` and ``deviation`` before whitening.
+    plain_deviation : ndarray, shape (r,), m
+        ``deviation`` before whitening.
     base : ndarray, shape (r, b)
         Whitened columns of the free unknowns that are solved for, in units of the
         identifiability limit.
@@ -62,9 +66,9 @@ class Rows:
 
     runs: tuple[Run, ...]
     done: JointSolution
+    whiteners: tuple[Whitener, ...]
     tables: ErrorTables
     states: tuple[State, ...]
-    plain_base: Array
     plain_deviation: Array
     base: Array
     deviation: Array
@@ -115,8 +119,15 @@ class Rows:
     def whiten(self, columns: Array) -> Array:
         """Whiten columns (r, k) of all runs."""
         width = columns.shape[1]
-        parts = zip(self.done.runs, self.by_run(columns), strict=True)
-        return np.concatenate([_whitened(s, part.reshape(-1, width)) for s, part in parts])
+        parts = zip(self.whiteners, self.by_run(columns), strict=True)
+        return np.concatenate([_whitened(w, part).reshape(-1, width) for w, part in parts])
+
+    def left(self, plain: Array) -> Array:
+        """Deviations (r,) less tables and poses as the calibration fits them, m."""
+        parts = [part[..., None] for part in self.by_run(plain)]
+        fitted = sensitivity(self.done, parts)[:, 0]
+        model = [solved.system.design @ fitted for solved in self.done.runs]
+        return np.asarray(plain - np.concatenate(model))
 
     @cached_property
     def factor(self) -> Array:
@@ -140,13 +151,13 @@ class Rows:
         return self.project(self.deviation[:, None])[:, 0]
 
 
-def _whitened(solved: SolvedRun, dense: Array) -> Array:
-    white = np.empty_like(dense)
-    count = solved.system.deviation.shape[1]
-    for leg, (low, high) in enumerate(solved.whitener.bounds):
-        for component in range(len(solved.system.deviation)):
-            part = slice(component * count + low, component * count + high)
-            white[part] = solved.whitener.leg_rows(leg, component, dense[part])
+def _whitened(whitener: Whitener, columns: Array) -> Array:
+    """Whiten columns (c, p, k) of one run."""
+    white = np.empty_like(columns)
+    for leg, (low, high) in enumerate(whitener.bounds):
+        for component in range(len(columns)):
+            part = columns[component, low:high]
+            white[component, low:high] = whitener.leg_rows(leg, component, part)
     return white
 
 
@@ -157,49 +168,53 @@ def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
     ----------
     runs : sequence of Run
     done : JointSolution
-        Of the same runs.
+        Of the same runs, without reversal.
     limit : float
         ``CalibrationConfig.unidentifiable_above``.
     """
+    done = settled(done, limit)
     tables = tables_of(runs[0].machine, done.unknowns, done.solution)
     states = tuple(
         piece_state(r, s, done.unknowns.knots, tables)
         for r, s in zip(runs, done.runs, strict=True)
     )
-    return rows_of(runs, done, tables, states, limit)
+    noise = [Whitener(s.system, r.pieces, r.noise) for r, s in zip(runs, done.runs, strict=True)]
+    return rows_of(runs, done, noise, tables, states, limit)
 
 
 def rows_of(
     runs: Sequence[Run],
     done: JointSolution,
+    whiteners: Sequence[Whitener],
     tables: ErrorTables,
     states: tuple[State, ...],
     limit: float,
 ) -> Rows:
     """Set up rows for given states; see ``Rows``."""
-    systems, whiteners = [s.system for s in done.runs], [s.whitener for s in done.runs]
+    systems = [s.system for s in done.runs]
     seen = identifiable_blocks(summed(systems, done.unknowns, whiteners), done.unknowns, limit)
     use = free_columns(done.unknowns, seen)
     plain, deviation, fold, offset = [], [], [], 0
     for run, solved in zip(runs, done.runs, strict=True):
         design = solved.system.design @ done.unknowns.gauge
-        plain.append(design[:, use].toarray() * limit)
-        deviation.append(solved.system.deviation.reshape(-1))
+        parts = (*solved.system.deviation.shape, len(use))
+        plain.append(design[:, use].toarray().reshape(parts) * limit)
+        deviation.append(solved.system.deviation)
         # neighbouring legs go to different folds; laps of one line do not always share one
         number = np.unique(run.pieces.leg, return_inverse=True)[1] + offset
         fold.append(np.tile((number * 5 + number // FOLDS) % FOLDS, len(solved.system.axes)))
         offset += int(number.max()) + 1
-    white = [_whitened(s, p) for s, p in zip(done.runs, plain, strict=True)]
-    bare = [_whitened(s, d[:, None])[:, 0] for s, d in zip(done.runs, deviation, strict=True)]
+    white = [_whitened(w, p) for w, p in zip(whiteners, plain, strict=True)]
+    bare = [w.vector(d) for w, d in zip(whiteners, deviation, strict=True)]
     return Rows(
         runs=tuple(runs),
         done=done,
+        whiteners=tuple(whiteners),
         tables=tables,
         states=states,
-        plain_base=np.concatenate(plain),
-        plain_deviation=np.concatenate(deviation),
-        base=np.concatenate(white),
-        deviation=np.concatenate(bare),
+        plain_deviation=np.concatenate([d.reshape(-1) for d in deviation]),
+        base=np.concatenate([w.reshape(-1, len(use)) for w in white]),
+        deviation=np.concatenate([b.reshape(-1) for b in bare]),
         fold=np.concatenate(fold),
         limit=limit,
         use=use,

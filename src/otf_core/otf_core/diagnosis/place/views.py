@@ -6,10 +6,8 @@ Legs are the independent units: corners separate them, and the noise within one 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,15 +125,3 @@ class RunView:
     def vectors(self, residual: Array) -> Array:
         """Residual (c, p) as vectors in the machine frame, shape (p, 3)."""
         return np.asarray(np.einsum('cp,cpk->pk', residual, self.axes))
-
-
-class ReportData(Protocol):
-    """What a report needs besides the diagnosis."""
-
-    @property
-    def views(self) -> tuple[RunView, ...]:
-        """One per run."""
-
-    @property
-    def conditions(self) -> Mapping[str, str]:
-        """Chain, samples, pieces, noise assumed, software version and the like, in words."""

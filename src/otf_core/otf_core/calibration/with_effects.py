@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration with effects taken off beside the one without.
+
+Reversal is left to the calibration's own choice (``reversal_choice``) unless the configuration
+says 'none': backlash and direction-dependent tables that a diagnosis finds are not taken off
+twice. A file that names one of them switches that choice off. Nodes too far apart
+(``table_resolution``) are nothing to take off: it is the tables that follow finer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from otf_core.calibration.calibrate import SolvedRecordings, assemble, solve_recordings
+from otf_core.calibration.correction import TABLES_OWN, calibrate_without
+from otf_core.calibration.result import CalibrationResult
+from otf_core.config import CalibrationConfig
+from otf_core.effects import AppliedEffect
+from otf_core.effects.effects_yaml import read_effects
+from otf_core.effects.stated import FILE
+from otf_core.effects.taken import Taken, taken
+from otf_core.errors import ConfigError
+from otf_core.pieces.runs import Recording
+from otf_core.solving.joint import Progress
+from otf_core.threads import in_one_thread
+
+REVERSAL = ('backlash', 'direction_dependent_tables')
+NOISE = 'tracker_noise'
+
+
+@dataclass(frozen=True)
+class EffectsCalibration:
+    """A calibration with effects taken off, and the one without beside it.
+
+    Attributes
+    ----------
+    result : CalibrationResult
+        What counts: with effects taken off if there were any.
+    plain : CalibrationResult
+        Without; the same if there were none.
+    applied : tuple of tuple of AppliedEffect
+        What was taken off, run by run.
+    words : str
+        What was done, in a sentence.
+    """
+
+    result: CalibrationResult
+    plain: CalibrationResult
+    applied: tuple[tuple[AppliedEffect, ...], ...]
+    words: str
+
+
+def take_off(
+    before: SolvedRecordings,
+    plain: CalibrationResult,
+    taking: Sequence[Taken],
+    config: CalibrationConfig,
+    words: str,
+    warnings: Sequence[str] = (),
+    progress: Progress = lambda stage, fraction: None,
+) -> EffectsCalibration:
+    """Calibrate with effects taken off, if there are any.
+
+    Parameters
+    ----------
+    before : SolvedRecordings
+    plain : CalibrationResult
+        Of these.
+    taking : sequence of Taken
+    config : CalibrationConfig
+        For the calibration with the effects taken off.
+    words : str
+        What is done, in a sentence.
+    warnings : sequence of str
+        Put before those of the result.
+    progress : callable(stage, fraction), optional
+    """
+    if not taking:
+        result = replace(plain, warnings=(*warnings, *plain.warnings))
+        return EffectsCalibration(result, plain, tuple(() for _ in before.runs), words)
+    result, found = calibrate_without(before, taking, config, progress)
+    of_plain = (f'of the plain calibration: {gate}' for gate in plain.failed_gates)
+    result = replace(result, warnings=(*warnings, *of_plain, *result.warnings))
+    applied = tuple(tuple(e.applied(k) for e in found.effects) for k in range(len(before.runs)))
+    return EffectsCalibration(result, plain, applied, words)
+
+
+@in_one_thread
+def calibrate_with_file(
+    recordings: Sequence[Recording],
+    file: str,
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+) -> EffectsCalibration:
+    """Calibrate on the fly with the effects of a file taken off.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Runs of one machine.
+    file : str
+        An effects.yaml, whose coefficients are estimated anew where the data see them and whose
+        shapes (time constant, period) are held.
+    config : CalibrationConfig, optional
+    progress : callable(stage, fraction), optional
+
+    Raises
+    ------
+    ConfigError
+        If the file names what cannot be taken off.
+    InputError
+        As ``calibrate_runs``.
+    """
+    config = config or CalibrationConfig()
+    progress = progress or (lambda stage, fraction: None)
+    named = _named(file, recordings)
+    solved = solve_recordings(recordings, config, progress)
+    taking = [taken([one] * len(solved.runs), FILE) for one in named]
+    own = config
+    if any(one.effect.name in REVERSAL for one in taking):
+        own = replace(config, reversal='none')
+    words = f'Effects of {file} taken off: {listed(taking)}.'
+    plain = assemble(solved.solution, config)
+    return take_off(solved, plain, taking, own, words, progress=progress)
+
+
+def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
+    """Effects of a file that can be taken off; ConfigError says why one cannot."""
+    found = read_effects(file, recordings[0].machine)
+    for one in found:
+        if one.effect.name == NOISE:
+            raise ConfigError(
+                f'{file}: {NOISE}: noise displaces nothing that could be taken off; its size is '
+                f'found from the data in every calibration; leave it out of the file'
+            )
+        if one.effect.name in TABLES_OWN:
+            raise ConfigError(
+                f'{file}: {one.effect.name}: belongs into the tables and is not taken off; the '
+                f'tables follow the data as finely as they call for; leave it out of the file'
+            )
+    if not found:
+        raise ConfigError(f'{file}: names no effect; leave --effects out for plain tables')
+    return list(found)
+
+
+def listed(taking: Sequence[Taken]) -> str:
+    """Names of the effects, each once."""
+    return ', '.join(dict.fromkeys(one.effect.name for one in taking))

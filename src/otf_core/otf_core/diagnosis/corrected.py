@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The calibration with the causes of a diagnosis taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from otf_core.calibration.calibrate import SolvedRecordings
+from otf_core.calibration.correction import TABLES_OWN
+from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.with_effects import REVERSAL, EffectsCalibration, listed, take_off
+from otf_core.config import CalibrationConfig
+from otf_core.diagnosis.engine.search import Cause
+from otf_core.effects import AppliedEffect
+from otf_core.effects.stated import FOUND
+from otf_core.effects.taken import Taken, taken
+
+SURE = 0.99
+"""Least confidence of a cause that is taken off without a warning."""
+
+
+def with_causes(
+    solved: SolvedRecordings,
+    plain: CalibrationResult,
+    causes: Sequence[Cause],
+    applied: Sequence[Sequence[AppliedEffect]],
+    config: CalibrationConfig,
+    sentence: str,
+) -> EffectsCalibration:
+    """Calibrate with causes taken off.
+
+    Parameters
+    ----------
+    solved : SolvedRecordings
+    plain : CalibrationResult
+        Of these.
+    causes : sequence of Cause
+    applied : sequence of sequence of AppliedEffect
+        For every run the causes with their parameters.
+    config : CalibrationConfig
+    sentence : str
+        What the diagnosis says.
+    """
+    chosen = [taken(list(found), FOUND) for found in zip(*applied, strict=True)]
+    taking, warnings = _to_take(chosen, causes, config)
+    done = f'Taken off: {listed(taking)}.' if taking else 'No effect was taken off.'
+    return take_off(solved, plain, taking, config, f'{sentence} {done}', warnings)
+
+
+def _to_take(
+    found: Sequence[Taken], causes: Sequence[Cause], config: CalibrationConfig
+) -> tuple[list[Taken], list[str]]:
+    """What of the causes found is taken off, and warnings."""
+    left = TABLES_OWN if config.reversal == 'none' else (*TABLES_OWN, *REVERSAL)
+    taking, warnings = [], []
+    for one, cause in zip(found, causes, strict=True):
+        if one.effect.name in left:
+            continue
+        taking.append(one)
+        said = []
+        if cause.confidence < SURE:
+            said.append(f'with a confidence of {cause.confidence:.2f} only')
+        others = [n for n in cause.indistinguishable if n not in left]
+        if others:
+            said.append(
+                f'not told from {" or ".join(others)}; tables with that taken off instead may '
+                f'differ by more than u'
+            )
+        if said:
+            warnings.append(f'effect taken off: {one.effect.name}, {"; ".join(said)}')
+    return taking, warnings

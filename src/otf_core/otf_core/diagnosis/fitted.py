@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the causes, fitted together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.search import Cause, fit_jointly
+from otf_core.effects import AppliedEffect
+
+Array = NDArray[np.float64]
+
+SIGNIFICANT = 2.0
+"""Standard deviations at which an axis takes part in a cause."""
+
+
+@dataclass(frozen=True)
+class FittedCause:
+    """Parameters of one cause.
+
+    Attributes
+    ----------
+    cause : Cause
+    value, u : ndarray, shape (k,)
+        Coefficients of its terms and their standard uncertainties.
+    """
+
+    cause: Cause
+    value: Array
+    u: Array
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the coefficients."""
+        return [self.cause.option.terms.names[i] for i in self.cause.option.take]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes whose coefficients are significant, strongest first."""
+        option = self.cause.option
+        strength: dict[str, float] = {}
+        for i, value, u, size in zip(option.take, self.value, self.u, option.size, strict=True):
+            axis = option.terms.axes[i]
+            if axis and abs(value) > SIGNIFICANT * u:
+                strength[axis] = strength.get(axis, 0.0) + (value * size) ** 2
+        largest = max(strength.values(), default=0.0)
+        kept = {a: s for a, s in strength.items() if s > 0.02 * largest}
+        return tuple(sorted(kept, key=lambda a: -kept[a]))
+
+    def applied(self, run: int) -> AppliedEffect:
+        """The effect with its fitted parameters in one run."""
+        option = self.cause.option
+        of_first = option.terms.columns.shape[2]  # what other runs have of their own comes after
+        place = option.take - of_first * (run if option.effect.own_per_run else 0)
+        values = {
+            option.terms.names[i]: float(value)
+            for i, value in zip(place, self.value, strict=True)
+            if 0 <= i < of_first
+        }
+        return AppliedEffect(option.effect, {**option.shape, **values})
+
+
+def fitted_causes(causes: Sequence[Cause], rows: Rows) -> list[FittedCause]:
+    """Fit all causes jointly and split the parameters up again."""
+    if not causes:
+        return []
+    fit = fit_jointly(causes, rows)
+    u = np.sqrt(np.diag(fit.covariance))
+    parts, start = [], 0
+    for cause in causes:
+        stop = start + cause.option.take.size
+        parts.append(FittedCause(cause, fit.value[start:stop], u[start:stop]))
+        start = stop
+    return parts

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the calibration leaves on a simulation of the same runs: the gap is what exceeds it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.diagnosis.engine.assess import plain_residuals
+from otf_core.diagnosis.engine.rows import Rows, build_rows
+from otf_core.model.frames import RigidTransform
+from otf_core.model.tables import ErrorTables
+from otf_core.pieces.runs import Recording, Run, reduced
+from otf_core.solving.reversal_choice import solve_with_reversal
+from otf_core.tracking.matching import OFF_PATH
+
+Array = NDArray[np.float64]
+Twin = Callable[[Run, RigidTransform, ErrorTables, int], Recording]
+"""Simulates a run with these tables: its samples on the path, at the same moments."""
+
+
+def simulated_residual_um(
+    rows: Rows, nodes: Mapping[str, Array], config: CalibrationConfig, twin: Twin, seed: int = 1
+) -> float:
+    """Residual that the calibration leaves on the twins of runs, um.
+
+    Parameters
+    ----------
+    rows : Rows
+        Of the runs.
+    nodes : mapping of axis to ndarray, m
+        Table nodes.
+    config : CalibrationConfig
+    twin : callable
+        ``sim.twin.twin_recording``.
+    seed : int
+        Of the noise in the first twin; the others follow.
+    """
+    runs = []
+    for k, (run, solved) in enumerate(zip(rows.runs, rows.done.runs, strict=True)):
+        recording = twin(run, solved.pose, rows.tables, seed + k)
+        leg = run.alignment.leg[run.alignment.leg != OFF_PATH]
+        again = reduced(recording, replace(run.alignment, leg=leg), nodes, config)
+        runs.append(replace(again, late=run.late))
+    plain = replace(config, reversal='none')
+    solution = solve_with_reversal(runs, dict(nodes), plain, lambda stage, fraction: None)
+    return plain_residuals(build_rows(*solution.plain, config.unidentifiable_above)).rms_um
