@@ -2,6 +2,7 @@
 """The rooms of the package: every file has one, and imports lead to lower floors only."""
 
 import ast
+import runpy
 from pathlib import Path
 
 import pytest
@@ -113,3 +114,9 @@ def test_rooms_that_never_meet(module):
     for a, b in NEVER:
         if f'{module}.'.startswith(f'{a}.'):
             assert not [o for o in imported(module) if f'{o}.'.startswith(f'{b}.')]
+
+
+def test_picture_of_the_house_is_that_of_the_imports():
+    root = Path(__file__).parents[3]
+    drawn = runpy.run_path(str(root / 'tools/house.py'))['picture']()
+    assert (root / 'docs/images/house.svg').read_text(encoding='utf-8') == drawn
