@@ -148,7 +148,9 @@ def record(name: str, cell: Cell) -> None:
     truth = random_tables(load_machine(machine_file), cell.error_size, rng)
     write_text(truth_file, json.dumps(tables_to_dict(truth), indent=1) + '\n')
     machine = {'machine_file': machine_file}
-    driver = {**machine, **cell.simulation, 'truth_tables': truth_file, 'time_scale': 20.0}
+    simulation = {**cell.simulation, 'truth_tables': truth_file}
+    simulated = {f'simulated.{name}': value for name, value in simulation.items()}
+    driver = {**machine, **simulated, 'time_scale': 20.0}
     with free_domain() as domain, tempfile.TemporaryDirectory() as logs:
         environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
         nodes = [

@@ -1,67 +1,243 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pacing of known samples: each exactly once, when it is due, never in a flood."""
+"""What every registered backend has to do, by itself and in the node; and that of the how-to."""
+
+import dataclasses
+import re
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
+from backend_sources import SOURCES
+from cells import SHORT
+from geometry_msgs.msg import PointStamped
+from graph import PATIENCE
+from rcl_interfaces.srv import DescribeParameters
 
-from otf_core.config import SimulationConfig
-from otf_core.model.observation import Samples
-from otf_tracker_driver.backends import BACKENDS, create_backend
-from otf_tracker_driver.backends.paced import PacedBackend
-from otf_tracker_driver.params import DriverConfig
+from otf_core.config import PlannerConfig
+from otf_core.errors import ConfigError, OtfError
+from otf_core.model.machine import load_machine
+from otf_core.planning.creator import plan_path
+from otf_ros import qos
+from otf_tracker_driver import backends
+from otf_tracker_driver.backends import BACKENDS, CommonConfig
 
+PAGE = Path(__file__).parents[1] / 'docs/add-a-backend.md'
+FROM_PAGE = 'csv'
+ENOUGH = 200
+"""samples"""
 
-class Known(PacedBackend):
-    """Samples at 100 Hz, on a clock that the test moves."""
-
-    def __init__(self, time_scale=1.0, max_rate=5000.0):
-        self.now = 0.0
-        super().__init__(time_scale, max_rate, clock=lambda: self.now)
-
-    def connect(self):
-        stamps = 1_700_000_000_000_000_000 + np.arange(1000) * 10_000_000
-        self.load(Samples(stamps, np.arange(3000.0).reshape(-1, 3)))
-        return ''
-
-    def play(self, step):
-        """Poll until the end; returns the batches."""
-        self.start()
-        batches = []
-        while not self.finished:
-            self.now += step
-            batches.append(self.poll())
-        return batches
+in_the_node = pytest.mark.parametrize('name', BACKENDS)
 
 
-@pytest.mark.parametrize('time_scale', [0.5, 1.0, 20.0])
-def test_every_sample_comes_once_and_at_its_time(time_scale):
-    backend = Known(time_scale)
-    backend.connect()
-    batches = backend.play(0.01)
-    stamps = np.concatenate([batch.stamp_ns for batch in batches])
-    assert np.array_equal(np.diff(stamps), np.full(999, 10_000_000))
-    assert backend.now == pytest.approx(9.99 / time_scale, abs=0.02)
-    again = np.concatenate([batch.stamp_ns for batch in backend.play(0.01)])
-    assert np.array_equal(again, stamps)
+@pytest.fixture
+def page(monkeypatch, tmp_path):
+    """The backend of the how-to, registered as it says there."""
+    file, source = re.findall(r'```python\n(.*?)```', PAGE.read_text(), re.DOTALL)
+    (tmp_path / f'{FROM_PAGE}.py').write_text(file)
+    line = re.search(r"^    '(csv\.\w+)',$", PAGE.read_text(), re.MULTILINE)[1]
+    monkeypatch.setattr(backends, '__path__', [*backends.__path__, str(tmp_path)])
+    monkeypatch.setitem(BACKENDS, *backends._loaded(line))
+    namespace = {}
+    exec(source, namespace)
+    monkeypatch.setitem(SOURCES, FROM_PAGE, namespace[FROM_PAGE])
+    yield
+    del sys.modules[f'{backends.__name__}.{FROM_PAGE}']
 
 
-def test_long_pause_of_the_process_makes_no_flood():
-    backend = Known()
-    backend.connect()
+@pytest.fixture(params=[*BACKENDS, FROM_PAGE])
+def name(request):
+    """Name of a backend; that of the how-to exists for the moment only."""
+    if request.param == FROM_PAGE:
+        request.getfixturevalue('page')
+    return request.param
+
+
+@pytest.fixture
+def source(name, tmp_path):
+    """Usable parameters, and what to change in them so that connecting fails."""
+    assert name in SOURCES, f'add a source of {name} to tests/backend_sources.py'
+    with contextmanager(SOURCES[name])(tmp_path) as given:
+        yield given
+
+
+@pytest.fixture
+def make(name):
+    """Make the backend of parameters that have their names in the node."""
+    made = []
+
+    def make(parameters):
+        own = {k.partition('.')[2]: v for k, v in parameters.items() if k.startswith(f'{name}.')}
+        common = {k: v for k, v in parameters.items() if not k.startswith(f'{name}.')}
+        kind = BACKENDS[name]
+        made.append(kind(CommonConfig(**common), kind.parameters(**own)))
+        return made[-1]
+
+    yield make
+    for backend in made:
+        backend.stop()
+        backend.disconnect()
+
+
+def prepare(backend, machine_file):
+    config = PlannerConfig(**SHORT)
+    plan = plan_path(load_machine(machine_file), config) if backend.needs_plan else None
+    backend.prepare(plan)
+    until(lambda: not backend.preparing)
+
+
+def until(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, 'waited in vain'
+        time.sleep(0.005)
+
+
+def streamed(backend):
+    """Start, take samples until there are enough, stop; returns stamps and points."""
+    batches = []
     backend.start()
-    backend.now += 5.0
-    assert len(backend.poll()) <= 11
 
+    def enough():
+        batches.append(backend.poll())
+        return backend.finished or sum(map(len, batches)) >= ENOUGH
 
-def test_max_rate_limits_the_time_scale_and_says_so():
-    backend = Known(time_scale=50.0, max_rate=1000.0)
-    backend.connect()
-    assert backend.time_scale == pytest.approx(10.0)
-    assert 'max_rate' in backend.remark
-
-
-@pytest.mark.parametrize('name', BACKENDS)
-def test_every_registered_backend_can_be_made(name):
-    backend = create_backend(DriverConfig(backend=name), SimulationConfig())
+    until(enough)
     backend.stop()
+    stamps = np.concatenate([batch.stamp_ns for batch in batches])
+    return stamps, np.concatenate([batch.xyz for batch in batches])
+
+
+def test_every_stream_has_points_and_strictly_increasing_stamps(make, source, machine_file):
+    backend = make(source[0])
+    said = backend.connect()
+    assert said and '\n' not in said
+    for _ in range(2):
+        prepare(backend, machine_file)
+        stamps, points = streamed(backend)
+        assert len(stamps) >= ENOUGH
+        assert stamps.dtype == np.int64 and np.all(np.diff(stamps) > 0)
+        assert points.dtype == np.float64 and np.all(np.isfinite(points))
+    assert backend.path is None or backend.brings_path
+
+
+def test_stop_and_disconnect_are_possible_at_any_time(make, source, machine_file):
+    for connected, prepared in ((False, False), (True, False), (True, True)):
+        backend = make(source[0])
+        if connected:
+            backend.connect()
+        if prepared:
+            prepare(backend, machine_file)
+            backend.start()
+        backend.stop()
+        backend.stop()
+        backend.disconnect()
+
+
+def test_source_that_cannot_be_used_is_named_in_one_line(make, source):
+    usable, unusable = source
+    backend = make({**usable, **unusable})
+    with pytest.raises(OtfError) as caught:
+        backend.connect()
+    said = str(caught.value)
+    assert '\n' not in said and all(str(value) in said for value in unusable.values())
     backend.disconnect()
+
+
+def test_required_parameter_is_asked_for_by_the_name_it_has_in_the_node(name, make, source):
+    for info in BACKENDS[name].parameters.infos():
+        if 'required' in info.meaning:
+            full = f'{name}.{info.name}'
+            backend = make({**source[0], full: info.default})
+            with pytest.raises(ConfigError, match=f'^parameter {full}: missing; '):
+                backend.connect()
+
+
+def test_parameters_are_described_bounded_and_frozen(name):
+    kind = BACKENDS[name].parameters
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        kind().more = 1
+    for info in kind.infos():
+        assert len(info.meaning) > 10, info.name
+        assert getattr(kind(), info.name) == info.default
+        if isinstance(info.default, (int, float)) and not isinstance(info.default, bool):
+            assert info.low <= info.default <= info.high
+            for beyond in (info.low - 1, info.high + 1):
+                with pytest.raises(ConfigError, match=f'^{info.name}: .*out of range'):
+                    kind(**{info.name: type(info.default)(beyond)})
+
+
+@in_the_node
+def test_node_streams_until_deactivated_and_again_from_the_beginning(graph, name, source):
+    points = graph.listen(PointStamped, 'tracker/point', qos.MEASUREMENT)
+    graph.start('tracker_driver', backend=name, **source[0])
+    if BACKENDS[name].needs_plan:
+        graph.start('path_planner', machine_file=source[0]['machine_file'], **SHORT)
+    streams = []
+    for _ in range(2):
+        status = graph.wait_for_status('STREAMING')
+        streams.append(status.stream_id)
+        assert status.backend == name
+        graph.wait(lambda: len(points) >= ENOUGH, 'samples')
+        assert graph.transition('deactivate')
+        published = graph.wait_for_status('IDLE', 'stopped').samples_published
+        graph.wait(lambda n=published: len(points) >= n, 'the last samples')
+        assert len(points) == published
+        stamps = [p.header.stamp.sec * 10**9 + p.header.stamp.nanosec for p in points]
+        assert all(np.diff(stamps) > 0)
+        assert {p.header.frame_id for p in points} == {'tracker'}
+        points.clear()
+        assert graph.transition('activate')
+    assert streams[0] != streams[1]
+    assert graph.transition('deactivate') and graph.transition('cleanup')
+
+
+@in_the_node
+def test_node_says_what_is_wrong_in_one_error_and_ends_with_its_code(graph, name, source):
+    usable, unusable = source
+    node = graph.start('tracker_driver', backend=name, **{**usable, **unusable})
+    graph.nodes.remove(node)
+    assert node.wait(timeout=PATIENCE) in (2, 3)
+    said = [line for line in node.last_lines(100).splitlines() if line.startswith('error: ')]
+    assert len(said) == 1 and all(str(value) in said[0] for value in unusable.values())
+    assert 'Traceback' not in node.last_lines(100)
+
+
+@in_the_node
+def test_node_can_be_configured_once_the_source_is_right(graph, name, source):
+    usable, unusable = source
+    given = {'backend': name, 'auto_start': False, **usable, **unusable}
+    graph.start('tracker_driver', **given)
+    assert not graph.transition('configure')
+    said = graph.wait_for_status('FAULT').message
+    assert all(str(value) in said for value in unusable.values())
+    before = {info.name: info.default for info in CommonConfig.infos()}
+    before |= {f'{name}.{i.name}': i.default for i in BACKENDS[name].parameters.infos()}
+    for changed in unusable:
+        value = usable.get(changed, before[changed])
+        assert graph.set_parameter('tracker_driver', changed, value).successful
+    assert graph.transition('configure')
+    assert graph.lifecycle_state() == 'inactive'
+
+
+def test_node_describes_and_checks_the_parameters_of_all_backends(graph):
+    graph.start('tracker_driver', auto_start=False)
+    infos = {
+        f'{name}.{info.name}': info
+        for name, backend in BACKENDS.items()
+        for info in backend.parameters.infos()
+    }
+    request = DescribeParameters.Request(names=list(infos))
+    answer = graph.call(DescribeParameters, 'tracker_driver/describe_parameters', request)
+    for described in answer.descriptors:
+        info = infos[described.name]
+        assert info.meaning in described.description and info.unit in described.description
+        limits = described.floating_point_range or described.integer_range
+        if info.low is not None:
+            assert (limits[0].from_value, limits[0].to_value) == (info.low, info.high)
+            beyond = type(info.default)(info.high + 1)
+            refused = graph.set_parameter('tracker_driver', described.name, beyond)
+            assert not refused.successful and described.name in refused.reason
+    assert len(answer.descriptors) == len(infos)

@@ -6,7 +6,7 @@ from geometry_msgs.msg import PointStamped
 
 from otf_ros import qos
 
-SLOW = {'rate': 200.0, 'time_scale': 1.0}
+SLOW = {'simulated.rate': 200.0, 'time_scale': 1.0}
 
 
 def test_every_transition_does_what_its_name_says(graph, machine_file):

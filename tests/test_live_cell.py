@@ -15,7 +15,7 @@ from otf_ros import qos
 def start_all(graph, machine_file, truth, **driver):
     graph.start('path_planner', machine_file=machine_file, **SHORT)
     graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder / 'out')
-    given = {'machine_file': machine_file, 'truth_tables': truth, **FAST, **driver}
+    given = {'machine_file': machine_file, 'simulated.truth_tables': truth, **FAST, **driver}
     return graph.start('tracker_driver', **given)
 
 
@@ -64,7 +64,8 @@ def test_calibrates_again_without_restart(graph, machine_file, tmp_path):
     graph.wait_for_status('FINISHED')
     assert graph.transition('deactivate')
     assert graph.transition('cleanup')
-    assert graph.set_parameter('tracker_driver', 'truth_tables', str(truths[1])).successful
+    other = ('simulated.truth_tables', str(truths[1]))
+    assert graph.set_parameter('tracker_driver', *other).successful
     assert graph.transition('configure')
     assert graph.transition('activate')
     second, _ = graph.wait_for_result(2)
@@ -95,7 +96,8 @@ def test_standstill_method_uses_the_stops(graph, machine_file, tmp_path):
     graph.start('path_planner', machine_file=machine_file, **SHORT, **stops)
     given = {'machine_file': machine_file, 'output_directory': tmp_path / 'out'}
     graph.start('calibrator', **given, method='standstill')
-    graph.start('tracker_driver', machine_file=machine_file, truth_tables=truth, **FAST)
+    simulated = {'simulated.truth_tables': truth, **FAST}
+    graph.start('tracker_driver', machine_file=machine_file, **simulated)
     result, state = graph.wait_for_result()
     assert (result.method, state.name) == ('standstill', 'DONE'), state.message
     folder = Path(result.output_directory)

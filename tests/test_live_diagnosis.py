@@ -26,7 +26,7 @@ BACKLASH = 8e-6
 """m, of X"""
 TO_AND_FRO = {'passes': 2, 'levels': 2, 'feed': 0.5, 'corner_dwell': 0.1}
 """Parameters of the planner for a short path that shows backlash."""
-FASTEST = {'rate': 100.0, 'time_scale': 40.0}
+FASTEST = {'simulated.rate': 100.0, 'time_scale': 40.0}
 """Parameters of the driver for a few samples in a short time."""
 PIECE_LENGTH = 0.02
 """m; longer than by default: fewer rows"""
@@ -41,8 +41,8 @@ def start_all(graph, machine_file):
     graph.start('path_planner', **machine, **TO_AND_FRO)
     given = {'output_directory': graph.folder / 'out', 'piece_length': PIECE_LENGTH}
     calibrator = graph.start('calibrator', **machine, **given, diagnose=True)
-    wrong = {'truth_tables': write_truth(graph.folder, machine_file)}
-    wrong['effects'] = graph.folder / 'effects.yaml'
+    wrong = {'simulated.truth_tables': write_truth(graph.folder, machine_file)}
+    wrong['simulated.effects'] = graph.folder / 'effects.yaml'
     graph.start('tracker_driver', **machine, **wrong, **FASTEST)
     return calibrator
 

@@ -18,10 +18,10 @@ WRONG = [
     ('path_planner', {'path_file': '/no/such/path.csv'}, '/no/such/path.csv'),
     ('tracker_driver', {'backend': 'laser'}, 'possible: simulated, replay'),
     ('tracker_driver', {'time_scale': 1000.0}, 'time_scale: 1000 is out of range'),
-    ('tracker_driver', {'backend': 'replay'}, 'parameter bag: missing'),
-    ('tracker_driver', {'backend': 'replay', 'bag': '/no/such/bag'}, '/no/such/bag'),
-    ('tracker_driver', {'truth_tables': '/no/such/tables.json'}, '/no/such/tables.json'),
-    ('tracker_driver', {'effects': '/no/such/effects.yaml'}, '/no/such/effects.yaml'),
+    ('tracker_driver', {'machine_file': ''}, 'machine_file: missing'),
+    ('tracker_driver', {'backend': 'replay'}, 'parameter replay.bag: missing'),
+    ('tracker_driver', {'simulated.rate': 1e5}, 'simulated.rate: 100000 is out of range'),
+    ('tracker_driver', {'simulated.truth_tables': '/no/such/tables.json'}, '/no/such/tables.json'),
     ('calibrator', {'piece_length': 5.0}, 'piece_length: 5 is out of range'),
     ('calibrator', {'machine_file': ''}, 'machine_file: missing'),
     ('calibrator', {'effects': '/no/such/effects.yaml'}, '/no/such/effects.yaml'),
@@ -85,19 +85,28 @@ def test_parameter_file_is_up_to_date():
 
 def test_parameter_file_holds_the_defaults_in_their_types():
     content = yaml.safe_load(config_file('params.yaml').read_text())
-    for node, groups in params_file.NODES.items():
+    for node in params_file.NODES:
         values = content[f'/**/{node}']['ros__parameters']
-        for info in (info for group in groups for info in group.infos()):
+        for info in params_file.infos(node):
             assert (type(values[info.name]), values[info.name]) == (
                 type(info.default),
                 info.default,
             )
 
 
+def test_parameter_of_a_backend_without_its_name_gets_a_hint(graph, machine_file):
+    node = graph.start('tracker_driver', ['-p', 'bag:=x'], machine_file=machine_file)
+    graph.wait_for_status('IDLE')
+    assert "'bag' is unknown here; did you mean 'replay.bag'?" in node.last_lines(100)
+
+
 def test_nodes_read_the_parameter_file(graph, machine_file):
     changed = config_file('params.yaml').read_text().replace('passes: 2', 'passes: 3')
+    changed = changed.replace('simulated.rate: 500.0', 'simulated.rate: 123.0')
     (graph.folder / 'params.yaml').write_text(changed)
     arguments = ['--params-file', str(graph.folder / 'params.yaml')]
     node = graph.start('path_planner', [*arguments, '-p', f'machine_file:={machine_file}'])
     graph.wait(lambda: 'planned for' in node.last_lines(), 'the plan')
     assert '295 points' in node.last_lines()
+    graph.start('tracker_driver', [*arguments, '-p', f'machine_file:={machine_file}'])
+    assert graph.wait_for_status('IDLE').rate == 123.0

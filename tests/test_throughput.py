@@ -9,12 +9,13 @@ from cells import SHORT
 QUICK = {'feed': 2.0, 'corner_dwell': 0.0, 'end_dwell': 1.5}
 
 
-def start_cell(graph, machine_file, **driver):
+def start_cell(graph, machine_file, rate, **driver):
     """Start a cell that calibrates when the stream has ended; returns the calibrator."""
     graph.start('path_planner', machine_file=machine_file, **SHORT, **QUICK)
     given = {'machine_file': machine_file, 'output_directory': graph.folder / 'out'}
     node = graph.start('calibrator', **given, save_bag=False, finish_at_standstill=False)
-    graph.start('tracker_driver', machine_file=machine_file, acceleration=20.0, **driver)
+    simulated = {'simulated.rate': rate, 'simulated.acceleration': 20.0}
+    graph.start('tracker_driver', machine_file=machine_file, **simulated, **driver)
     return node
 
 

@@ -33,11 +33,11 @@ def _range(info: Any) -> str:
     return f'{low} to {high}'
 
 
-def rows(groups: Any) -> Iterator[str]:
-    """Yield the lines of one table for groups of parameters."""
+def rows(infos: Any) -> Iterator[str]:
+    """Yield the lines of one table of parameters."""
     yield '| parameter | default | unit | range | meaning |'
     yield '|---|---|---|---|---|'
-    for info in (info for group in groups for info in group.infos()):
+    for info in infos:
         cells = (f'`{info.name}`', _shown(info.default), info.unit, _range(info), info.meaning)
         yield '| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |'
 
@@ -48,13 +48,14 @@ def tables() -> str:
         folder = str(ROOT / 'src' / name)
         if folder not in sys.path:
             sys.path.append(folder)
-    from otf_bringup.params_file import NODES
+    from otf_bringup.params_file import NODES, infos
     from otf_core.config import ForecastConfig
 
+    shown = {f'`{node}`': infos(node) for node in NODES}
+    shown['forecast of `./otf plan`'] = ForecastConfig.infos()
     parts: list[str] = []
-    for title, groups in (*NODES.items(), ('forecast of `./otf plan`', (ForecastConfig,))):
-        name = f'`{title}`' if title in NODES else title
-        parts += [f'**{name}**', '', *rows(groups), '']
+    for title, its_infos in shown.items():
+        parts += [f'**{title}**', '', *rows(its_infos), '']
     return '\n'.join(parts).strip()
 
 

@@ -7,62 +7,89 @@ ros2 launch otf_bringup cell.launch.py diagnose:=true effects:=BACKLASH.yaml
 ros2 launch otf_bringup cell.launch.py backend:=replay bag:=BAG machine_file:=MACHINE.yaml
 """
 
+from contextlib import suppress
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration, TextSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
+from otf_tracker_driver.backends import BACKENDS
+
+CONFIG = Path(get_package_share_directory('otf_bringup')) / 'config'
+ARGUMENTS = [
+    ('machine_file', str(CONFIG / 'machine.yaml'), 'machine description'),
+    ('params_file', str(CONFIG / 'params.yaml'), 'all other parameters'),
+    ('namespace', '', 'namespace of nodes and topics'),
+    ('output_directory', 'calibrations', 'where results go'),
+    ('path_file', '', 'CSV with corner points (x,y,z) to drive instead of a created path'),
+    ('backend', 'simulated', f'source of the samples: {" or ".join(BACKENDS)}'),
+    ('time_scale', '1.0', 'how many times as fast as measured to simulate or replay'),
+    ('diagnose', 'false', 'diagnose every run after its calibration'),
+]
+SHORT = {
+    'replay.bag': 'bag',
+    'simulated.truth_tables': 'truth_tables',
+    'simulated.effects': 'effects',
+}
+"""Parameters of backends whose launch argument leaves out the name of the backend."""
+KINDS = {'time_scale': float, 'diagnose': bool}
+BACKEND_PARAMETERS = {
+    f'{name}.{info.name}': info
+    for name, backend in BACKENDS.items()
+    for info in backend.parameters.infos()
+}
 
 
 def generate_launch_description():
-    config = Path(get_package_share_directory('otf_bringup')) / 'config'
-    arguments = [
-        ('machine_file', str(config / 'machine.yaml'), 'machine description'),
-        ('params_file', str(config / 'params.yaml'), 'all other parameters'),
-        ('namespace', '', 'namespace of nodes and topics'),
-        ('output_directory', 'calibrations', 'where results go'),
-        ('path_file', '', 'CSV with corner points (x,y,z) to drive instead of a created path'),
-        ('backend', 'simulated', 'source of the samples: simulated or replay'),
-        ('bag', '', 'bag to replay; its path is used, the planner does not run'),
-        ('time_scale', '1.0', 'how many times as fast as real time to simulate or replay'),
-        ('truth_tables', '', 'error_tables.json of the simulated machine; empty: drawn'),
-        ('effects', '', 'effects.yaml: what else is wrong in the simulated cell'),
-        ('diagnose', 'false', 'diagnose every run after its calibration'),
+    own = [
+        (SHORT.get(name, name), '', f'{info.meaning} (default: that of params_file)')
+        for name, info in BACKEND_PARAMETERS.items()
+    ]
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, default, text in (*ARGUMENTS, *own)
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=nodes)])
+
+
+def nodes(context):
+    """Return the nodes; no planner where the path comes with the samples."""
+    given = context.launch_configurations
+    backend = BACKENDS.get(given['backend'])
+    own = {
+        name: parameter(given[SHORT.get(name, name)], type(info.default))
+        for name, info in BACKEND_PARAMETERS.items()
+        if given[SHORT.get(name, name)]
+    }
+    planner = node('path_planner', given, ['machine_file', 'path_file'])
+    return [
+        *([] if backend and backend.brings_path else [planner]),
+        node('calibrator', given, ['machine_file', 'output_directory', 'diagnose']),
+        node('tracker_driver', given, ['machine_file', 'backend', 'time_scale'], own),
     ]
 
-    kinds = {'time_scale': float, 'diagnose': bool}
 
-    def node(name, taken, **options):
-        given = {
-            key: ParameterValue(LaunchConfiguration(key), value_type=kinds.get(key, str))
-            for key in taken
-        }
-        return Node(
-            package=f'otf_{name}',
-            executable=name,
-            name=name,
-            namespace=LaunchConfiguration('namespace'),
-            parameters=[LaunchConfiguration('params_file'), given],
-            output='screen',
-            emulate_tty=True,
-            **options,
-        )
+def parameter(text, kind):
+    """Return the text of a launch argument as a parameter; what does not fit the node refuses."""
+    if kind is float:
+        with suppress(ValueError):
+            return float(text)  # YAML takes 1e-5 for text
+    return ParameterValue(TextSubstitution(text=text), value_type=str if kind is str else None)
 
-    driven = ['machine_file', 'backend', 'bag', 'truth_tables', 'effects', 'time_scale']
-    simulated = IfCondition(EqualsSubstitution(LaunchConfiguration('backend'), 'simulated'))
-    return LaunchDescription(
-        [
-            *(
-                DeclareLaunchArgument(name, default_value=value, description=text)
-                for name, value, text in arguments
-            ),
-            node('path_planner', ['machine_file', 'path_file'], condition=simulated),
-            node('calibrator', ['machine_file', 'output_directory', 'diagnose']),
-            node('tracker_driver', driven),
-        ]
+
+def node(name, given, taken, further=None):
+    """Return a node that takes parameters from the launch arguments of the same names."""
+    parameters = {key: parameter(given[key], KINDS.get(key, str)) for key in taken}
+    return Node(
+        package=f'otf_{name}',
+        executable=name,
+        name=name,
+        namespace=LaunchConfiguration('namespace'),
+        parameters=[LaunchConfiguration('params_file'), {**parameters, **(further or {})}],
+        output='screen',
+        emulate_tty=True,
     )

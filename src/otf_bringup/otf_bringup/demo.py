@@ -127,12 +127,13 @@ def _start(
     simulation = {'rate': RATE, 'seed': options.seed, 'truth_tables': out / 'truth.json'}
     if options.effects:
         simulation['effects'] = options.effects.absolute()
+    simulated = {f'simulated.{name}': value for name, value in simulation.items()}
     results = {'output_directory': out / 'calibrations', 'diagnose': options.diagnose}
     speed = {'time_scale': 10.0, 'max_rate': 6000.0}
     given: dict[str, dict[str, Any]] = {
         'path_planner': machine,
         'calibrator': {**machine, **results},
-        'tracker_driver': {**machine, **simulation, **speed},
+        'tracker_driver': {**machine, **simulated, **speed},
     }
     nodes: list[NodeProcess] = []
     try:

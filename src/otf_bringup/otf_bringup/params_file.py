@@ -10,28 +10,36 @@ import json
 import sys
 import textwrap
 from collections.abc import Iterator
+from dataclasses import replace
 
 from otf_calibrator.params import CalibratorConfig
-from otf_core.config import (
-    CalibrationConfig,
-    ParameterInfo,
-    Parameters,
-    PlannerConfig,
-    SimulationConfig,
-)
+from otf_core.config import CalibrationConfig, ParameterInfo, Parameters, PlannerConfig
 from otf_path_planner.params import PlannerFiles
+from otf_tracker_driver.backends import BACKENDS, CommonConfig
 from otf_tracker_driver.params import DriverConfig
 
 NODES: dict[str, tuple[type[Parameters], ...]] = {
     'path_planner': (PlannerFiles, PlannerConfig),
-    'tracker_driver': (DriverConfig, SimulationConfig),
+    'tracker_driver': (DriverConfig, CommonConfig),
     'calibrator': (CalibratorConfig, CalibrationConfig),
 }
+NAMED: dict[str, dict[str, type[Parameters]]] = {
+    'tracker_driver': {name: backend.parameters for name, backend in BACKENDS.items()},
+}
+"""Groups whose parameters a node declares as NAME.parameter."""
 HEAD = """\
 # Parameters of the nodes with their defaults, for ros2 launch ... params_file:=THIS_FILE.
 # Made by `python3 -m otf_bringup.params_file`. What the launch file sets by arguments of its own
-# (machine_file, backend, bag, time_scale, output_directory, ...) wins over this file.
+# (machine_file, backend, time_scale, output_directory, ...) wins over this file.
 """
+
+
+def infos(node: str) -> Iterator[ParameterInfo]:
+    """Yield what is known of every parameter of a node, by the names they have there."""
+    for group in NODES[node]:
+        yield from group.infos()
+    for name, group in NAMED.get(node, {}).items():
+        yield from (replace(info, name=f'{name}.{info.name}') for info in group.infos())
 
 
 def _comment(info: ParameterInfo) -> list[str]:
@@ -55,11 +63,11 @@ def _value(value: object) -> str:
 def lines() -> Iterator[str]:
     """Yield the lines of the file."""
     yield from HEAD.splitlines()
-    for node, groups in NODES.items():
+    for node in NODES:
         yield ''
         yield f'/**/{node}:'
         yield '  ros__parameters:'
-        for info in (info for group in groups for info in group.infos()):
+        for info in infos(node):
             yield from _comment(info)
             yield f'    {info.name}: {_value(info.default)}'
 

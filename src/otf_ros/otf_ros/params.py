@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -50,6 +51,12 @@ def descriptor(info: ParameterInfo, read_only: bool = False) -> ParameterDescrip
     return result
 
 
+def _infos(name: str, group: type[Parameters]) -> Iterator[ParameterInfo]:
+    """Yield what is known of every parameter of a group, by the names they have in the node."""
+    for info in group.infos():
+        yield replace(info, name=f'{name}.{info.name}') if name else info
+
+
 class NodeParameters:
     """The parameters of one node.
 
@@ -58,6 +65,8 @@ class NodeParameters:
     node : rclpy.node.Node
     *groups : subclasses of otf_core.config.Parameters
         Names must differ between the groups.
+    named : mapping of str to subclasses of otf_core.config.Parameters, optional
+        Groups whose parameters are declared as NAME.parameter.
     read_only : iterable of str
         Parameters for which a change while running would have no effect.
 
@@ -68,32 +77,41 @@ class NodeParameters:
     """
 
     def __init__(
-        self, node: Node, *groups: type[Parameters], read_only: Iterable[str] = ()
+        self,
+        node: Node,
+        *groups: type[Parameters],
+        named: Mapping[str, type[Parameters]] | None = None,
+        read_only: Iterable[str] = (),
     ) -> None:
         self._node = node
-        self._groups = groups
-        self._infos = {info.name: info for group in groups for info in group.infos()}
+        self._groups = [*(('', group) for group in groups), *(named or {}).items()]
+        self._infos = {i.name: i for group in self._groups for i in _infos(*group)}
         for info in self._infos.values():
             self._declare(info, info.name in read_only)
-        for group in groups:
-            self.read(group)
+        for name, group in self._groups:
+            self.read(group, name)
         self._warn_of_unknown()
         node.add_pre_set_parameters_callback(self._as_declared_type)
         node.add_on_set_parameters_callback(self._check)
 
-    def read(self, group: type[P], changed: dict[str, Any] | None = None) -> P:
+    def read(self, group: type[P], name: str = '', changed: dict[str, Any] | None = None) -> P:
         """Return the present values of one group, checked as a whole.
 
         Parameters
         ----------
         group : subclass of otf_core.config.Parameters
+        name : str
+            Name of the group, if it has one.
         changed : dict, optional
-            Values that shall replace present ones.
+            Values that shall replace present ones, by the names they have in the node.
         """
-        values = {i.name: self._node.get_parameter(i.name).value for i in group.infos()}
-        for name in values.keys() & (changed or {}).keys():
-            values[name] = (changed or {})[name]
-        return group(**values)
+        start = f'{name}.' if name else ''
+        values = {i.name: self._node.get_parameter(start + i.name).value for i in group.infos()}
+        values |= {k: changed[start + k] for k in values if start + k in (changed or {})}
+        try:
+            return group(**values)
+        except ConfigError as error:
+            raise ConfigError(f'{start}{error}') from None
 
     def _declare(self, info: ParameterInfo, read_only: bool) -> None:
         # first without a type: `feed:=1` shall be accepted for 1.0, and a wrong type is refused
@@ -111,7 +129,8 @@ class NodeParameters:
         given = getattr(self._node, '_parameter_overrides', {})  # rclpy keeps them to itself
         for name in sorted(set(given) - set(self._infos)):
             if not name.startswith(_FOREIGN):
-                close = difflib.get_close_matches(name, self._infos, 1)
+                same = [known for known in self._infos if known.endswith(f'.{name}')]
+                close = same or difflib.get_close_matches(name, self._infos, 1)
                 hint = f"; did you mean '{close[0]}'?" if close else ''
                 self._node.get_logger().warning(f"parameter '{name}' is unknown here{hint}")
 
@@ -128,9 +147,9 @@ class NodeParameters:
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         changed = {p.name: p.value for p in parameters}
         try:
-            for group in self._groups:
-                if changed.keys() & {i.name for i in group.infos()}:
-                    self.read(group, changed)
+            for name, group in self._groups:
+                if changed.keys() & {i.name for i in _infos(name, group)}:
+                    self.read(group, name, changed)
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

@@ -9,12 +9,12 @@ from __future__ import annotations
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
-from otf_core.config import SimulationConfig
 from otf_core.errors import OtfError
 from otf_msgs.msg import Plan, TrackerStatus
 from otf_ros import app, qos
 from otf_ros.lifecycle import SteadyLifecycleNode
 from otf_ros.params import NodeParameters
+from otf_tracker_driver.backends import BACKENDS, Backend, CommonConfig
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
 from otf_tracker_driver.streamer import Streamer
@@ -34,8 +34,9 @@ class TrackerDriver(SteadyLifecycleNode):
 
     def __init__(self) -> None:
         super().__init__('tracker_driver')
-        groups = (DriverConfig, SimulationConfig)
-        self._settings = NodeParameters(self, *groups, read_only=['auto_start'])
+        own = {name: backend.parameters for name, backend in BACKENDS.items()}
+        groups = (DriverConfig, CommonConfig)
+        self._settings = NodeParameters(self, *groups, named=own, read_only=['auto_start'])
         self._streamer: Streamer | None = None
         self._plan: Plan | None = None
         self._error: OtfError | None = None
@@ -54,8 +55,8 @@ class TrackerDriver(SteadyLifecycleNode):
         config = self._settings.read(DriverConfig)
         self._status.describe(config.backend, config.frame_id)
         try:
-            simulation = self._settings.read(SimulationConfig)
-            self._streamer = Streamer(self, self._status, config, simulation)
+            backend = self._make_backend(config.backend)
+            self._streamer = Streamer(self, self._status, config, backend)
         except OtfError as error:
             self._error = error
             self._status.report(TrackerStatus.FAULT, f'{error}; correct it and configure again')
@@ -103,6 +104,11 @@ class TrackerDriver(SteadyLifecycleNode):
         if self._streamer:
             self._streamer.release()
             self._streamer = None
+
+    def _make_backend(self, name: str) -> Backend:
+        kind = BACKENDS[name]
+        own = self._settings.read(kind.parameters, name)
+        return kind(self._settings.read(CommonConfig), own)
 
     def _on_plan(self, message: Plan) -> None:
         self._plan = message

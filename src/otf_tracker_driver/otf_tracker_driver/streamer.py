@@ -7,11 +7,10 @@ from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleNode
 
-from otf_core.config import SimulationConfig
 from otf_core.errors import OtfError
 from otf_msgs.msg import Plan, TrackerStatus
 from otf_ros import convert, qos
-from otf_tracker_driver.backends import create_backend
+from otf_tracker_driver.backends import Backend
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
 
@@ -20,7 +19,7 @@ PERIOD = 0.005
 
 
 class Streamer:
-    """One connected backend and the publisher of its samples.
+    """One backend, connected here, and the publisher of its samples.
 
     Raises
     ------
@@ -29,16 +28,16 @@ class Streamer:
     """
 
     def __init__(
-        self,
-        node: LifecycleNode,
-        status: Status,
-        config: DriverConfig,
-        simulation: SimulationConfig,
+        self, node: LifecycleNode, status: Status, config: DriverConfig, backend: Backend
     ) -> None:
         self._node, self._status, self._config = node, status, config
-        self._backend = create_backend(config, simulation)
-        self.description = self._backend.connect()
-        status.source(self._backend)
+        self._backend = backend
+        try:
+            self.description = backend.connect()
+        except OtfError:
+            backend.disconnect()
+            raise
+        status.source(backend)
         self._points = node.create_lifecycle_publisher(
             PointStamped, 'tracker/point', qos.MEASUREMENT
         )

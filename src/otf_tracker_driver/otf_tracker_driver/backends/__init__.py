@@ -1,23 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sources of tracker samples. A new one is a file here and a line in names.py."""
+"""Registry of the sources of tracker samples: one line each. See docs/add-a-backend.md."""
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
-from otf_tracker_driver.backends.base import Backend
-from otf_tracker_driver.backends.names import BACKENDS
+from otf_tracker_driver.backends.base import Backend, CommonConfig
 
-if TYPE_CHECKING:
-    from otf_core.config import SimulationConfig
-    from otf_tracker_driver.params import DriverConfig
-
-__all__ = ['BACKENDS', 'Backend', 'create_backend']
+_CLASSES = (
+    'simulated.SimulatedTracker',
+    'replay.Replay',
+)
+"""FILE.CLASS, by the files of this folder; FILE also names the backend and its parameters."""
 
 
-def create_backend(config: DriverConfig, simulation: SimulationConfig) -> Backend:
-    """Return the backend that the parameters name, not yet connected."""
-    module, _, name = BACKENDS[config.backend].partition(':')
-    backend: Backend = getattr(import_module(module), name)(config, simulation)
-    return backend
+def _loaded(entry: str) -> tuple[str, type[Backend]]:
+    name, _, kind = entry.partition('.')
+    return name, getattr(import_module(f'{__name__}.{name}'), kind)
+
+
+BACKENDS: dict[str, type[Backend]] = dict(map(_loaded, _CLASSES))
+
+__all__ = ['BACKENDS', 'Backend', 'CommonConfig']

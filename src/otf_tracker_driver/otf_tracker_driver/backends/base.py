@@ -5,15 +5,18 @@ Life of a backend: connect, then any number of streams (prepare, start, poll unt
 stop), then disconnect. All calls come from one thread. ``poll`` returns whatever has been measured
 since the call before, so a tracker that sends packets of hundreds of samples fits as well as one
 that sends them singly; a real device would read its socket in a thread of its own and hand over
-what has arrived.
+what has arrived. How to add one: docs/add-a-backend.md.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from otf_core.config import Parameters, parameter
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
@@ -21,28 +24,60 @@ from otf_core.model.plan import Plan
 NO_SAMPLES = Samples(np.empty(0, np.int64), np.empty((0, 3)))
 
 
+@dataclass(frozen=True)
+class CommonConfig(Parameters):
+    """What several backends share; declared without the name of a backend in front."""
+
+    machine_file: str = parameter(
+        '', 'machine description (machine.yaml); backends that simulate the cell require it'
+    )
+    time_scale: float = parameter(
+        1.0, 'samples known beforehand, simulated or recorded, come this many times as fast as '
+        'they were measured', '', 0.1, 50.0,
+    )  # fmt: skip
+    max_rate: float = parameter(
+        5000.0, 'most samples published per second; limits time_scale so that subscribers '
+        'keep up', 'Hz', 10.0, 50000.0,
+    )  # fmt: skip
+
+
 class Backend(ABC):
     """A source of tracker samples.
 
+    Parameters
+    ----------
+    common : CommonConfig
+    own : Parameters
+        Of the class that ``parameters`` names.
+
     Attributes
     ----------
+    parameters : subclass of Parameters
+        Its own parameters, declared by the node as NAME.parameter.
+    brings_path : bool
+        True if the nominal path comes with the samples, so no planner is needed.
+    needs_plan : bool
+        True if ``prepare`` must be given a plan.
     rate : float, Hz
         Samples per second of measurement time; 0 while unknown.
     expected : int
         Samples of the whole stream; 0 if the source does not know.
     path : NominalPath or None
-        Nominal path that comes with the samples.
-    needs_plan : bool
-        True if ``prepare`` must be given a plan.
+        Nominal path that comes with the samples; known once connected.
     remark : str
         What is worth saying about the stream when it starts.
     """
 
+    parameters: ClassVar[type[Parameters]]
+    brings_path: ClassVar[bool] = False
+    needs_plan: ClassVar[bool] = False
     rate: float = 0.0
     expected: int = 0
     path: NominalPath | None = None
-    needs_plan: bool = False
     remark: str = ''
+
+    def __init__(self, common: CommonConfig, own: Parameters) -> None:
+        self.common, self.own = common, own
 
     @abstractmethod
     def connect(self) -> str:
@@ -73,4 +108,4 @@ class Backend(ABC):
         """End the stream; nothing happens if there is none."""
 
     def disconnect(self) -> None:  # noqa: B027
-        """Release the source."""
+        """Release the source; comes at any time, also if ``connect`` failed."""

@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from otf_core.config import Parameters
 from otf_core.model.observation import Samples
-from otf_tracker_driver.backends.base import NO_SAMPLES, Backend
+from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig
 
 _LONGEST_STEP = 0.1
 """s; after a longer pause of the process the stream goes on late instead of in one burst."""
@@ -20,21 +21,25 @@ class PacedBackend(Backend):
 
     Parameters
     ----------
-    time_scale : float
-        How many times as fast as real time.
-    max_rate : float
-        Hz; the time scale is lowered so that not more samples per second are handed out.
+    common : CommonConfig
+        Its ``time_scale`` is lowered so that not more than ``max_rate`` samples per second are
+        handed out.
+    own : Parameters
     clock : callable, optional
         Monotonic seconds.
     """
 
     def __init__(
-        self, time_scale: float, max_rate: float, clock: Callable[[], float] = time.monotonic
+        self,
+        common: CommonConfig,
+        own: Parameters,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._wanted_scale, self._max_rate, self._clock = time_scale, max_rate, clock
+        super().__init__(common, own)
+        self._clock = clock
         self._samples, self._due = NO_SAMPLES, np.empty(0)
         self._next, self._elapsed, self._last = 0, 0.0, 0.0
-        self.time_scale = time_scale
+        self.time_scale = common.time_scale
 
     def load(self, samples: Samples) -> None:
         """Take the samples of the whole stream."""
@@ -42,11 +47,12 @@ class PacedBackend(Backend):
         self._due = samples.time
         span = float(self._due[-1]) if len(samples) > 1 else 0.0
         self.rate = (len(samples) - 1) / span if span > 0 else 0.0
-        limit = self._max_rate / self.rate if self.rate else np.inf
-        self.time_scale = min(self._wanted_scale, limit)
+        wanted, most = self.common.time_scale, self.common.max_rate
+        limit = most / self.rate if self.rate else np.inf
+        self.time_scale = min(wanted, limit)
         self.remark = f'{self.time_scale:.3g} times as fast as measured'
-        if limit < self._wanted_scale:
-            self.remark += f', limited by max_rate = {self._max_rate:g} samples per second'
+        if limit < wanted:
+            self.remark += f', limited by max_rate = {most:g} samples per second'
         self._next = 0
 
     def start(self) -> None:

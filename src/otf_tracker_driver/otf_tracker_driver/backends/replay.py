@@ -3,25 +3,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from otf_core.bags.bag import read_bag
-from otf_core.config import SimulationConfig
+from otf_core.config import Parameters, parameter
 from otf_core.errors import ConfigError
 from otf_tracker_driver.backends.paced import PacedBackend
-from otf_tracker_driver.params import DriverConfig
+
+
+@dataclass(frozen=True)
+class ReplayConfig(Parameters):
+    """Which bag, and what of it."""
+
+    bag: str = parameter('', 'rosbag2 folder or .mcap file with /tracker/point; required')
+    publish_path: bool = parameter(True, 'publish the path in the bag as planner/path, too')
 
 
 class Replay(PacedBackend):
     """Streams ``/tracker/point`` of a bag; ``path`` is its ``/planner/path``."""
 
-    def __init__(self, config: DriverConfig, simulation: SimulationConfig) -> None:
-        super().__init__(config.time_scale, config.max_rate)
-        self._config = config
+    parameters = ReplayConfig
+    brings_path = True
+    own: ReplayConfig
 
     def connect(self) -> str:
         """Read the bag."""
-        if not self._config.bag:
-            raise ConfigError('parameter bag: missing; the backend replay needs a bag to play')
-        content = read_bag(self._config.bag)
+        bag = self.own.bag
+        if not bag:
+            raise ConfigError('parameter replay.bag: missing; name the bag to play')
+        content = read_bag(bag)
         self.load(content.samples)
-        self.path = content.path if self._config.publish_path else None
-        return f'replay of {self._config.bag}: {self.expected} samples at {self.rate:.0f} Hz'
+        self.path = content.path if self.own.publish_path else None
+        return f'replay of {bag}: {self.expected} samples at {self.rate:.0f} Hz'

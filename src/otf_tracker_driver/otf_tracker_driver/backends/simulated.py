@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from otf_core.config import SimulationConfig
+from otf_core.config import SimulationConfig, parameter
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError
@@ -14,43 +14,56 @@ from otf_core.model.machine import Machine, load_machine
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables, load_tables
 from otf_core.sim.cell import SimulatedRun, simulate
+from otf_tracker_driver.backends.base import CommonConfig
 from otf_tracker_driver.backends.paced import PacedBackend
-from otf_tracker_driver.params import DriverConfig
+
+
+@dataclass(frozen=True)
+class SimulatedConfig(SimulationConfig):
+    """The simulated cell, and files with what is wrong in it."""
+
+    truth_tables: str = parameter(
+        '', 'errors of the simulated machine (error_tables.json); empty: drawn from the seed'
+    )
+    effects: str = parameter(
+        '', 'what else is wrong in the simulated cell (effects.yaml); empty: nothing'
+    )
 
 
 class SimulatedTracker(PacedBackend):
     """Streams a simulated run of the plan, start and end standstill included."""
 
+    parameters = SimulatedConfig
     needs_plan = True
+    own: SimulatedConfig
 
-    def __init__(self, config: DriverConfig, simulation: SimulationConfig) -> None:
-        super().__init__(config.time_scale, config.max_rate)
-        self._config, self._simulation = config, simulation
+    def __init__(self, common: CommonConfig, own: SimulatedConfig) -> None:
+        super().__init__(common, own)
         self._machine: Machine | None = None
         self._truth: ErrorTables | None = None
         self._effects: tuple[AppliedEffect, ...] = ()
         self._worker = ThreadPoolExecutor(1, 'simulation')
         self._run: Future[SimulatedRun] | None = None
-        self.rate = simulation.rate
+        self.rate = own.rate
 
     def connect(self) -> str:
         """Read the machine description, the tables of its true errors, and further effects."""
-        if not self._config.machine_file:
-            raise ConfigError('parameter machine_file: missing; the simulated cell needs it')
-        self._machine = load_machine(self._config.machine_file)
-        if self._config.truth_tables:
-            tables = load_tables(self._config.truth_tables).tables
+        if not self.common.machine_file:
+            raise ConfigError('parameter machine_file: missing; the backend simulated needs it')
+        self._machine = load_machine(self.common.machine_file)
+        if self.own.truth_tables:
+            tables = load_tables(self.own.truth_tables).tables
             self._truth = replace(tables, machine=self._machine)
-        if self._config.effects:
-            self._effects = read_effects(self._config.effects, self._machine)
-        errors = self._config.truth_tables or f'seed {self._simulation.seed}'
+        if self.own.effects:
+            self._effects = read_effects(self.own.effects, self._machine)
+        errors = self.own.truth_tables or f'seed {self.own.seed}'
         errors += ''.join(f' and {one.effect.name}' for one in self._effects)
         return f'simulated cell {self._machine.name}, errors from {errors}, {self.rate:.0f} Hz'
 
     def prepare(self, plan: Plan | None) -> None:
         """Simulate the whole run in a thread; takes about a second per 100 000 samples."""
         assert self._machine is not None and plan is not None, 'connected, and given a plan'
-        arguments = self._machine, plan, self._simulation, self._truth, self._effects
+        arguments = self._machine, plan, self.own, self._truth, self._effects
         self._run = self._worker.submit(simulate, *arguments)
 
     @property

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pacing of known samples: each exactly once, when it is due, never in a flood."""
+
+import numpy as np
+import pytest
+
+from otf_core.config import Parameters
+from otf_core.model.observation import Samples
+from otf_tracker_driver.backends import CommonConfig
+from otf_tracker_driver.backends.paced import PacedBackend
+
+
+class Known(PacedBackend):
+    """Samples at 100 Hz, on a clock that the test moves."""
+
+    def __init__(self, **common):
+        self.now = 0.0
+        super().__init__(CommonConfig(**common), Parameters(), clock=lambda: self.now)
+
+    def connect(self):
+        stamps = 1_700_000_000_000_000_000 + np.arange(1000) * 10_000_000
+        self.load(Samples(stamps, np.arange(3000.0).reshape(-1, 3)))
+        return ''
+
+    def play(self, step):
+        """Poll until the end; returns the batches."""
+        self.start()
+        batches = []
+        while not self.finished:
+            self.now += step
+            batches.append(self.poll())
+        return batches
+
+
+@pytest.mark.parametrize('time_scale', [0.5, 1.0, 20.0])
+def test_every_sample_comes_once_and_at_its_time(time_scale):
+    backend = Known(time_scale=time_scale)
+    backend.connect()
+    batches = backend.play(0.01)
+    stamps = np.concatenate([batch.stamp_ns for batch in batches])
+    assert np.array_equal(np.diff(stamps), np.full(999, 10_000_000))
+    assert backend.now == pytest.approx(9.99 / time_scale, abs=0.02)
+    again = np.concatenate([batch.stamp_ns for batch in backend.play(0.01)])
+    assert np.array_equal(again, stamps)
+
+
+def test_long_pause_of_the_process_makes_no_flood():
+    backend = Known()
+    backend.connect()
+    backend.start()
+    backend.now += 5.0
+    assert len(backend.poll()) <= 11
+
+
+def test_max_rate_limits_the_time_scale_and_says_so():
+    backend = Known(time_scale=50.0, max_rate=1000.0)
+    backend.connect()
+    assert backend.time_scale == pytest.approx(10.0)
+    assert 'max_rate' in backend.remark
