@@ -9,6 +9,7 @@ import pytest
 from core_cells import corner_path, pieces_of, some_machine, transform_pose, zero_tables
 from scipy.stats import multivariate_normal
 
+from otf_core.model.path import leg_bounds
 from otf_core.noise.model import (
     INDEPENDENT,
     LASTING,
@@ -23,7 +24,7 @@ from otf_core.noise.model import (
 )
 from otf_core.solving.basis import cubic
 from otf_core.solving.noise_fit import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
-from otf_core.solving.normal import leg_bounds, leg_parts
+from otf_core.solving.normal import leg_parts
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import layout
 

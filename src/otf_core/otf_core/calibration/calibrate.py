@@ -190,7 +190,7 @@ def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
         deviation=solved.system.deviation,
         residual=solved.residual,
         normalised=solved.residual / np.sqrt(specified),
-        whitened=solved.whitener.vector(solved.residual),
+        whitened=solved.whitener.whiten(solved.residual),
     )
 
 
@@ -247,7 +247,7 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
 
 
 def assemble(
-    solved: ReversalSolution, config: CalibrationConfig, taken: TakenOff | None = None
+    solved: ReversalSolution[Run], config: CalibrationConfig, taken: TakenOff | None = None
 ) -> CalibrationResult:
     """Put a solution into a result, with the effects that were ``taken`` off its runs."""
     runs, done = solved.runs, settled(solved.done, config.unidentifiable_above)
@@ -294,6 +294,7 @@ def assemble(
             *typical_warnings(typical),
             *words_of(remarks, WARNING),
             *_warnings(fit, tables, config.unidentifiable_above),
+            *(r.alignment.remark for r in runs if r.alignment.remark),
             *curve_remarks(runs, done),
         ),
         failed_gates=(*words_of(remarks, GATE), *_failed_gates(fit)),

@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
-from otf_core.model.path import sides_of_travel
+from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.arcs import curvature
 from otf_core.tracking.curve_pieces import curve_boundaries, near_joints
@@ -66,6 +66,8 @@ class Pieces:
         Samples in all pieces.
     outliers : int
         Samples left out as outliers.
+    end : float
+        s, since the first sample, of the end of the recording; 0 stands for the last piece.
     standstill : bool
         True if the pieces are standstills at ``origin``, where all three directions count.
     samples : ndarray of int64, shape (u,)
@@ -91,6 +93,7 @@ class Pieces:
     speed: Array
     used: int
     outliers: int
+    end: float = 0.0
     standstill: bool = False
     samples: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     piece: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -198,8 +201,7 @@ def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     about which it is reflected, is compared with the extrapolated median instead.
     """
     rest = np.zeros_like(offset)
-    bounds = np.concatenate([[0], np.flatnonzero(np.diff(leg)) + 1, [len(leg)]])
-    for low, high in pairwise(bounds):
+    for low, high in leg_bounds(leg):
         if high - low <= MEDIAN_HALF:
             rest[low:high] = offset[low:high] - np.median(offset[low:high], axis=0)
             continue
@@ -368,5 +370,6 @@ def _collect(
         piece=np.asarray(dense, dtype=np.int64),
         used=len(chosen),
         outliers=outliers,
+        end=float(time[-1]),
         spread=np.sqrt(np.maximum(means.mean(place**2) - means.mean(place) ** 2, 0.0)),
     )

@@ -17,9 +17,10 @@ from otf_core.model.machine import AXES, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.noise.model import Misfit, NoiseModel, misfit_of, scaled
+from otf_core.noise.model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.finding import Finding
+from otf_core.pieces.observed import Observed
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
 from otf_core.tracking.alignment import Alignment, align, line_step
 from otf_core.tracking.matching import OFF_PATH
@@ -52,54 +53,61 @@ class Recording:
 
 
 @contextmanager
-def blamed(recording: Recording) -> Iterator[None]:
-    """Put the name of a recording in front of what is wrong with it."""
+def blamed(name: str) -> Iterator[None]:
+    """Put the name of a recording in front of what is wrong with it; nothing if it has none."""
     try:
         yield
     except OtfError as error:
-        if not recording.name:
+        if not name:
             raise
-        raise type(error)(f'{recording.name}: {error}') from None
+        raise type(error)(f'{name}: {error}') from None
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, kw_only=True)
+class Run(Observed):
     """A recording reduced to pieces.
 
     Attributes
     ----------
-    recording : Recording
+    samples : Samples
+    path : NominalPath
+        As published.
     alignment : Alignment
-    pieces : Pieces
-    pose : RigidTransform
-        Tracker to machine, fitted rigidly.
-    noise : NoiseModel
-        As the standstills of the run show it, else as specified.
-    fitted : ndarray, shape (5,), optional
-        What the residuals say of noise and misfit, see ``noise_fit.fit_noise``.
     remarks : tuple of Finding
         What ``contradictions.examine`` found, with the first of several runs.
     """
 
-    recording: Recording
+    samples: Samples
+    path: NominalPath
     alignment: Alignment
-    pieces: Pieces
-    pose: RigidTransform
-    noise: NoiseModel
-    fitted: Array | None = None
     remarks: tuple[Finding, ...] = ()
 
-    @property
-    def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:
-        """Noise of single samples, and what the model leaves besides: as far as is known."""
-        if self.fitted is None:
-            return self.noise, Misfit()
-        return scaled(self.noise, self.fitted), misfit_of(self.fitted)
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        alignment: Alignment,
+        pieces: Pieces,
+        pose: RigidTransform,
+        noise: NoiseModel,
+    ) -> Run:
+        """Put together what was found in a recording."""
+        return cls(
+            machine=recording.machine,
+            shape=alignment.shape,
+            pieces=pieces,
+            pose=pose,
+            noise=noise,
+            name=recording.name,
+            samples=recording.samples,
+            path=recording.path,
+            alignment=alignment,
+        )
 
     @property
-    def machine(self) -> Machine:
-        """Machine as set up in this run."""
-        return self.recording.machine
+    def recording(self) -> Recording:
+        """What was recorded."""
+        return Recording(self.samples, self.path, self.machine, self.name)
 
 
 def check_same_machine(recordings: Sequence[Recording]) -> None:
@@ -177,7 +185,7 @@ def prepare_runs(
     check_same_machine(recordings)
     alignments, ranges = [], []
     for recording in recordings:
-        with blamed(recording):
+        with blamed(recording.name):
             alignments.append(found := align(recording.samples, recording.path, config))
             check_partial(
                 recording.samples,
@@ -193,9 +201,9 @@ def prepare_runs(
     runs = []
     for recording, alignment in zip(recordings, alignments, strict=True):
         samples, spec = recording.samples, recording.machine.tracker
-        with blamed(recording):
+        with blamed(recording.name):
             pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
             pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
             noise = noise_model(samples, spec, config.standstill_speed)
-        runs.append(Run(recording, alignment, pieces, pose, noise))
+        runs.append(Run.of(recording, alignment, pieces, pose, noise))
     return runs, nodes

@@ -204,6 +204,7 @@ def stop_pieces(samples: Samples, alignment: Alignment, stops: Stops, point: Ind
         piece=np.repeat(np.arange(len(use)), count),
         used=int(count.sum()),
         outliers=int((span[:, 1] - span[:, 0] - count).sum()),
+        end=float(time[-1]),
         standstill=True,
     )
 
@@ -215,7 +216,7 @@ def prepare_stops(
     check_same_machine(recordings)
     found, pieces, ranges = [], [], []
     for recording in recordings:
-        with blamed(recording):
+        with blamed(recording.name):
             found.append(align_stops(recording.samples, recording.path, config))
             pieces.append(stop_pieces(recording.samples, *found[-1]))
             ranges.append(covered_range(found[-1][0], recording))
@@ -224,8 +225,8 @@ def prepare_stops(
     nodes = table_nodes(recordings[0].machine, low, high)
     runs = []
     for recording, (alignment, _, _), part in zip(recordings, found, pieces, strict=True):
-        with blamed(recording):
+        with blamed(recording.name):
             samples, spec = recording.samples, recording.machine.tracker
             noise = noise_model(samples, spec, config.standstill_speed)
-        runs.append(Run(recording, alignment, part, alignment.T_machine_tracker, noise))
+        runs.append(Run.of(recording, alignment, part, alignment.T_machine_tracker, noise))
     return runs, nodes
