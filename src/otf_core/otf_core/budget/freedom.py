@@ -46,11 +46,11 @@ def standstill_freedom(runs: Sequence[Run], speed: float) -> float:
     """
     total = 0.0
     for run in runs:
-        samples = run.recording.samples
+        samples = run.samples
         if len(samples) < 2:
             continue
         found = find_standstills(samples, speed)
-        length = float(np.diff(found, axis=1).sum()) * float(np.median(np.diff(samples.time)))
+        length = float(np.diff(found, axis=1).sum()) * samples.step
         total += length / run.noise.correlation_time if length >= MIN_TOTAL else 0.0
     return total
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from otf_core.model.provenance import origins
 from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, with_uncertainty
 from otf_core.noise.model import NoiseModel, sample_variance
 from otf_core.pieces.finding import GATE, WARNING, words_of
+from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.solving.curve_lag import curve_remarks, moved_onto_curves
 from otf_core.solving.extrapolation import prior_of
@@ -46,10 +47,6 @@ from otf_core.solving.unknowns import Unknowns
 from otf_core.threads import one_thread
 
 Array = NDArray[np.float64]
-Preparation = Callable[
-    [Sequence[Recording], CalibrationConfig], tuple[list[Run], dict[str, Array]]
-]
-"""From recordings to runs reduced to pieces, and the table nodes."""
 
 MIN_COVERAGE = 0.8
 """Share of the path length below which a calibration fails the quality gate."""
@@ -126,7 +123,7 @@ def calibrate_runs(
     progress : callable(stage, fraction), optional
         Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
     prepare : callable, optional
-        ``standstill_method.prepare_stops`` for the standstill method.
+        One of ``methods.PREPARATIONS``.
 
     Returns
     -------

@@ -165,8 +165,7 @@ def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: f
 
 def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfig) -> Array:
     """Speed of every sample along its leg, m/s; zero near standstill and leg changes."""
-    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    half = max(1, round(0.5 * SPEED_WINDOW / step))
+    half = max(1, round(0.5 * SPEED_WINDOW / samples.step))
     speed = np.zeros(len(samples))
     if len(samples) <= 2 * half:
         return speed
@@ -324,7 +323,7 @@ def _on_curves(
 ) -> Pieces:
     """Give pieces of curves the mean foot, direction and acceleration of their samples."""
     chord = alignment.leg[pieces.samples]
-    foot = lines.shape.corners[chord] + along[:, None] * lines.unit[chord]
+    foot = lines.at(along, chord)
     direction = pieces.mean_of(lines.unit[chord])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     curved = lines.shape.curved[pieces.leg][:, None]
@@ -352,7 +351,7 @@ def _collect(
     names, dense = np.unique(piece, return_inverse=True)
     means = _Means(dense, len(names))
     time = samples.time
-    rate = 1.0 / max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
+    rate = 1.0 / max(samples.step, 1e-9)
     first = np.zeros(len(names), dtype=np.int64)
     first[dense[::-1]] = chosen[::-1]
     leg = alignment.leg[first]

@@ -48,7 +48,7 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
     along = np.clip(legs.along(pose.apply(samples.xyz[on]), leg), 0.0, legs.length[leg])
     q = legs.at(along, leg)
     true_points = (exact_position(tables, q) - pose.translation) @ pose.rotation
-    seconds = max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
+    seconds = max(samples.step, 1e-9)
     config = SimulationConfig(
         seed=seed,
         rate=float(np.clip(1.0 / seconds, 1.0, 5000.0)),
