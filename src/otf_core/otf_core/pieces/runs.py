@@ -159,6 +159,12 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
     return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
 
 
+def common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dict[str, Array]:
+    """Table nodes over all that runs cover, from their ranges (low, high)."""
+    low, high = zip(*ranges, strict=True)
+    return table_nodes(machine, np.min(low, axis=0), np.max(high, axis=0))
+
+
 def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) -> RigidTransform:
     """Fine alignment on the pieces: perpendicular distances, every sample counting alike."""
     for _ in range(config.max_iterations):
@@ -189,15 +195,13 @@ def prepare_runs(
             alignments.append(found := align(recording.samples, recording.path, config))
             check_partial(
                 recording.samples,
+                recording.path,
                 found.T_machine_tracker,
                 found.coverage,
-                found.corners,
                 config.match_tolerance,
             )
             ranges.append(covered_range(alignments[-1], recording))
-    low = np.min([r[0] for r in ranges], axis=0)
-    high = np.max([r[1] for r in ranges], axis=0)
-    nodes = table_nodes(recordings[0].machine, low, high)
+    nodes = common_nodes(recordings[0].machine, ranges)
     runs = []
     for recording, alignment in zip(recordings, alignments, strict=True):
         samples, spec = recording.samples, recording.machine.tracker
