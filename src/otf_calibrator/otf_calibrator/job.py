@@ -25,8 +25,8 @@ from otf_core.files.output import OutputFolder
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.pieces.runs import Recording, prepare_runs
-from otf_core.pieces.standstill_method import prepare_stops
+from otf_core.pieces.methods import PREPARATIONS
+from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import write_calibration
 from otf_core.reports.with_effects import write_with_effects
 from otf_core.sim.twin import twin_recording
@@ -138,7 +138,7 @@ class Worker:
                 files.method,
             )
             return done.result, functools.partial(write_with_effects, done)
-        prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[files.method]
+        prepare = PREPARATIONS[files.method]
         result = calibrate_runs([recording], request.config, self._progress, prepare)
         return result, functools.partial(write_calibration, result)
 

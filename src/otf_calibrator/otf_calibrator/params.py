@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from otf_core.config import Parameters, parameter
+from otf_core.config import METHODS, OTF, Parameters, parameter
 
 
 @dataclass(frozen=True)
@@ -18,8 +18,8 @@ class CalibratorConfig(Parameters):
         'the newest',
     )  # fmt: skip
     method: str = parameter(
-        'otf', 'otf: on the fly; standstill: only the stops at the corner points are used',
-        choices=('otf', 'standstill'),
+        OTF, 'otf: on the fly; standstill: only the stops at the corner points are used',
+        choices=METHODS,
     )  # fmt: skip
     finish_at_standstill: bool = parameter(
         True, 'calibrate when the target stands still at the end point after the whole path'

@@ -14,6 +14,9 @@ from typing import Any
 
 from otf_core.errors import ConfigError
 
+OTF, STANDSTILL = METHODS = ('otf', 'standstill')
+"""Of calibration: on the fly, or from the stops at the corner points."""
+
 
 def parameter(
     default: Any,

@@ -278,7 +278,7 @@ def fit_pieces(machine, pieces, pose, iterations=3, limit=1e-4, ranges=None):
     unknowns = layout(linear_bases(nodes))
     prior = TIE_BREAK * smoothness(unknowns) / limit**2
     first = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
-    whitener = Whitener(first, pieces, white(machine))
+    whitener = Whitener.of(first, pieces, white(machine))
     accepted = identifiable_blocks(normal_equations(first, unknowns, whitener), unknowns, limit)
     tables = None
     for _ in range(iterations):

@@ -9,6 +9,7 @@ import pytest
 from core_cells import corner_path, pieces_of, some_machine, transform_pose, zero_tables
 from scipy.stats import multivariate_normal
 
+from otf_core.model.path import leg_bounds
 from otf_core.noise.model import (
     INDEPENDENT,
     LASTING,
@@ -23,7 +24,7 @@ from otf_core.noise.model import (
 )
 from otf_core.solving.basis import cubic
 from otf_core.solving.noise_fit import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
-from otf_core.solving.normal import leg_bounds, leg_parts
+from otf_core.solving.normal import Whitener, leg_parts
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import layout
 
@@ -208,3 +209,19 @@ def test_parts_of_the_covariance_are_averages_of_the_processes_over_the_pieces()
     np.testing.assert_allclose(found[1], slow * mean(0.3), rtol=1e-4)
     np.testing.assert_allclose(found[2], 1e-14 * np.eye(2))
     np.testing.assert_allclose(found[3], 9e-14 * mean(3.0), rtol=1e-4)
+
+
+def test_whitening_by_leg_is_that_of_the_whole_covariance():
+    rows = rows_of(ZIGZAG, 0.05)
+    logs = START + np.array([0.3, -0.2, 0.1, 4.0, 5.0])
+    covariance = dense(rows, logs)
+    whitener = Whitener.of(rows.system, rows.pieces, scaled(NOISE, logs), misfit_of(logs))
+    values = np.random.default_rng(8).normal(size=(2, len(rows.pieces), 3))
+    white, flat = whitener.whiten(values), values.reshape(-1, 3)
+    wanted = np.linalg.solve(covariance, flat)
+    np.testing.assert_allclose(whitener.weighted(values).reshape(-1, 3), wanted, rtol=1e-8)
+    again = whitener.whiten_transposed(white).reshape(-1, 3)
+    np.testing.assert_allclose(again, wanted, rtol=1e-8)
+    np.testing.assert_allclose(whitener.unwhiten(white), values, rtol=1e-9)
+    spread = np.sqrt(np.diag(covariance)).reshape(2, -1)
+    np.testing.assert_allclose(whitener.expected, spread, rtol=1e-9)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from otf_core.errors import InputError, ShapeError
-from otf_core.model.path import NominalPath, sides_of_travel
+from otf_core.model.path import Legs, NominalPath, leg_bounds, sides_of_travel
 
 # along X, a dwell, on along X, a repeated end, then up Y
 L_SHAPE = [[0, 0, 0], [0.1, 0, 0], [0.1, 0, 0], [0.3, 0, 0], [0.3, 0.4, 0], [0.3, 0.4, 0]]
@@ -65,3 +65,16 @@ def test_axis_that_stands_stays_on_the_side_of_its_last_travel():
     unit = np.array([[0, 1, 0], [1, 0, 0], [0, -1, 0], [-1, 0, 1e-9], [0, 0, -1.0]])
     wanted = [[0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, -1, -1]]
     assert np.array_equal(sides_of_travel(unit), wanted)
+
+
+def test_places_on_legs():
+    legs = Legs(np.array([[0, 0, 0], [0.3, 0.4, 0], [0.3, 0.4, 0.2]]))
+    assert legs.reach.tolist() == pytest.approx([0.0, 0.5, 0.7])
+    points, leg = np.array([[0.6, 0.8, 0.1], [0.0, 0.0, 0.1]]), np.array([0, 1])
+    along = legs.along(points, leg)
+    assert along.tolist() == pytest.approx([1.0, 0.1])
+    np.testing.assert_allclose(legs.at(along, leg), [[0.6, 0.8, 0], [0.3, 0.4, 0.1]], atol=1e-15)
+
+
+def test_a_leg_that_comes_again_is_another_part():
+    assert leg_bounds(np.array([4, 4, 4, 0, 4])) == [(0, 3), (3, 4), (4, 5)]

@@ -126,7 +126,7 @@ def test_normal_equations_of_independent_samples_are_the_weighted_sums_of_the_pa
     machine = some_machine()
     truth = random_tables(machine, 2e-5, np.random.default_rng(4))
     pieces, unknowns, system = system_of(machine, truth)
-    found = normal_equations(system, unknowns, Whitener(system, pieces, white(machine)))
+    found = normal_equations(system, unknowns, Whitener.of(system, pieces, white(machine)))
     spec = machine.tracker
     variance = (spec.u_range * system.along) ** 2 + (spec.u_angle * system.across) ** 2
     weight = 1 / (variance / pieces.count + MODEL_FLOOR**2).reshape(-1)

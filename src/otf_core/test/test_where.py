@@ -227,7 +227,7 @@ def test_size_is_true_where_pose_has_taken_its_part():
     def project(wide):
         return wide - basis @ (basis.T @ wide)
 
-    left = plain.unwhiten(
+    left = plain.whitener.unwhiten(
         project(plain.whiten(plain.residual_before[:, :, None])).reshape(plain.expected.shape)
     )
     view = replace(plain, residual_before=left)

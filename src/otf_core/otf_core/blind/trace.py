@@ -56,7 +56,7 @@ class Ruler:
     def left(self, moved: Sequence[Array]) -> Array:
         """Perpendicular displacement of all pieces that tables and poses leave, shape (r,), m."""
         plain = np.concatenate([self._on_pieces(k, m).reshape(-1) for k, m in enumerate(moved)])
-        white = self._white(plain)
+        white = self.rows.whiten(plain)
         inner = cho_solve((self.rows.factor, True), self.rows.base.T @ white)
         use = self.rows.use
         unknowns, limit = self.rows.done.unknowns, self.rows.limit
@@ -74,7 +74,7 @@ class Ruler:
     def snr(self, moved: Sequence[Array]) -> float:
         """Length of what is left, freed of the noise: standard deviations of a perfect test."""
         plain = np.concatenate([self._on_pieces(k, m).reshape(-1) for k, m in enumerate(moved)])
-        white = self._white(plain)
+        white = self.rows.whiten(plain)
         return float(np.linalg.norm(self.rows.project(white[:, None])))
 
     def residual(self, moved: Sequence[Array] | None = None) -> float:
@@ -89,15 +89,6 @@ class Ruler:
         sums = [np.bincount(pieces.piece, moved[pieces.samples, d]) for d in range(3)]
         mean = np.stack(sums, axis=1) / pieces.count[:, None]
         return np.asarray(np.einsum('cij,ij->ci', solved.system.axes, mean))
-
-    def _white(self, plain: Array) -> Array:
-        parts, start = [], 0
-        for solved in self.rows.done.runs:
-            shape = solved.system.deviation.shape
-            stop = start + shape[0] * shape[1]
-            parts.append(solved.whitener.vector(plain[start:stop].reshape(shape)).reshape(-1))
-            start = stop
-        return np.concatenate(parts)
 
 
 def sample_state(trial: Trial, k: int, run: SimulatedRun) -> State:

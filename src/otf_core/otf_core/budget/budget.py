@@ -19,8 +19,10 @@ from otf_core.budget.freedom import (
 from otf_core.budget.noise import noise_parts
 from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
 from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.pieces.observed import Observed
 from otf_core.pieces.runs import Run
 from otf_core.solving.columns import piece_state
+from otf_core.solving.folds import leg_numbers
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.residual_check import ResidualCheck, check_residuals
 from otf_core.solving.unknowns import free_values
@@ -114,13 +116,12 @@ class Budget:
 
 
 def whole_check(
-    runs: Sequence[Run], done: JointSolution, residuals: Sequence[Array]
+    runs: Sequence[Observed], done: JointSolution, residuals: Sequence[Array]
 ) -> ResidualCheck:
     """Check residuals (c, p) of all runs together against the noise assumed."""
-    white = [s.whitener.vector(e) for s, e in zip(done.runs, residuals, strict=True)]
-    # legs of different runs are told apart
-    legs = [r.pieces.leg + 100_000 * k for k, r in enumerate(runs)]
-    return check_residuals(np.concatenate(white, axis=1), np.concatenate(legs), done.solution.rank)
+    white = [s.whitener.whiten(e) for s, e in zip(done.runs, residuals, strict=True)]
+    legs = np.concatenate(leg_numbers(done))
+    return check_residuals(np.concatenate(white, axis=1), legs, done.solution.rank)
 
 
 def _prior_part(done: JointSolution) -> Array:

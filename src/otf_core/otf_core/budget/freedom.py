@@ -29,10 +29,9 @@ def residual_freedom(done: JointSolution, correlation_factor: float) -> float:
     """Degrees of freedom of the noise level as the residuals tell it; at least 1."""
     trace = square = 0.0
     for solved in done.runs:
-        for leg in solved.whitener.factors:
-            for factor in leg:
-                trace += float(np.sum(factor**2))
-                square += float(np.sum((factor @ factor.T) ** 2))
+        for *_, factor in solved.whitener.parts():
+            trace += float(np.sum(factor**2))
+            square += float(np.sum((factor @ factor.T) ** 2))
     return max(1.0, (trace**2 / square - done.solution.rank) / correlation_factor)
 
 
@@ -47,11 +46,11 @@ def standstill_freedom(runs: Sequence[Run], speed: float) -> float:
     """
     total = 0.0
     for run in runs:
-        samples = run.recording.samples
+        samples = run.samples
         if len(samples) < 2:
             continue
         found = find_standstills(samples, speed)
-        length = float(np.diff(found, axis=1).sum()) * float(np.median(np.diff(samples.time)))
+        length = float(np.diff(found, axis=1).sum()) * samples.step
         total += length / run.noise.correlation_time if length >= MIN_TOTAL else 0.0
     return total
 

@@ -18,14 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
 
 from otf_core.effects import State
 from otf_core.effects.beam import beam_of
 from otf_core.noise.model import MISFIT_TIME
-from otf_core.pieces.runs import Run
+from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
-from otf_core.solving.normal import fill_rows, leg_parts
+from otf_core.solving.normal import fill_rows, leg_parts, weighted
 
 Array = NDArray[np.float64]
 
@@ -47,7 +46,7 @@ class NoiseParts:
     misfit_corners: Array
 
 
-def slow_amplitudes(run: Run, solved: SolvedRun, state: State) -> Array:
+def slow_amplitudes(run: Observed, solved: SolvedRun, state: State) -> Array:
     """Slow noise of range and two angles in every row, shape (c, p, 3), m."""
     noise, beam = run.noise_and_misfit[0], beam_of(state)
     level = np.sqrt([
@@ -94,12 +93,14 @@ class _Chain:
         return np.asarray(half + half.T)
 
 
-def noise_parts(runs: Sequence[Run], done: JointSolution, states: Sequence[State]) -> NoiseParts:
+def noise_parts(
+    runs: Sequence[Observed], done: JointSolution, states: Sequence[State]
+) -> NoiseParts:
     """Sum up the misfit and the covariance between lines.
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of Observed
     done : JointSolution
         Of the same runs.
     states : sequence of State
@@ -112,12 +113,12 @@ def noise_parts(runs: Sequence[Run], done: JointSolution, states: Sequence[State
         slow = slow_amplitudes(run, solved, state)
         shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, MISFIT_TIME)
         chains = _Chain(size, noise.correlation_time), _Chain(size, MISFIT_TIME)
-        for leg, (low, high) in enumerate(solved.whitener.bounds):
+        for (low, high), leg in zip(solved.whitener.bounds, solved.whitener.factors, strict=True):
             rows = np.zeros((len(solved.system.axes), high - low, size))
-            for component, factor in enumerate(solved.whitener.factors[leg]):
+            for component, factor in enumerate(leg):
                 fill_rows(rows[component], solved.system.design, component * len(run.pieces) + low)
                 parts = leg_parts(solved.system, run.pieces, noise, misfit, component, low, high)
-                part = cho_solve((factor, True), rows[component], check_finite=False)
+                part = weighted(factor, rows[component])
                 within += part.T @ ((parts[2] + parts[3]) @ part)
                 rows[component] = part
             time = run.pieces.time[low:high]

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from otf_core.effects import REGISTRY, Shape, State, Terms
 from otf_core.model.declared import DeclaredUncertainty
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.runs import Run
+from otf_core.pieces.observed import Observed
 from otf_core.solving.columns import across, piece_state, sensitivity
 from otf_core.solving.joint import JointSolution
 
@@ -104,14 +104,14 @@ def _shared_equally(terms: Terms, state: State, offset: float, angle: float) -> 
     return np.asarray(wanted * np.sqrt(2.0 / share) / size)
 
 
-def declared_sources(runs: Sequence[Run]) -> tuple[Systematic, ...]:
+def declared_sources(runs: Sequence[Observed]) -> tuple[Systematic, ...]:
     """Contributions that any run declares."""
     given = {k for r in runs if r.machine.uncertainty for k in r.machine.uncertainty.values}
     return tuple(s for s in SYSTEMATIC if given & set(s.keys))
 
 
 def systematic_sensitivity(
-    source: Systematic, runs: Sequence[Run], done: JointSolution, tables: ErrorTables
+    source: Systematic, runs: Sequence[Observed], done: JointSolution, tables: ErrorTables
 ) -> Array:
     """Change of the estimates per standard uncertainty of each coefficient, shape (full, k).
 

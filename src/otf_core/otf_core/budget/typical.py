@@ -25,7 +25,7 @@ from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.evaluation import driven_grid, free_rows
 from otf_core.model.presets import TYPICAL, typical_values
 from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
-from otf_core.pieces.runs import Run
+from otf_core.pieces.observed import Observed
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.solving.joint import JointSolution
 from otf_core.threads import one_thread
@@ -80,16 +80,13 @@ def _step(pair: tuple[float, float]) -> str:
     return ' -> '.join(f'{1e6 * v:.0f}' if v > 99.5e-6 else f'{1e6 * v:.2g}' for v in pair)
 
 
-def typical_runs(runs: Sequence[Run], values: Mapping[str, float]) -> list[Run]:
+def typical_runs(runs: Sequence[Observed], values: Mapping[str, float]) -> list[Observed]:
     """Runs of machines that declare these values and nothing else."""
-    declared, found = DeclaredUncertainty(values), []
-    for run in runs:
-        machine = replace(run.machine, uncertainty=declared)
-        found.append(replace(run, recording=replace(run.recording, machine=machine)))
-    return found
+    declared = DeclaredUncertainty(values)
+    return [replace(r, machine=replace(r.machine, uncertainty=declared)) for r in runs]
 
 
-def missing_keys(runs: Sequence[Run]) -> dict[str, float]:
+def missing_keys(runs: Sequence[Observed]) -> dict[str, float]:
     """Keys that no run declares, with their typical values."""
     declared = {k for r in runs if r.machine.uncertainty for k in r.machine.uncertainty.values}
     typical = typical_values()
@@ -98,7 +95,7 @@ def missing_keys(runs: Sequence[Run]) -> dict[str, float]:
 
 def _changes(
     sources: Sequence[Systematic],
-    runs: Sequence[Run],
+    runs: Sequence[Observed],
     done: JointSolution,
     tables: ErrorTables,
     values: Mapping[str, float],
@@ -111,7 +108,7 @@ def _changes(
 
 
 def typical_systematic(
-    runs: Sequence[Run],
+    runs: Sequence[Observed],
     done: JointSolution,
     tables: ErrorTables,
     rows: Array,
@@ -121,7 +118,7 @@ def typical_systematic(
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of Observed
     done : JointSolution
         Of the same runs.
     tables : ErrorTables

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from otf_core.model.provenance import origins
 from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, with_uncertainty
 from otf_core.noise.model import NoiseModel, sample_variance
 from otf_core.pieces.finding import GATE, WARNING, words_of
+from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.solving.curve_lag import curve_remarks, moved_onto_curves
 from otf_core.solving.extrapolation import prior_of
@@ -45,10 +46,6 @@ from otf_core.solving.unknowns import Unknowns
 from otf_core.threads import one_thread
 
 Array = NDArray[np.float64]
-Preparation = Callable[
-    [Sequence[Recording], CalibrationConfig], tuple[list[Run], dict[str, Array]]
-]
-"""From recordings to runs reduced to pieces, and the table nodes."""
 
 MIN_COVERAGE = 0.8
 """Share of the path length below which a calibration fails the quality gate."""
@@ -125,7 +122,7 @@ def calibrate_runs(
     progress : callable(stage, fraction), optional
         Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
     prepare : callable, optional
-        ``standstill_method.prepare_stops`` for the standstill method.
+        One of ``methods.PREPARATIONS``.
 
     Returns
     -------
@@ -161,7 +158,7 @@ class SolvedRecordings:
 
     runs: list[Run]
     nodes: dict[str, Array]
-    solution: ReversalSolution
+    solution: ReversalSolution[Run]
 
     @property
     def source(self) -> list[int]:
@@ -219,7 +216,7 @@ def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
         deviation=solved.system.deviation,
         residual=solved.residual,
         normalised=solved.residual / np.sqrt(specified),
-        whitened=solved.whitener.vector(solved.residual),
+        whitened=solved.whitener.whiten(solved.residual),
     )
 
 
@@ -276,7 +273,7 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
 
 
 def assemble(
-    solved: ReversalSolution, config: CalibrationConfig, taken: TakenOff | None = None
+    solved: ReversalSolution[Run], config: CalibrationConfig, taken: TakenOff | None = None
 ) -> CalibrationResult:
     """Put a solution into a result, with the effects that were ``taken`` off its runs."""
     runs, done = solved.runs, settled(solved.done, config.unidentifiable_above)
@@ -323,6 +320,7 @@ def assemble(
             *typical_warnings(typical),
             *words_of(remarks, WARNING),
             *_warnings(fit, tables, config.unidentifiable_above),
+            *(r.alignment.remark for r in runs if r.alignment.remark),
             *curve_remarks(runs, done),
         ),
         failed_gates=(*words_of(remarks, GATE), *_failed_gates(fit)),

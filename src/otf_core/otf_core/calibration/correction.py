@@ -74,7 +74,7 @@ class Estimates:
     covariance: Array
     change: Array
 
-    def taken_off(self, solved: ReversalSolution) -> TakenOff:
+    def taken_off(self, solved: ReversalSolution[Run]) -> TakenOff:
         """State effects and what the unknowns of a solution are uncertain by for them."""
         machine = solved.runs[0].machine
         ends = np.cumsum([e.size for e in self.effects])
@@ -97,7 +97,7 @@ def _stated(one: Taken, u: Array, machine: Machine) -> StatedEffect:
     return StatedEffect(one.effect.name, parameters, uncertain, units, one.how)
 
 
-def missing_in_tables(solved: ReversalSolution, effects: Sequence[Taken]) -> Array:
+def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Taken]) -> Array:
     """What the tables lack of effects that stay at their place, covariance, (full, full).
 
     Such an effect displaces the target in the same way whenever it comes by, but no table holds
@@ -232,7 +232,7 @@ def solve_with_effects(
     effects: Sequence[Taken],
     config: CalibrationConfig,
     progress: Progress,
-) -> tuple[ReversalSolution, Estimates]:
+) -> tuple[ReversalSolution[Run], Estimates]:
     """Solve with effects taken off and their parameters estimated with the rest.
 
     Parameters

@@ -23,7 +23,14 @@ from otf_core.cli.options import add_out, add_parameters
 from otf_core.cli.output import OutputFull, bounded, note
 from otf_core.cli.parser import Parser, asked
 from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
-from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig, SimulationConfig
+from otf_core.config import (
+    METHODS,
+    OTF,
+    CalibrationConfig,
+    ForecastConfig,
+    PlannerConfig,
+    SimulationConfig,
+)
 from otf_core.errors import OtfError
 
 LARGEST_SEED = 10_000_000
@@ -130,8 +137,8 @@ def _parser() -> Parser:
     _add_runs(sub)
     add_out(sub, 'folder for the results')
     sub.add_argument(
-        '--method', choices=('otf', 'standstill'), default='otf',
-        help='on the fly, or from the stops at the corner points alone (default otf)',
+        '--method', choices=METHODS, default=OTF,
+        help=f'on the fly, or from the stops at the corner points alone (default {OTF})',
     )  # fmt: skip
     sub.add_argument(
         '--effects', metavar='auto|FILE',

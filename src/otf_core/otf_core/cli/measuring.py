@@ -53,14 +53,12 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     if arguments.effects:
         return _calibrate_with_effects(arguments, config)
     from otf_core.calibration.calibrate import calibrate_runs
-    from otf_core.pieces.runs import prepare_runs
-    from otf_core.pieces.standstill_method import prepare_stops
+    from otf_core.pieces.methods import PREPARATIONS
     from otf_core.reports.calibration import format_result, write_calibration
 
     out = output_folder(arguments, *arguments.bag, *arguments.machine)
-    prepare = {'otf': prepare_runs, 'standstill': prepare_stops}[arguments.method]
     recordings = read_recordings(arguments)
-    result = calibrate_runs(recordings, config, prepare=prepare)
+    result = calibrate_runs(recordings, config, prepare=PREPARATIONS[arguments.method])
     with out.filled('calibrate') as folder:
         files = write_calibration(result, folder)
     say(format_result(result) + '\n' + listed(files, arguments.out))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES, Machine
-from otf_core.model.nodes import interval
+from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import DIRECTIONS, MOTIONS, ErrorTables, is_straightness, unit_of
 
 Array = NDArray[np.float64]
@@ -128,23 +128,13 @@ def common_ground(sources: Sequence[Source]) -> Common:
     return Common(machine, {a: _positions(sources, a) for a in AXES}, folded, motions)
 
 
-def _hat(nodes: Array, q: Array) -> Array:
-    """Interpolation matrix, shape (q, nodes)."""
-    index, fraction = interval(nodes, q)
-    matrix, row = np.zeros((len(q), len(nodes))), np.arange(len(q))
-    matrix[row, index] = 1.0 - fraction
-    if len(nodes) > 1:
-        matrix[row, index + 1] += fraction
-    return matrix
-
-
 def _zeroed(motion: str, position: Array, rows: Array) -> Array:
     """Rows with the convention applied: zero at the reference, or at both ends."""
     if is_straightness(motion):
         share = ((position - position[0]) / (position[-1] - position[0]))[:, None]
         return np.asarray(rows - (1.0 - share) * rows[0] - share * rows[-1])
     reference = np.zeros(1) if position[0] <= 0.0 <= position[-1] else position[:1]
-    return np.asarray(rows - _hat(position, reference) @ rows)
+    return np.asarray(rows - hat_matrix(position, reference) @ rows)
 
 
 def operator(source: Source, common: Common) -> Array:
@@ -161,7 +151,7 @@ def operator(source: Source, common: Common) -> Array:
         def add(name: str, factor: Array, rows: Array = rows, position: Array = position) -> None:
             nodes = source.tables.motions[name].position
             place = slice(starts[name], starts[name] + len(nodes))
-            rows[:, place] += factor[:, None] * _hat(nodes, position)
+            rows[:, place] += factor[:, None] * hat_matrix(nodes, position)
 
         add(motion, np.ones(len(position)))
         if unit_of(motion) == 'm':

@@ -73,15 +73,15 @@ def find_offsets(model: Model, run: int) -> FoundAgain | None:
 
 def shifted(run: Run, found: FoundAgain) -> Run:
     """Take the offsets of its segments off the samples and pieces of a run."""
-    samples, pieces, value = run.recording.samples, run.pieces, found.offsets.value
+    samples, pieces, value = run.samples, run.pieces, found.offsets.value
     if found.offsets.kind == 'range':
         beam = samples.xyz / np.linalg.norm(samples.xyz, axis=1)[:, None]
         offset: Array = beam * value[found.segment]
     else:
         offset = (value @ run.pose.rotation)[found.segment]
     xyz = pieces.xyz - pieces.mean_of(offset[pieces.samples])
-    recording = replace(run.recording, samples=replace(samples, xyz=samples.xyz - offset))
-    return replace(run, recording=recording, pieces=replace(pieces, xyz=xyz))
+    samples = replace(samples, xyz=samples.xyz - offset)
+    return replace(run, samples=samples, pieces=replace(pieces, xyz=xyz))
 
 
 def settle_offsets(model: Model, *, mend: bool) -> tuple[Model, list[Finding]]:

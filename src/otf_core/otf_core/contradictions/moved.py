@@ -151,11 +151,11 @@ def part_of(run: Run, first: int, last: int, nodes: Sequence[Array], config: Cal
     InputError
         If they do not fix the pose.
     """
-    recording = replace(run.recording, samples=run.recording.samples.part(first, last))
+    samples = run.samples.part(first, last)
     alignment = replace(run.alignment, leg=run.alignment.leg[first:last])
-    pieces = reduce_to_pieces(recording.samples, alignment, tuple(nodes), config)
+    pieces = reduce_to_pieces(samples, alignment, tuple(nodes), config)
     pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
-    return replace(run, recording=recording, alignment=alignment, pieces=pieces, pose=pose)
+    return replace(run, samples=samples, alignment=alignment, pieces=pieces, pose=pose)
 
 
 def split(
@@ -176,7 +176,7 @@ def split(
     words = (f'{name} before {seconds:.1f} s', f'{name} after {seconds:.1f} s')
     starts = (run.late, run.late + float(time[cut]))
     before, after = (
-        replace(part, recording=replace(part.recording, name=text), late=start)
+        replace(part, name=text, late=start)
         for part, text, start in zip(parts, words, starts, strict=True)
     )
     return before, after

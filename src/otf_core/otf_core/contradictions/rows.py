@@ -17,7 +17,7 @@ from scipy import sparse
 
 from otf_core.model.kinematics import squareness_influence
 from otf_core.model.machine import AXES, Chain, Machine
-from otf_core.model.nodes import interval
+from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import SQUARENESS
 from otf_core.noise.model import beam_shares, path_frame
 from otf_core.pieces.runs import Run
@@ -169,17 +169,7 @@ def hats(rows: Rows, axis: int) -> sparse.csr_array:
     low, high = float(q.min()), float(q.max())
     count = int(np.clip(np.ceil((high - low) / pitch), 1, MAX_NODES)) + 1
     nodes = np.linspace(low, high, count) if high - low > 1e-6 else np.array([low])
-    index, fraction = interval(nodes, q)
-    place = np.arange(len(q))
-    if len(nodes) == 1:
-        return sparse.csr_array(np.ones((len(q), 1)))
-    return sparse.csr_array(
-        (
-            np.concatenate([1.0 - fraction, fraction]),
-            (np.concatenate([place, place]), np.concatenate([index, index + 1])),
-        ),
-        shape=(len(q), len(nodes)),
-    )
+    return sparse.csr_array(hat_matrix(nodes, q))
 
 
 def levers(rows: Rows, chain: Chain, offset: Array, axis: int) -> Array:

@@ -66,8 +66,7 @@ def segment_of_samples(samples: Samples) -> Index:
     """Number of the uninterrupted segment of every sample, shape (n,), from 0."""
     if len(samples) < 3:
         return np.zeros(len(samples), dtype=np.int64)
-    step = np.diff(samples.stamp_ns)
-    broken = step > max(1e9 * GAP_TIME, 5.0 * float(np.median(step)))
+    broken = np.diff(samples.stamp_ns) > max(1e9 * GAP_TIME, 5.0 * samples.step_ns)
     return np.concatenate([[0], np.cumsum(broken)])
 
 

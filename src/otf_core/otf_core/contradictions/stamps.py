@@ -33,7 +33,7 @@ LOOKED_AT = 20000
 def check_stamps(recordings: Sequence[Recording]) -> None:
     """Refuse stamps that do not ascend or that belong to two streams; InputError says why."""
     for recording in recordings:
-        with blamed(recording):
+        with blamed(recording.name):
             _check(recording.samples, recording.path)
 
 

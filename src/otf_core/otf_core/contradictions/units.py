@@ -20,7 +20,7 @@ OUTSIDE = 1e-3
 def check_path_in_machine(recordings: Sequence[Recording]) -> None:
     """Refuse a path that the machine cannot drive; InputError says why."""
     for recording in recordings:
-        with blamed(recording):
+        with blamed(recording.name):
             _check(recording)
 
 

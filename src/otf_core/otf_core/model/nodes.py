@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes of tables: where they stand on an axis, and which two a position lies between."""
+"""Nodes of tables: where they stand on an axis, and straight lines between them."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
     return nodes
 
 
-def interval(nodes: Array, q: Array) -> tuple[NDArray[np.int64], Array]:
-    """Interval of each position and the fraction within it, clamped to the nodes.
+def hat_matrix(nodes: Array, q: Array) -> Array:
+    """Values at positions of a table from those at its nodes: straight lines, constant outside.
 
     Parameters
     ----------
@@ -66,12 +66,13 @@ def interval(nodes: Array, q: Array) -> tuple[NDArray[np.int64], Array]:
 
     Returns
     -------
-    index : ndarray of int64, shape (n,)
-    fraction : ndarray, shape (n,)
-        Between 0 and 1; the table is (1 - f) * value[index] + f * value[index + 1].
+    ndarray, shape (n, k)
+        Hat functions of the nodes.
     """
     if len(nodes) == 1:
-        return np.zeros(len(q), dtype=np.int64), np.zeros(len(q))
+        return np.ones((len(q), 1))
     index = np.clip(np.searchsorted(nodes, q, side='right') - 1, 0, len(nodes) - 2)
-    fraction = (q - nodes[index]) / (nodes[index + 1] - nodes[index])
-    return index, np.clip(fraction, 0.0, 1.0)
+    fraction = np.clip((q - nodes[index]) / (nodes[index + 1] - nodes[index]), 0.0, 1.0)
+    matrix, row = np.zeros((len(q), len(nodes))), np.arange(len(q))
+    matrix[row, index], matrix[row, index + 1] = 1.0 - fraction, fraction
+    return matrix

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,16 @@ class Samples:
     def time(self) -> NDArray[np.float64]:
         """Seconds since the first sample, shape (n,)."""
         return np.asarray((self.stamp_ns - self.stamp_ns[:1]) * 1e-9, dtype=np.float64)
+
+    @cached_property
+    def step_ns(self) -> float:
+        """Usual time from one sample to the next (median), ns; 0 for a single one."""
+        return float(np.median(np.diff(self.stamp_ns))) if len(self) > 1 else 0.0
+
+    @property
+    def step(self) -> float:
+        """The same in s."""
+        return self.step_ns * 1e-9
 
     def part(self, start: int, stop: int) -> Samples:
         """Return samples start to stop - 1 (views, no copy)."""

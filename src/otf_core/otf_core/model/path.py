@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,40 +90,51 @@ class NominalPath:
         return self.points[index], index
 
 
-def along_legs(points: Array, corners: Array, leg: NDArray[np.int64]) -> LegPosition:
-    """Project points on the legs they belong to.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3), m
-    corners : ndarray, shape (m + 1, 3), m
-        Leg j runs from corner j to corner j + 1.
-    leg : ndarray of int64, shape (n,)
-    """
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = (step / length[:, None])[leg]
-    along = np.einsum('ij,ij->i', points - corners[leg], unit)
-    return LegPosition(along, unit, np.asarray(length[leg]))
-
-
 @dataclass(frozen=True)
-class LegPosition:
-    """Where points lie on their legs.
+class Legs:
+    """Straight legs between successive points.
 
     Attributes
     ----------
-    along : ndarray, shape (n,), m
-        From the start of the leg, not clipped.
-    unit : ndarray, shape (n, 3)
-        Direction of the leg.
-    length : ndarray, shape (n,), m
-        Of the leg.
+    corners : ndarray, shape (m + 1, 3), m
+        Leg j runs from corner j to corner j + 1; none repeated.
     """
 
-    along: Array
-    unit: Array
-    length: Array
+    corners: Array
+
+    @cached_property
+    def step(self) -> Array:
+        """From start to end of every leg, shape (m, 3), m."""
+        return np.asarray(np.diff(self.corners, axis=0))
+
+    @cached_property
+    def length(self) -> Array:
+        """Length of every leg, shape (m,), m."""
+        return np.asarray(np.linalg.norm(self.step, axis=1))
+
+    @cached_property
+    def unit(self) -> Array:
+        """Direction of every leg, shape (m, 3)."""
+        return np.asarray(self.step / self.length[:, None])
+
+    @cached_property
+    def reach(self) -> Array:
+        """Path length from the first corner to every corner, shape (m + 1,), m."""
+        return np.concatenate([[0.0], np.cumsum(self.length)])
+
+    def along(self, points: Array, leg: NDArray[np.int64]) -> Array:
+        """Position of points (n, 3) on their legs (n,), m from the start, not clipped."""
+        return np.asarray(np.einsum('ij,ij->i', points - self.corners[leg], self.unit[leg]))
+
+    def at(self, along: Array, leg: NDArray[np.int64]) -> Array:
+        """Points on legs (n,) at positions (n,), m from their start, shape (n, 3), m."""
+        return np.asarray(self.corners[leg] + along[:, None] * self.unit[leg])
+
+
+def leg_bounds(leg: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """First place and one past the last of every run of the same leg, in driving order."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(leg)) + 1, [len(leg)]])
+    return [(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def sides_of_travel(unit: Array) -> Array:

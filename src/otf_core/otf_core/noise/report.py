@@ -183,7 +183,7 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
     InputError
         If there is hardly any standstill, or the stamps are not those of measurements.
     """
-    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9 if len(samples) > 1 else 0.0
+    step = samples.step
     if 0.0 < step < FASTEST:
         raise InputError(
             f'stamps are {1e6 * step:.0f} us apart, faster than trackers measure: they seem to '

@@ -86,8 +86,7 @@ def resolution(deviations: list[Array]) -> Array:
 
 def block_size(samples: Samples) -> int:
     """Samples in a block."""
-    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    return max(MIN_SAMPLES, round(BLOCK / step))
+    return max(MIN_SAMPLES, round(BLOCK / samples.step))
 
 
 def blocks_of(deviations: Array, size: int) -> tuple[Array, Array]:

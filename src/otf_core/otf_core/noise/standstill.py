@@ -63,7 +63,7 @@ def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_D
     """
     if len(samples) < 4:
         return np.zeros((0, 2), dtype=np.int64)
-    step = max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
+    step = max(samples.step, 1e-9)
     half = max(1, round(0.05 / step))
     if len(samples) <= 2 * half + 1:
         return np.zeros((0, 2), dtype=np.int64)
@@ -152,8 +152,8 @@ def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
     left_out : int
         Number of louder windows, and of standstills without any rest.
     """
-    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    windows, louder = _usable(_windows(samples, rest := at_rest(samples, runs), step), step)
+    rest, step = at_rest(samples, runs), samples.step
+    windows, louder = _usable(_windows(samples, rest, step), step)
     return windows, louder + len(runs) - len(rest)
 
 
@@ -178,11 +178,10 @@ def standstill_noise(
     length = np.diff(runs, axis=1).sum() if len(runs) else 0
     if not length:
         return None
-    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
     windows, left_out = quiet_windows(samples, runs)
-    if length * step < min_total or not windows:
+    if length * samples.step < min_total or not windows:
         return None
-    return noise_of_windows(windows, step, left_out)
+    return noise_of_windows(windows, samples.step, left_out)
 
 
 def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> StandstillNoise:
@@ -207,7 +206,7 @@ def _near(samples: Samples, seen: StandstillNoise) -> tuple[float, float]:
     of its level over two angles has the standard deviation sqrt(tau / (2 T)); twice that counts.
     A stop of length w may show as little of its variance as 1 - exp(-w / tau).
     """
-    duration = seen.samples * float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    duration = seen.samples * samples.step
     scatter = np.exp(2.0 * np.sqrt(0.5 * SLOWEST / duration))
     shown = np.sqrt(-np.expm1(-duration / seen.standstills / SLOWEST))
     return min(NEAR[0], 1.0 / scatter, shown), max(NEAR[1], scatter)

@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
-from otf_core.model.path import sides_of_travel
+from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.arcs import curvature
 from otf_core.tracking.curve_pieces import curve_boundaries, near_joints
@@ -66,6 +66,8 @@ class Pieces:
         Samples in all pieces.
     outliers : int
         Samples left out as outliers.
+    end : float
+        s, since the first sample, of the end of the recording; 0 stands for the last piece.
     standstill : bool
         True if the pieces are standstills at ``origin``, where all three directions count.
     samples : ndarray of int64, shape (u,)
@@ -91,6 +93,7 @@ class Pieces:
     speed: Array
     used: int
     outliers: int
+    end: float = 0.0
     standstill: bool = False
     samples: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     piece: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -162,8 +165,7 @@ def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: f
 
 def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfig) -> Array:
     """Speed of every sample along its leg, m/s; zero near standstill and leg changes."""
-    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-    half = max(1, round(0.5 * SPEED_WINDOW / step))
+    half = max(1, round(0.5 * SPEED_WINDOW / samples.step))
     speed = np.zeros(len(samples))
     if len(samples) <= 2 * half:
         return speed
@@ -198,8 +200,7 @@ def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     about which it is reflected, is compared with the extrapolated median instead.
     """
     rest = np.zeros_like(offset)
-    bounds = np.concatenate([[0], np.flatnonzero(np.diff(leg)) + 1, [len(leg)]])
-    for low, high in pairwise(bounds):
+    for low, high in leg_bounds(leg):
         if high - low <= MEDIAN_HALF:
             rest[low:high] = offset[low:high] - np.median(offset[low:high], axis=0)
             continue
@@ -322,7 +323,7 @@ def _on_curves(
 ) -> Pieces:
     """Give pieces of curves the mean foot, direction and acceleration of their samples."""
     chord = alignment.leg[pieces.samples]
-    foot = lines.shape.corners[chord] + along[:, None] * lines.unit[chord]
+    foot = lines.at(along, chord)
     direction = pieces.mean_of(lines.unit[chord])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     curved = lines.shape.curved[pieces.leg][:, None]
@@ -350,7 +351,7 @@ def _collect(
     names, dense = np.unique(piece, return_inverse=True)
     means = _Means(dense, len(names))
     time = samples.time
-    rate = 1.0 / max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
+    rate = 1.0 / max(samples.step, 1e-9)
     first = np.zeros(len(names), dtype=np.int64)
     first[dense[::-1]] = chosen[::-1]
     leg = alignment.leg[first]
@@ -368,5 +369,6 @@ def _collect(
         piece=np.asarray(dense, dtype=np.int64),
         used=len(chosen),
         outliers=outliers,
+        end=float(time[-1]),
         spread=np.sqrt(np.maximum(means.mean(place**2) - means.mean(place) ** 2, 0.0)),
     )

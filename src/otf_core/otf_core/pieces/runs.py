@@ -17,9 +17,10 @@ from otf_core.model.machine import AXES, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.noise.model import Misfit, NoiseModel, misfit_of, scaled
+from otf_core.noise.model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.finding import Finding
+from otf_core.pieces.observed import Observed
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
 from otf_core.tracking.alignment import Alignment, align, line_step
 from otf_core.tracking.matching import OFF_PATH
@@ -52,57 +53,61 @@ class Recording:
 
 
 @contextmanager
-def blamed(recording: Recording) -> Iterator[None]:
-    """Put the name of a recording in front of what is wrong with it."""
+def blamed(name: str) -> Iterator[None]:
+    """Put the name of a recording in front of what is wrong with it; nothing if it has none."""
     try:
         yield
     except OtfError as error:
-        if not recording.name:
+        if not name:
             raise
-        raise type(error)(f'{recording.name}: {error}') from None
+        raise type(error)(f'{name}: {error}') from None
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, kw_only=True)
+class Run(Observed):
     """A recording reduced to pieces.
 
     Attributes
     ----------
-    recording : Recording
+    samples : Samples
+    path : NominalPath
+        As published.
     alignment : Alignment
-    pieces : Pieces
-    pose : RigidTransform
-        Tracker to machine, fitted rigidly.
-    noise : NoiseModel
-        As the standstills of the run show it, else as specified.
-    fitted : ndarray, shape (5,), optional
-        What the residuals say of noise and misfit, see ``noise_fit.fit_noise``.
     remarks : tuple of Finding
         What ``contradictions.examine`` found, with the first of several runs.
-    late : float, s
-        Where a recording was cut: start of this part after that of the recording.
     """
 
-    recording: Recording
+    samples: Samples
+    path: NominalPath
     alignment: Alignment
-    pieces: Pieces
-    pose: RigidTransform
-    noise: NoiseModel
-    fitted: Array | None = None
     remarks: tuple[Finding, ...] = ()
-    late: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        alignment: Alignment,
+        pieces: Pieces,
+        pose: RigidTransform,
+        noise: NoiseModel,
+    ) -> Run:
+        """Put together what was found in a recording."""
+        return cls(
+            machine=recording.machine,
+            shape=alignment.shape,
+            pieces=pieces,
+            pose=pose,
+            noise=noise,
+            name=recording.name,
+            samples=recording.samples,
+            path=recording.path,
+            alignment=alignment,
+        )
 
     @property
-    def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:
-        """Noise of single samples, and what the model leaves besides: as far as is known."""
-        if self.fitted is None:
-            return self.noise, Misfit()
-        return scaled(self.noise, self.fitted), misfit_of(self.fitted)
-
-    @property
-    def machine(self) -> Machine:
-        """Machine as set up in this run."""
-        return self.recording.machine
+    def recording(self) -> Recording:
+        """What was recorded."""
+        return Recording(self.samples, self.path, self.machine, self.name)
 
 
 def check_same_machine(recordings: Sequence[Recording]) -> None:
@@ -154,6 +159,12 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
     return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
 
 
+def common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dict[str, Array]:
+    """Table nodes over all that runs cover, from their ranges (low, high)."""
+    low, high = zip(*ranges, strict=True)
+    return table_nodes(machine, np.min(low, axis=0), np.max(high, axis=0))
+
+
 def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) -> RigidTransform:
     """Fine alignment on the pieces: perpendicular distances, every sample counting alike."""
     for _ in range(config.max_iterations):
@@ -180,22 +191,20 @@ def prepare_runs(
     check_same_machine(recordings)
     alignments, ranges = [], []
     for recording in recordings:
-        with blamed(recording):
+        with blamed(recording.name):
             alignments.append(found := align(recording.samples, recording.path, config))
             check_partial(
                 recording.samples,
+                recording.path,
                 found.T_machine_tracker,
                 found.coverage,
-                found.corners,
                 config.match_tolerance,
             )
             ranges.append(covered_range(alignments[-1], recording))
-    low = np.min([r[0] for r in ranges], axis=0)
-    high = np.max([r[1] for r in ranges], axis=0)
-    nodes = table_nodes(recordings[0].machine, low, high)
+    nodes = common_nodes(recordings[0].machine, ranges)
     runs = []
     for recording, alignment in zip(recordings, alignments, strict=True):
-        with blamed(recording):
+        with blamed(recording.name):
             runs.append(reduced(recording, alignment, nodes, config))
     return runs, nodes
 
@@ -211,4 +220,4 @@ def reduced(
     pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
     pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
     noise = noise_model(samples, spec, config.standstill_speed)
-    return Run(recording, alignment, pieces, pose, noise)
+    return Run.of(recording, alignment, pieces, pose, noise)

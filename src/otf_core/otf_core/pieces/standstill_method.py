@@ -18,12 +18,18 @@ from numpy.typing import NDArray
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform, rigid_fit
-from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import MIN_LEG, NominalPath, sides_of_travel
 from otf_core.noise.standstill import find_standstills, noise_model
 from otf_core.pieces.pieces import Pieces
-from otf_core.pieces.runs import Recording, Run, blamed, check_same_machine, covered_range
+from otf_core.pieces.runs import (
+    Recording,
+    Run,
+    blamed,
+    check_same_machine,
+    common_nodes,
+    covered_range,
+)
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.matching import OFF_PATH, find_match
 from otf_core.tracking.track import Track
@@ -204,6 +210,7 @@ def stop_pieces(samples: Samples, alignment: Alignment, stops: Stops, point: Ind
         piece=np.repeat(np.arange(len(use)), count),
         used=int(count.sum()),
         outliers=int((span[:, 1] - span[:, 0] - count).sum()),
+        end=float(time[-1]),
         standstill=True,
     )
 
@@ -215,17 +222,15 @@ def prepare_stops(
     check_same_machine(recordings)
     found, pieces, ranges = [], [], []
     for recording in recordings:
-        with blamed(recording):
+        with blamed(recording.name):
             found.append(align_stops(recording.samples, recording.path, config))
             pieces.append(stop_pieces(recording.samples, *found[-1]))
             ranges.append(covered_range(found[-1][0], recording))
-    low = np.min([r[0] for r in ranges], axis=0)
-    high = np.max([r[1] for r in ranges], axis=0)
-    nodes = table_nodes(recordings[0].machine, low, high)
+    nodes = common_nodes(recordings[0].machine, ranges)
     runs = []
     for recording, (alignment, _, _), part in zip(recordings, found, pieces, strict=True):
-        with blamed(recording):
+        with blamed(recording.name):
             samples, spec = recording.samples, recording.machine.tracker
             noise = noise_model(samples, spec, config.standstill_speed)
-        runs.append(Run(recording, alignment, part, alignment.T_machine_tracker, noise))
+        runs.append(Run.of(recording, alignment, part, alignment.T_machine_tracker, noise))
     return runs, nodes

@@ -20,7 +20,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import MOTIONS, SQUARENESS
 from otf_core.planning.drive_time import DriveTimes, leg_time
 from otf_core.planning.forecast import Setup, lay_out, tracker_pose
-from otf_core.solving.normal import NormalEquations, Whitener, leg_bounds, sum_groups
+from otf_core.solving.normal import NormalEquations, Whitener, sum_groups
 from otf_core.solving.roughness import expected_precision
 from otf_core.solving.shape_choice import smooth_bases
 from otf_core.solving.solution import identifiable_blocks
@@ -96,8 +96,8 @@ def _line_matrices(
     times = DriveTimes(length, peak, moving, begin, setup.config.acceleration, 0.0)
     pieces = lay_out(starts, ends, times, unknowns.knots, setup)
     system = build_system(setup.machine, pieces, tracker_pose(setup), unknowns, nodal_lever=nodal)
-    whitener = Whitener(system, pieces, setup.noise)
-    group = pieces.leg[[low for low, _ in leg_bounds(pieces.leg)]]
+    whitener = Whitener.of(system, pieces, setup.noise)
+    group = pieces.leg[[low for low, _ in whitener.bounds]]
     sums = sum_groups(system, unknowns, whitener, group)
     return np.stack([s.matrix for s in sums]), moving
 

@@ -13,7 +13,6 @@ from otf_core.diagnosis.engine.catalogue import Visibility, collect_options, eff
 from otf_core.diagnosis.engine.evidence import Option
 from otf_core.diagnosis.engine.rows import Rows, rows_of
 from otf_core.effects import REGISTRY
-from otf_core.effects.state import state_on_path
 from otf_core.model.plan import Plan
 from otf_core.planning.forecast import Forecast, Setup
 from otf_core.planning.planned_budget import planned_solution
@@ -26,23 +25,8 @@ SAME = 0.97
 
 def forecast_rows(plan: Plan, setup: Setup, found: Forecast) -> Rows:
     """Rows of the pieces that a recording of the plan would give, with zero deviations."""
-    run, done, tables = planned_solution(plan, setup, found)
-    solved, pieces = done.runs[0], found.pieces
-    state = state_on_path(
-        setup.machine,
-        plan.path.points,
-        pieces.leg,
-        solved.system.q,
-        pieces.speed,
-        pieces.time,
-        solved.pose,
-        found.unknowns.knots,
-        tables,
-        found.duration,
-    )
-    return rows_of(
-        [run], done, [solved.whitener], tables, (state,), setup.calibration.unidentifiable_above
-    )
+    observed, done, _ = planned_solution(plan, setup, found)
+    return rows_of([observed], done, setup.calibration.unidentifiable_above)
 
 
 def _whole(options: Sequence[Option]) -> list[Option]:

@@ -220,6 +220,7 @@ def lay_out(
         piece=np.repeat(np.arange(len(count)), count),
         used=int(count.sum()),
         outliers=0,
+        end=times.duration,
     )
 
 
@@ -254,7 +255,7 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     unknowns = layout(smooth_bases(nodes))
     pieces, pose = forecast_pieces(plan, nodes, setup), tracker_pose(setup)
     judged = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
-    whitener = Whitener(judged, pieces, setup.noise)
+    whitener = Whitener.of(judged, pieces, setup.noise)
     normal = normal_equations(judged, unknowns, whitener)
     accepted = identifiable_blocks(normal, unknowns, limit)
     system = build_system(machine, pieces, pose, unknowns)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Systematic contributions in the forecast of a plan: declared ones, and typical ones beside.
 
-The sensitivities are those of the budget; a plan stands in for the recording that it would give.
+The sensitivities are those of the budget, for the pieces that the plan would give.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,36 +15,38 @@ from numpy.typing import NDArray
 
 from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
 from otf_core.budget.typical import missing_keys, typical_runs
-from otf_core.model.observation import Samples
 from otf_core.model.plan import Plan
 from otf_core.model.presets import TYPICAL
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.runs import Recording, Run
+from otf_core.pieces.observed import Observed
 from otf_core.planning.forecast import Forecast, Setup, grid_uncertainty, tracker_pose
 from otf_core.solving.joint import JointSolution, SolvedRun, tables_of
 from otf_core.solving.normal import Whitener
 from otf_core.solving.roughness import Roughness
 from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import table_rows
-from otf_core.tracking.alignment import Alignment
+from otf_core.tracking.curves import straight_shape
 
 Array = NDArray[np.float64]
 
 
 def planned_solution(
     plan: Plan, setup: Setup, found: Forecast
-) -> tuple[Run, JointSolution, ErrorTables]:
-    """Run, solution and tables that a recording of the plan would give, with zero deviations."""
-    pose, pieces = tracker_pose(setup), found.pieces
-    system = build_system(setup.machine, pieces, pose, found.unknowns)
-    whitener = Whitener(system, pieces, setup.noise)
-    still = Samples(np.zeros(0, np.int64), np.zeros((0, 3)))
-    alignment = Alignment(pose, plan.path.points, np.zeros(0, np.int64), 1.0, True)
-    run = Run(Recording(still, plan.path, setup.machine), alignment, pieces, pose, setup.noise)
-    solved = SolvedRun(pose, system, whitener, np.zeros_like(system.deviation))
+) -> tuple[Observed, JointSolution, ErrorTables]:
+    """What the plan shows, and solution and tables with zero deviations."""
+    observed = Observed(
+        machine=setup.machine,
+        shape=straight_shape(plan.path.points),
+        pieces=found.pieces,
+        pose=tracker_pose(setup),
+        noise=setup.noise,
+    )
+    system = build_system(setup.machine, found.pieces, observed.pose, found.unknowns)
+    whitener = Whitener.of(system, found.pieces, setup.noise)
+    solved = SolvedRun(observed.pose, system, whitener, np.zeros_like(system.deviation))
     nothing = Roughness({}, np.zeros((found.unknowns.free,) * 2), np.zeros((0, 0)), 0.0, 0.0)
     done = JointSolution(found.unknowns, found.solution, nothing, found.normal, (solved,), 1)
-    return run, done, tables_of(setup.machine, found.unknowns, found.solution)
+    return observed, done, tables_of(setup.machine, found.unknowns, found.solution)
 
 
 @dataclass(frozen=True)
@@ -105,13 +107,10 @@ def planned_systematic(plan: Plan, setup: Setup, found: Forecast) -> PlannedSyst
     found : Forecast
         Of this plan.
     """
-    bare, done, tables = planned_solution(plan, setup, found)
-    # the end of the recording is all that is asked of its samples
-    ends = Samples(np.array([0, round(1e9 * found.duration)]), np.zeros((2, 3)))
-    run = replace(bare, recording=replace(bare.recording, samples=ends))
+    run, done, tables = planned_solution(plan, setup, found)
     rows = table_rows(found.unknowns, found.nodes)
 
-    def added(sources: Sequence[Any], runs: Sequence[Run]) -> Array:
+    def added(sources: Sequence[Any], runs: Sequence[Observed]) -> Array:
         total = np.zeros_like(found.covariance)
         for source in sources:
             change = rows @ systematic_sensitivity(source, runs, done, tables)

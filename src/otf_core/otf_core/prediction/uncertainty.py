@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from otf_core.model.kinematics import motion_influence, squareness_influence
 from otf_core.model.machine import AXES, Machine
-from otf_core.model.nodes import interval
+from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import MOTIONS, SQUARENESS
 
 Array = NDArray[np.float64]
@@ -30,13 +30,7 @@ def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Arra
     """
     columns = [squareness_influence(name, q)[:, :, None] for name in SQUARENESS]
     for name in MOTIONS:
-        count = len(nodes[name])
-        hat = np.zeros((len(q), count))
-        index, fraction = interval(nodes[name], q[:, AXES.index(name[2])])
-        row = np.arange(len(q))
-        hat[row, index] = 1.0 - fraction
-        if count > 1:
-            hat[row, index + 1] += fraction
+        hat = hat_matrix(nodes[name], q[:, AXES.index(name[2])])
         columns.append(motion_influence(machine, name, q)[:, :, None] * hat[:, None, :])
     return np.concatenate(columns, axis=2)
 

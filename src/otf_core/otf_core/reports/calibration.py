@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
+from otf_core.config import OTF, STANDSTILL
 from otf_core.effects.stated import effects_to_list, format_effects
 from otf_core.files.csv_points import tidy, write_csv
 from otf_core.files.writing import ensure_folder, write_text
@@ -70,7 +71,7 @@ def result_to_dict(result: CalibrationResult, verb: str = 'calibrate') -> dict[s
         'volumetric_error': volumetric_error(result.tables),
         'provenance': provenance(
             verb,
-            method='standstill' if result.runs[0].pieces.standstill else 'otf',
+            method=STANDSTILL if result.runs[0].pieces.standstill else OTF,
             runs=result.origin,
             coverage=f'{COVERAGE}; U: expanded uncertainty for 95 %, k beside it',
         ),

@@ -15,7 +15,7 @@ from otf_core.config import SimulationConfig
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import exact_position
 from otf_core.model.observation import Samples
-from otf_core.model.path import along_legs
+from otf_core.model.path import Legs
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording, Run
 from otf_core.sim.tracker import measure
@@ -42,14 +42,13 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
     Recording
         Samples off the path are left out.
     """
-    samples, leg = run.recording.samples, run.alignment.leg
-    on = leg != OFF_PATH
-    corners = run.alignment.corners
-    place = along_legs(pose.apply(samples.xyz[on]), corners, leg[on])
-    along = np.clip(place.along, 0.0, place.length)
-    q = corners[leg[on]] + along[:, None] * place.unit
+    samples, legs = run.samples, Legs(run.shape.corners)
+    on = run.alignment.leg != OFF_PATH
+    leg = run.alignment.leg[on]
+    along = np.clip(legs.along(pose.apply(samples.xyz[on]), leg), 0.0, legs.length[leg])
+    q = legs.at(along, leg)
     true_points = (exact_position(tables, q) - pose.translation) @ pose.rotation
-    seconds = max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
+    seconds = max(samples.step, 1e-9)
     config = SimulationConfig(
         seed=seed,
         rate=float(np.clip(1.0 / seconds, 1.0, 5000.0)),

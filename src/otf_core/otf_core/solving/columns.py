@@ -21,21 +21,21 @@ from otf_core.effects import State
 from otf_core.effects.state import state_on_path
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.runs import Run
+from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 
 Array = NDArray[np.float64]
 
 
 def piece_state(
-    run: Run, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
+    run: Observed, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
 ) -> State:
     """State of the pieces of one run; standstills count as points of the first leg."""
     return state_at(run, solved.system.q, solved.pose, nodes, tables)
 
 
 def state_at(
-    run: Run,
+    run: Observed,
     q: Array,
     pose: RigidTransform,
     nodes: dict[str, Array],
@@ -45,7 +45,7 @@ def state_at(
     pieces = run.pieces
     return state_on_path(
         run.machine,
-        run.alignment.corners,
+        run.shape.corners,
         np.zeros_like(pieces.leg) if pieces.standstill else pieces.line,
         q,
         pieces.speed,
@@ -53,8 +53,8 @@ def state_at(
         pose,
         nodes,
         tables,
-        run.late + float(run.recording.samples.time[-1]),
-        run.alignment.shape,
+        run.late + pieces.end,
+        run.shape,
     )
 
 

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.pieces.runs import Run
+from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.solving.columns import across, sensitivity
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.reversal_choice import ReversalSolution
@@ -33,7 +33,7 @@ UNCLEAR = 1e-6
 """m; an uncertainty of it that is worth a remark."""
 
 
-def lags(runs: Sequence[Run], done: JointSolution) -> list[tuple[float, float]]:
+def lags(runs: Sequence[Observed], done: JointSolution) -> list[tuple[float, float]]:
     """Square of time by which each run drives inside its curves, and its uncertainty, s^2.
 
     Both are zero for a run without curves. The uncertainty holds what the residuals have beyond
@@ -56,22 +56,24 @@ def lags(runs: Sequence[Run], done: JointSolution) -> list[tuple[float, float]]:
         if own <= 0.0:
             found.append((0.0, 0.0))
             continue
-        white = solved.whitener.vector(solved.residual)
+        white = solved.whitener.whiten(solved.residual)
         scale = max(1.0, float(np.sqrt(np.mean(white**2))))
         lag = float(np.sum(weights * solved.residual)) / own
         parts = np.sum(weights * (solved.residual - lag * left), axis=0)
-        curve = run.alignment.shape.stretch[run.pieces.line]
+        curve = run.shape.stretch[run.pieces.line]
         spread = float(np.sqrt(np.sum(np.bincount(curve, parts) ** 2))) / own
         found.append((lag, max(scale / np.sqrt(own), spread)))
     return found
 
 
-def moved_onto_curves(runs: Sequence[Run], solved: ReversalSolution) -> list[Run] | None:
+def moved_onto_curves(
+    runs: Sequence[AnyRun], solved: ReversalSolution[AnyRun]
+) -> list[AnyRun] | None:
     """Runs whose paths lie as far inside their curves as was driven; None if none does.
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of Observed
         With all their pieces.
     solved : ReversalSolution
         Of these runs.
@@ -86,15 +88,15 @@ def moved_onto_curves(runs: Sequence[Run], solved: ReversalSolution) -> list[Run
     return None if all(a is b for a, b in zip(moved, runs, strict=True)) else moved
 
 
-def _size(run: Run, lag: float) -> float:
+def _size(run: Observed, lag: float) -> float:
     """How far a run drives inside its curves at most, m."""
     bend = run.pieces.bend
     return abs(lag) * float(np.linalg.norm(bend, axis=1).max()) if len(bend) else 0.0
 
 
-def curve_remarks(runs: Sequence[Run], done: JointSolution) -> list[str]:
+def curve_remarks(runs: Sequence[Observed], done: JointSolution) -> list[str]:
     """What the reader of a result should know of the curves of its runs."""
-    said = [r.alignment.remark for r in runs if r.alignment.remark]
+    said = []
     for run, (_, u) in zip(runs, lags(runs, done), strict=True):
         if _size(run, u) > UNCLEAR:
             said.append(

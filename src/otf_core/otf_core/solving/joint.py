@@ -15,11 +15,13 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
+from otf_core.model.path import leg_bounds
 from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
-from otf_core.pieces.runs import Run, blamed
+from otf_core.pieces.runs import blamed
 from otf_core.solving.noise_fit import FittedNoise, fit_noise
-from otf_core.solving.normal import NormalEquations, Whitener, leg_bounds, normal_equations
+from otf_core.solving.normal import NormalEquations, Whitener, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, identifiable_blocks, solve
 from otf_core.solving.system import System, build_system
@@ -127,7 +129,7 @@ def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> Error
 
 
 def _systems(
-    runs: Sequence[Run],
+    runs: Sequence[Observed],
     poses: Sequence[RigidTransform],
     unknowns: Unknowns,
     tables: ErrorTables | None,
@@ -147,12 +149,12 @@ def summed(
 
 
 def solve_robustly(
-    runs: Sequence[Run],
+    runs: Sequence[AnyRun],
     unknowns: Unknowns,
     config: CalibrationConfig,
     progress: Progress,
     start: Start | None = None,
-) -> tuple[list[Run], JointSolution]:
+) -> tuple[list[AnyRun], JointSolution]:
     """Solve, leave out pieces far from the solution, fit the noise, solve again.
 
     Bursts of bad samples longer than the window of the outlier test, and corners rounded beyond
@@ -160,7 +162,7 @@ def solve_robustly(
 
     Returns
     -------
-    runs : list of Run
+    runs : list, as given
         With the pieces that were kept, and noise and misfit as the residuals say them.
     solution : JointSolution
     """
@@ -191,7 +193,7 @@ def _same_noise(found: FittedNoise, before: Array) -> bool:
     return bool(np.all(change < np.maximum(NOISE_SETTLED, 0.5 * found.u)))
 
 
-def fitted_noise(run: Run, solved: SolvedRun, done: JointSolution) -> FittedNoise:
+def fitted_noise(run: Observed, solved: SolvedRun, done: JointSolution) -> FittedNoise:
     """What the residuals of one run say of noise and misfit, see ``noise_fit.fit_noise``."""
     return fit_noise(
         solved.system,
@@ -223,7 +225,7 @@ def _far_pieces(residual: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
 
 
 def solve_jointly(
-    runs: Sequence[Run],
+    runs: Sequence[Observed],
     unknowns: Unknowns,
     config: CalibrationConfig,
     progress: Progress,
@@ -233,7 +235,7 @@ def solve_jointly(
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of Observed
     unknowns : Unknowns
     config : CalibrationConfig
     progress : callable(stage, fraction)
@@ -268,7 +270,7 @@ def solve_jointly(
             solved = zip(poses, systems, whiteners, left, strict=True)
             done = tuple(SolvedRun(*parts) for parts in solved)
             return JointSolution(unknowns, solution, rough, normal, done, iteration)
-    names = ', '.join(run.recording.name for run in runs if run.recording.name)
+    names = ', '.join(run.name for run in runs if run.name)
     raise InputError(
         f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
         f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
@@ -293,16 +295,16 @@ def settled(done: JointSolution, limit: float) -> JointSolution:
     return replace(done, normal=normal, solution=replace(old, covariance=last.covariance))
 
 
-def _whiteners(runs: Sequence[Run], systems: Sequence[System]) -> list[Whitener]:
+def _whiteners(runs: Sequence[Observed], systems: Sequence[System]) -> list[Whitener]:
     found = []
     for system, run in zip(systems, runs, strict=True):
-        with blamed(run.recording):
-            found.append(Whitener(system, run.pieces, *run.noise_and_misfit))
+        with blamed(run.name):
+            found.append(Whitener.of(system, run.pieces, *run.noise_and_misfit))
     return found
 
 
 def _seen_blocks(
-    runs: Sequence[Run], unknowns: Unknowns, whiteners: Sequence[Whitener], limit: float
+    runs: Sequence[Observed], unknowns: Unknowns, whiteners: Sequence[Whitener], limit: float
 ) -> tuple[str, ...]:
     """Blocks of unknowns that the data determine."""
     judged = [

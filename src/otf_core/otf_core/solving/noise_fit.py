@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.model.path import leg_bounds
 from otf_core.noise.model import (
     INDEPENDENT,
     LASTING,
@@ -36,7 +37,7 @@ from otf_core.noise.model import (
     scaled,
 )
 from otf_core.pieces.pieces import Pieces
-from otf_core.solving.normal import fill_rows, leg_bounds, leg_parts
+from otf_core.solving.normal import fill_rows, leg_parts
 from otf_core.solving.system import System
 
 Array = NDArray[np.float64]

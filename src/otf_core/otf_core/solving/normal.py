@@ -10,9 +10,9 @@ weighting (Eq. 4-6).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from scipy import sparse
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 
 from otf_core.errors import InputError
+from otf_core.model.path import leg_bounds
 from otf_core.noise.model import Misfit, NoiseModel, covariance_parts
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.system import System
@@ -67,66 +68,83 @@ class NormalEquations:
         )
 
 
+@dataclass(frozen=True)
 class Whitener:
     """Frees the rows of each leg of the correlation of their noise.
 
-    Parameters
+    Attributes
     ----------
-    system : System
-        Its noise shares are used; they change little from iteration to iteration.
-    pieces : Pieces
-    noise : NoiseModel
-    misfit : Misfit
+    bounds : sequence of (int, int)
+        First piece and one past the last of every leg.
+    factors : tuple of (tuple of ndarray)
+        Lower Cholesky factor of the covariance of every leg and component, m.
     """
 
-    def __init__(
-        self, system: System, pieces: Pieces, noise: NoiseModel, misfit: Misfit = NO_MISFIT
-    ) -> None:
-        self.bounds = leg_bounds(pieces.leg)
-        self._factors = [
-            [
-                _factor(leg_parts(system, pieces, noise, misfit, component, low, high), leg)
-                for component in range(len(system.deviation))
-            ]
-            for low, high in self.bounds
-            for leg in [int(pieces.leg[low])]
-        ]
+    bounds: Sequence[tuple[int, int]]
+    factors: tuple[tuple[Array, ...], ...]
 
-    @property
-    def factors(self) -> tuple[tuple[Array, ...], ...]:
-        """Lower Cholesky factor of every leg and component, m."""
-        return tuple(tuple(leg) for leg in self._factors)
+    @classmethod
+    def of(
+        cls, system: System, pieces: Pieces, noise: NoiseModel, misfit: Misfit = NO_MISFIT
+    ) -> Whitener:
+        """For the noise of pieces; the shares of a system change little between iterations."""
+        bounds = leg_bounds(pieces.leg)
+        parts = partial(leg_parts, system, pieces, noise, misfit)
+        components = range(len(system.deviation))
+        factors = [
+            tuple(_factor(parts(c, low, high), int(pieces.leg[low])) for c in components)
+            for low, high in bounds
+        ]
+        return cls(bounds, tuple(factors))
 
     @property
     def expected(self) -> Array:
         """Standard deviation of the noise of every piece, shape (c, p), m."""
         return np.stack([
-            np.concatenate([np.linalg.norm(leg[c], axis=1) for leg in self._factors])
-            for c in range(len(self._factors[0]))
+            np.concatenate([np.linalg.norm(factor, axis=1) for factor in component])
+            for component in zip(*self.factors, strict=True)
         ])  # fmt: skip
 
-    def leg_rows(self, leg: int, component: int, rows: Array) -> Array:
-        """Whiten the rows (m, k) of one component of one leg."""
-        factor = self._factors[leg][component]
-        return np.asarray(solve_triangular(factor, rows, lower=True, check_finite=False))
+    def parts(self) -> Iterator[tuple[int, int, int, Array]]:
+        """Component, first piece, one past the last and factor of the rows of every leg."""
+        for (low, high), leg in zip(self.bounds, self.factors, strict=True):
+            for component, factor in enumerate(leg):
+                yield component, low, high, factor
 
-    def vector(self, values: Array) -> Array:
-        """Whiten values of shape (c, p)."""
+    def _applied(self, function: Callable[[Array, Array], Array], values: Array) -> Array:
         result = np.empty_like(values)
-        for leg, (low, high) in enumerate(self.bounds):
-            for component in range(len(values)):
-                part = values[component, low:high]
-                result[component, low:high] = self.leg_rows(leg, component, part)
+        for component, low, high, factor in self.parts():
+            part = values[component, low:high]
+            result[component, low:high] = function(factor, part)
         return result
+
+    def whiten(self, values: Array) -> Array:
+        """Free values (c, p, ...) of the correlation: noise as expected has unit variance."""
+        return self._applied(whitened, values)
+
+    def whiten_transposed(self, values: Array) -> Array:
+        """Apply the transpose of ``whiten``: for products with columns."""
+        return self._applied(partial(whitened, transposed=True), values)
+
+    def unwhiten(self, values: Array) -> Array:
+        """Undo ``whiten``."""
+        return self._applied(np.matmul, values)
 
     def weighted(self, values: Array) -> Array:
         """Multiply values (c, p, ...) by the inverse covariance of the noise."""
-        result = np.empty_like(values)
-        for (low, high), leg in zip(self.bounds, self._factors, strict=True):
-            for component, factor in enumerate(leg):
-                part = values[component, low:high]
-                result[component, low:high] = cho_solve((factor, True), part, check_finite=False)
-        return result
+        return self._applied(weighted, values)
+
+
+def whitened(factor: Array, rows: Array, *, transposed: bool = False) -> Array:
+    """Rows (m, ...) of one leg and component, by its lower Cholesky factor (m, m)."""
+    return np.asarray(
+        solve_triangular(factor, rows, trans=int(transposed), lower=True, check_finite=False)
+    )
+
+
+def weighted(factor: Array, rows: Array) -> Array:
+    """Rows (m, ...) of one leg and component times the inverse of their covariance."""
+    return np.asarray(cho_solve((factor, True), rows, check_finite=False))
 
 
 def leg_parts(
@@ -153,12 +171,6 @@ def _factor(parts: Sequence[Array], leg: int) -> Array:
             f'leg {leg} of the path: its samples belong to two passes; '
             f'path and track do not agree there'
         ) from None
-
-
-def leg_bounds(leg: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """First piece and one past the last of every leg, in driving order."""
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(leg)) + 1, [len(leg)]])
-    return [(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def normal_equations(system: System, unknowns: Unknowns, whitener: Whitener) -> NormalEquations:
@@ -199,17 +211,16 @@ def sum_groups(
     groups = max(groups, int(group.max()) + 1)
     products = np.zeros((groups, size + 1, size + 1))
     rows = np.zeros(groups, dtype=int)
-    for leg, (low, high) in enumerate(whitener.bounds):
-        g = int(group[leg])
-        for component in range(len(system.deviation)):
-            dense = np.zeros((high - low, size + 1))
-            fill_rows(dense, design, component * count + low)
-            if extra is not None:
-                dense[:, unknowns.free : -1] = extra[component, low:high]
-            dense[:, -1] = system.deviation[component, low:high]
-            white = whitener.leg_rows(leg, component, dense)
-            products[g] += white.T @ white
-            rows[g] += high - low
+    of_leg = np.repeat(group, len(system.deviation)).tolist()
+    for g, (component, low, high, factor) in zip(of_leg, whitener.parts(), strict=True):
+        dense = np.zeros((high - low, size + 1))
+        fill_rows(dense, design, component * count + low)
+        if extra is not None:
+            dense[:, unknowns.free : -1] = extra[component, low:high]
+        dense[:, -1] = system.deviation[component, low:high]
+        white = whitened(factor, dense)
+        products[g] += white.T @ white
+        rows[g] += high - low
     return [
         NormalEquations(p[:-1, :-1].copy(), p[:-1, -1].copy(), float(p[-1, -1]), int(n))
         for p, n in zip(products, rows, strict=True)
@@ -222,3 +233,10 @@ def fill_rows(dense: Array, design: sparse.csr_array, start: int) -> None:
     row = np.repeat(np.arange(len(dense)), np.diff(ends))
     part = slice(ends[0], ends[-1])
     dense[row, design.indices[part]] = design.data[part]
+
+
+def rows_by_run(values: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Split values (r, ...) of the rows of all runs: one array (c, p, ...) for each of shapes."""
+    ends = np.cumsum([np.prod(shape, dtype=int) for shape in shapes])
+    parts = zip(np.split(values, ends[:-1]), shapes, strict=True)
+    return [part.reshape(*shape, *values.shape[1:]) for part, shape in parts]

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,8 @@ from scipy.linalg import block_diag
 from otf_core.config import CalibrationConfig
 from otf_core.effects.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
-from otf_core.pieces.runs import Run
+from otf_core.pieces.observed import AnyRun, Observed
+from otf_core.solving.folds import FOLDS, fold_of, leg_numbers
 from otf_core.solving.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
 from otf_core.solving.normal import sum_groups
 from otf_core.solving.reversal import MODELS
@@ -40,7 +42,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Evidence = dict[str, float | int | str]
 
-FOLDS = 8
 CLEAR = 3.0
 """Gain over its own scatter from which a richer model is taken."""
 RIVAL = ServoMismatch()
@@ -68,33 +69,33 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class ReversalSolution:
+class ReversalSolution(Generic[AnyRun]):
     """Solution with the reversal model that was asked for or chosen.
 
     Attributes
     ----------
-    runs : list of Run
+    runs : list of Observed
         With the pieces that were kept.
     done : JointSolution
     choice : Choice
-    plain : (list of Run, JointSolution)
+    plain : (list of Observed, JointSolution)
         The same without reversal.
     """
 
-    runs: list[Run]
+    runs: list[AnyRun]
     done: JointSolution
     choice: Choice
-    plain: tuple[list[Run], JointSolution]
+    plain: tuple[list[AnyRun], JointSolution]
 
 
 def solve_with_reversal(
-    runs: Sequence[Run], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress
-) -> ReversalSolution:
+    runs: Sequence[AnyRun], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress
+) -> ReversalSolution[AnyRun]:
     """Solve with the reversal model of the configuration, or with the one the data call for.
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of Observed
     nodes : mapping of axis to ndarray, m
     config : CalibrationConfig
     progress : callable(stage, fraction)
@@ -111,7 +112,7 @@ def solve_with_reversal(
     return ReversalSolution(*again, choice, (kept, done))
 
 
-def choose(runs: Sequence[Run], done: JointSolution, config: CalibrationConfig) -> Choice:
+def choose(runs: Sequence[Observed], done: JointSolution, config: CalibrationConfig) -> Choice:
     """Choose a reversal model by what it leaves of held-out legs.
 
     The model may be given by the configuration; whether axes that stand are held is always
@@ -119,7 +120,7 @@ def choose(runs: Sequence[Run], done: JointSolution, config: CalibrationConfig) 
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of Observed
     done : JointSolution
         Of the same runs, without reversal.
     config : CalibrationConfig
@@ -135,7 +136,7 @@ def choose(runs: Sequence[Run], done: JointSolution, config: CalibrationConfig) 
     given = config.reversal
     if given == 'none':
         return Choice('none', False, {'decided_by': 'configuration'})
-    fold = _folds(done)
+    fold = [fold_of(np.unique(number)) for number in leg_numbers(done)]
     legs = sum(len(f) for f in fold)
     if legs < MIN_LEGS and given == 'auto':
         few = f'too few legs: {legs}, {MIN_LEGS} needed'
@@ -178,19 +179,8 @@ def _chosen(left: dict[str, Array], held: bool) -> Choice:
     return Choice(best, held, evidence)
 
 
-def _folds(done: JointSolution) -> list[Index]:
-    """Fold of every leg of every run; neighbouring legs go to different folds."""
-    folds, offset = [], 0
-    for solved in done.runs:
-        number = np.arange(len(solved.whitener.bounds)) + offset
-        # laps of one line do not always share a fold
-        folds.append((number * 5 + number // FOLDS) % FOLDS)
-        offset += len(number)
-    return folds
-
-
 def _held_out_squares(
-    runs: Sequence[Run], done: JointSolution, fold: Sequence[Index], limit: float, held: bool
+    runs: Sequence[Observed], done: JointSolution, fold: Sequence[Index], limit: float, held: bool
 ) -> dict[str, Array]:
     """Squared whitened residual of every leg under every model fitted to the other folds."""
     unknowns = layout(done.unknowns.bases, len(runs), max(MODELS.values()), held=held)
@@ -234,7 +224,7 @@ def _motion(block: str) -> str:
     return block[:3] if is_reversal(block) else block
 
 
-def _rival_columns(run: Run, system: System) -> Array:
+def _rival_columns(run: Observed, system: System) -> Array:
     """Columns of the rival across the path, shape (c, p, k)."""
     state = state_of_travel(run.machine, system.q, run.pieces.direction)
     terms = RIVAL.terms(replace(state, speed=run.pieces.speed), {})
@@ -256,5 +246,5 @@ def _squares(
         *system.deviation.shape, FOLDS
     ) + rival @ values[unknowns.free :]
     of_fold = np.take_along_axis(predicted, fold[number][None, :, None], axis=2)[..., 0]
-    white = solved.whitener.vector(system.deviation - of_fold)
+    white = solved.whitener.whiten(system.deviation - of_fold)
     return np.asarray(np.bincount(number, (white**2).sum(axis=0), len(size)), dtype=float)

@@ -12,7 +12,7 @@ from otf_core.effects import State
 from otf_core.effects.state import state_on_path
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement
-from otf_core.model.path import along_legs
+from otf_core.model.path import Legs, leg_bounds
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
 
@@ -42,35 +42,27 @@ class SampleResiduals:
 def detrend_legs(values: Array, leg: Index, order: int = DETREND_ORDER) -> Array:
     """Take a polynomial over the samples of each leg off, column by column."""
     result = np.empty_like(values)
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(leg)) + 1, [len(leg)]])
-    for k in range(len(edges) - 1):
-        low, high = edges[k], edges[k + 1]
+    for low, high in leg_bounds(leg):
         x = np.linspace(-1.0, 1.0, high - low)
-        basis = np.polynomial.legendre.legvander(x, min(order, max(int(high - low) - 1, 0)))
+        basis = np.polynomial.legendre.legvander(x, min(order, max(high - low - 1, 0)))
         part = values[low:high]
         result[low:high] = part - basis @ np.linalg.lstsq(basis, part, rcond=None)[0]
     return result
-
-
-def _nominal(points: Array, corners: Array, leg: Index) -> Array:
-    """Nearest points on the legs, shape (n, 3), m."""
-    place = along_legs(points, corners, leg)
-    return np.asarray(corners[leg] + place.along[:, None] * place.unit)
 
 
 def sample_state(
     run: Run, pose: RigidTransform, tables: ErrorTables | None, nodes: dict[str, Array]
 ) -> State:
     """State of the samples in the pieces of a run."""
-    samples, corners, index = run.recording.samples, run.alignment.corners, run.pieces.samples
+    samples, legs, index = run.samples, Legs(run.shape.corners), run.pieces.samples
     leg = run.alignment.leg[index]
     points = pose.apply(samples.xyz[index])
-    q = _nominal(points, corners, leg)
+    q = legs.at(legs.along(points, leg), leg)
     if tables is not None:  # errors along the path would shift the phase of periodic effects
-        q = _nominal(points - displacement(tables, q), corners, leg)
+        q = legs.at(legs.along(points - displacement(tables, q), leg), leg)
     return state_on_path(
         run.machine,
-        corners,
+        legs.corners,
         leg,
         q,
         run.pieces.speed[run.pieces.piece],
@@ -78,8 +70,8 @@ def sample_state(
         pose,
         nodes,
         tables,
-        run.late + float(samples.time[-1]),
-        run.alignment.shape,
+        run.late + run.pieces.end,
+        run.shape,
     )
 
 
@@ -98,7 +90,7 @@ def sample_residuals(
     """
     state = sample_state(run, pose, tables, nodes)
     leg = run.pieces.leg[run.pieces.piece]
-    points = pose.apply(run.recording.samples.xyz[run.pieces.samples])
+    points = pose.apply(run.samples.xyz[run.pieces.samples])
     offset = points - state.q - displacement(tables, state.q)
     offset -= np.einsum('ij,ij->i', offset, state.direction)[:, None] * state.direction
     return SampleResiduals(leg, state, detrend_legs(offset, leg))

@@ -15,12 +15,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
-from otf_core.pieces.runs import Run
+from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.solving.basis import Basis, cubic, linear
 from otf_core.solving.joint import (
     JointSolution,
@@ -49,13 +50,13 @@ NOTABLE = 0.05
 
 
 @dataclass(frozen=True)
-class ShapeChoice:
+class ShapeChoice(Generic[AnyRun]):
     """Functions for the error motions, and runs with poses to start from.
 
     Attributes
     ----------
     bases : mapping of axis to Basis
-    runs : list of Run
+    runs : list of Observed
         With the poses of the first solution.
     start : Start
     evidence : mapping of name to float
@@ -63,7 +64,7 @@ class ShapeChoice:
     """
 
     bases: Bases
-    runs: list[Run]
+    runs: list[AnyRun]
     start: Start
     evidence: Mapping[str, float]
 
@@ -81,11 +82,10 @@ def linear_bases(nodes: Mapping[str, Array]) -> Bases:
 def _steps_unexplained(solved: SolvedRun) -> bool:
     """Tell whether neighbouring pieces of a line differ by more than the noise."""
     found = []
-    for (low, high), leg in zip(solved.whitener.bounds, solved.whitener.factors, strict=True):
-        for component, factor in enumerate(leg):
-            noise = np.sum(np.diff(factor, axis=0) ** 2, axis=1)
-            step = np.diff(solved.residual[component, low:high]) ** 2
-            found.append(np.stack([step - noise, noise]))
+    for component, low, high, factor in solved.whitener.parts():
+        noise = np.sum(np.diff(factor, axis=0) ** 2, axis=1)
+        step = np.diff(solved.residual[component, low:high]) ** 2
+        found.append(np.stack([step - noise, noise]))
     excess, noise = np.concatenate(found, axis=1)
     if not excess.size:  # stops: no two pieces of one line that could tell
         return True
@@ -95,13 +95,16 @@ def _steps_unexplained(solved: SolvedRun) -> bool:
 
 
 def choose_shapes(
-    runs: Sequence[Run], nodes: Mapping[str, Array], config: CalibrationConfig, progress: Progress
-) -> ShapeChoice:
+    runs: Sequence[AnyRun],
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    progress: Progress,
+) -> ShapeChoice[AnyRun]:
     """Choose the functions that the motions are made of.
 
     Parameters
     ----------
-    runs : sequence of Run
+    runs : sequence of Observed
     nodes : mapping of axis to ndarray, m
         Of the tables that machine.yaml asks for.
     config : CalibrationConfig
@@ -132,7 +135,7 @@ _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
 
 
 def _tried(
-    runs: Sequence[Run], bases: Bases, done: JointSolution, config: CalibrationConfig
+    runs: Sequence[Observed], bases: Bases, done: JointSolution, config: CalibrationConfig
 ) -> Roughness:
     """Roughness of one linear solution at given poses and positions."""
     unknowns = layout(bases, len(runs))

@@ -18,14 +18,13 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
-from otf_core.model.path import NominalPath
+from otf_core.model.path import Legs, NominalPath
 from otf_core.tracking.arcs import Bulge, bulge_of, with_arcs
 from otf_core.tracking.curves import SHORT_CURVE, Lines, Shape, straight_shape
 from otf_core.tracking.driven import Driven, as_planned, driven_path, sample_chords, visits
 from otf_core.tracking.guide import Guide
 from otf_core.tracking.matching import ENOUGH, LEAST, cut_track
-from otf_core.tracking.mirrored import mirrored
-from otf_core.tracking.no_match import MIRRORED, why_no_match
+from otf_core.tracking.no_match import MIRRORED, mirrored, why_no_match
 from otf_core.tracking.order import FORWARD, OFF_PATH, Match, follow
 from otf_core.tracking.rounding import rounded_ends, sharpened
 from otf_core.tracking.track import Track, measured_track
@@ -187,13 +186,13 @@ def _match(track: Track, guide: Guide, tolerance: float) -> Match | None:
 def _coverage(match: Match, guide: Guide, slack: float) -> float:
     """Share of the nominal length that was driven."""
     vertices, curve = guide.vertices, guide.curve
-    length = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
+    length = Legs(vertices).length
     driven = np.zeros(len(length))
     if as_planned(visits(match, vertices, slack)):
         use = match.leg != OFF_PATH
         np.add.at(driven, match.leg[use], match.track.lengths[use])
     else:
-        for leg, spans in _spans(match, vertices, length).items():
+        for leg, spans in _spans(match, Legs(vertices)).items():
             upto = 0.0
             for low, high in sorted(spans):
                 driven[leg] += max(0.0, high - max(low, upto))
@@ -203,15 +202,14 @@ def _coverage(match: Match, guide: Guide, slack: float) -> float:
     return float(np.minimum(seen, whole).sum() / length.sum())
 
 
-def _spans(match: Match, vertices: Array, length: Array) -> dict[int, list[tuple[float, float]]]:
+def _spans(match: Match, legs: Legs) -> dict[int, list[tuple[float, float]]]:
     """Driven spans of every leg, m from its start."""
-    unit = np.diff(vertices, axis=0) / length[:, None]
     places = [match.pose.apply(p) for p in (match.track.starts, match.track.ends)]
     found: dict[int, list[tuple[float, float]]] = {}
     for k in np.flatnonzero(match.leg != OFF_PATH).tolist():
         j = int(match.leg[k])
-        low, high = sorted(float((p[k] - vertices[j]) @ unit[j]) for p in places)
-        found.setdefault(j, []).append((max(low, 0.0), min(high, float(length[j]))))
+        low, high = sorted(float((p[k] - legs.corners[j]) @ legs.unit[j]) for p in places)
+        found.setdefault(j, []).append((max(low, 0.0), min(high, float(legs.length[j]))))
     return found
 
 
@@ -238,13 +236,12 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     match = _match(track, guide, tolerance)
     if match is None or match.explained < LEAST:
         raise InputError(
-            f'samples do not follow the path: '
-            f'{why_no_match(samples, track, guide.vertices, tolerance)}'
+            f'samples do not follow the path: {why_no_match(samples, track, guide, tolerance)}'
         )
-    if match.explained < DOUBTFUL and (
-        mirrored(track, guide, tolerance) > match.explained + CLEARLY
-    ):
-        raise InputError(f'samples do not follow the path: {MIRRORED}')
+    if match.explained < DOUBTFUL:
+        image = mirrored(track, guide, tolerance)
+        if image is not None and image.explained > match.explained + CLEARLY:
+            raise InputError(f'samples do not follow the path: {MIRRORED}')
     driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
     track, rounded = match.track, _rounded(match, driven, config)
     for _ in range(2):
@@ -255,7 +252,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
             raise InputError(
                 f'samples do not follow the path: only {100 * match.explained:.0f} % of '
                 f'the measured track lies within {1e3 * tolerance:g} mm of it; '
-                f'{why_no_match(samples, track, guide.vertices, tolerance)}'
+                f'{why_no_match(samples, track, guide, tolerance)}'
             )
         driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
         rounded = _rounded(match, driven, config)

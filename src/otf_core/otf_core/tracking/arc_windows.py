@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.model.frames import RigidTransform, rigid_fit
+from otf_core.model.path import Legs
 from otf_core.tracking.track import Track
 
 Array = NDArray[np.float64]
@@ -30,8 +31,7 @@ TRIES = 12
 
 def dense_points(corners: Array, step: float) -> tuple[Array, Array]:
     """Points along a polyline at most ``step`` m apart, and their path lengths, m."""
-    length = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-    done = np.concatenate([[0.0], np.cumsum(length)])
+    done = Legs(corners).reach
     along = np.linspace(0.0, done[-1], max(2, int(np.ceil(done[-1] / step)) + 1))
     return at_length(corners, done, along), along
 
@@ -59,8 +59,7 @@ def _track_windows(track: Track, span: float) -> Array:
     windows = [np.empty((0, WIDTH, 3))]
     for low, high in pairwise(bounds):
         points = track.points[track.start[low] : track.stop[high - 1] + 1]
-        step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        done = np.concatenate([[0.0], np.cumsum(step)])
+        done = Legs(points).reach
         starts = np.linspace(0.0, done[-1] - span, 8 * TRIES) if done[-1] > span else np.empty(0)
         place = starts[:, None] + np.linspace(0.0, span, WIDTH)
         windows.append(at_length(points, done, place.ravel()).reshape(-1, WIDTH, 3))
@@ -93,7 +92,7 @@ def propose(track: Track, corners: Array, tolerance: float) -> list[RigidTransfo
         m.
     """
     extent = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    total = float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
+    total = float(Legs(corners).length.sum())
     step = max(tolerance, total / STARTS)
     limit = 3 * tolerance + step
     poses: list[RigidTransform] = []

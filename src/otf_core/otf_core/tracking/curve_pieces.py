@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.model.path import MOVING
+from otf_core.model.path import MOVING, Legs
 from otf_core.tracking.curves import Lines, turns
 
 Array = NDArray[np.float64]
@@ -71,10 +71,8 @@ def curve_boundaries(corners: Array, nodes: tuple[Array, ...], size: float) -> A
     size : float
         m.
     """
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    done = np.concatenate([[0.0], np.cumsum(length)])
-    unit = step / length[:, None]
+    legs = Legs(corners)
+    step, length, done, unit = legs.step, legs.length, legs.reach, legs.unit
     cuts = [done[[0, -1]]]
     for axis in range(3):
         moving = np.flatnonzero(np.abs(step[:, axis]) > 1e-9)

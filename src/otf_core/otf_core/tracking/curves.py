@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.path import Legs
 from otf_core.tracking.track import simplify
 
 Array = NDArray[np.float64]
@@ -72,14 +73,12 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Lines:
+class Lines(Legs):
     """Chords of a shape as lines, and where they lie on their curves.
 
     Attributes
     ----------
     shape : Shape
-    length : ndarray, shape (m,), m
-    unit : ndarray, shape (m, 3)
     start : ndarray, shape (m,), m
         Path length from the start of the stretch to the start of the chord.
     total : ndarray, shape (m,), m
@@ -87,27 +86,17 @@ class Lines:
     """
 
     shape: Shape
-    length: Array
-    unit: Array
     start: Array
     total: Array
 
     @classmethod
     def of(cls, shape: Shape) -> Lines:
         """Measure the chords of a shape."""
-        step = np.diff(shape.corners, axis=0)
-        length = np.linalg.norm(step, axis=1)
-        done = np.concatenate([[0.0], np.cumsum(length)])
-        curved = shape.curved
-        start = np.where(curved, done[:-1] - done[shape.stretch], 0.0)
+        legs, curved = Legs(shape.corners), shape.curved
+        length, reach = legs.length, legs.reach
+        start = np.where(curved, reach[:-1] - reach[shape.stretch], 0.0)
         total = np.bincount(shape.stretch, length, minlength=len(length))[shape.stretch]
-        return cls(shape, length, step / length[:, None], start, np.where(curved, total, length))
-
-    def along(self, points: Array, chord: Index) -> Array:
-        """Position of points on their chords, m from the start of the chord, not clipped."""
-        return np.asarray(
-            np.einsum('ij,ij->i', points - self.shape.corners[chord], self.unit[chord])
-        )
+        return cls(shape.corners, shape, start, np.where(curved, total, length))
 
     def settled(self, points: Array, chord: Index) -> Index:
         """Nearest chord of the same stretch, found by stepping from a chord near by.
@@ -139,8 +128,7 @@ class Lines:
     def _square(self, points: Array, chord: Index) -> Array:
         """Squared distance of points from their chords, ends counted."""
         along = np.clip(self.along(points, chord), 0.0, self.length[chord])
-        foot = self.shape.corners[chord] + along[:, None] * self.unit[chord]
-        off = points - foot
+        off = points - self.at(along, chord)
         return np.asarray(np.einsum('ij,ij->i', off, off))
 
 
@@ -164,12 +152,11 @@ def shape_of(corners: Array) -> Shape:
     corners : ndarray, shape (m + 1, 3), m
         No point repeated.
     """
-    step = np.diff(corners, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    number = np.arange(len(length))
+    legs = Legs(corners)
+    length, number = legs.length, np.arange(len(corners) - 1)
     if len(length) < LEAST or np.count_nonzero(length <= CHORD) < LEAST:
         return straight_shape(corners)
-    turn = turns(step / length[:, None])
+    turn = turns(legs.unit)
     gentle = (turn <= GENTLE) & (length[:-1] <= CHORD) & (length[1:] <= CHORD)
     first = np.concatenate([[True], ~gentle])
     stretch = number[first][np.cumsum(first) - 1]

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.model.path import MIN_LEG
+from otf_core.model.path import MIN_LEG, Legs
 from otf_core.tracking.curves import Lines, Shape, shape_of
 from otf_core.tracking.order import FORWARD, OFF_PATH, Match
 
@@ -74,8 +74,7 @@ def visits(match: Match, vertices: Array, slack: float) -> list[Visit]:
         m; a leg that begins anew by more is driven anew.
     """
     found: list[Visit] = []
-    step = np.diff(vertices, axis=0)
-    unit = step / np.linalg.norm(step, axis=1)[:, None]
+    unit = Legs(vertices).unit
     starts, ends = match.pose.apply(match.track.starts), match.pose.apply(match.track.ends)
     reached = 0.0
     for k in np.flatnonzero(match.leg != OFF_PATH).tolist():
@@ -137,7 +136,7 @@ def _passed(before: Visit, after: Visit, match: Match, vertices: Array, slack: f
     if before.sense != after.sense or (after.leg - before.leg) * step <= 0:
         return range(0)
     low, high = sorted((before.leg + (step > 0), after.leg + (step < 0)))
-    skipped = np.linalg.norm(np.diff(vertices[low : high + 1], axis=0), axis=1).sum()
+    skipped = Legs(vertices[low : high + 1]).length.sum()
     seen = match.track.joined[before.last + 1 : after.first + 1]
     return range(0) if seen.all() and skipped > slack else between
 

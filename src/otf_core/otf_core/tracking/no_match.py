@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
-from otf_core.tracking.matching import OFF_PATH, Match, find_match, follow
+from otf_core.model.path import Legs, NominalPath
+from otf_core.tracking.guide import Guide
+from otf_core.tracking.matching import OFF_PATH, Match, cut_track, follow
 from otf_core.tracking.track import Track, measured_track
 
 Array = NDArray[np.float64]
@@ -30,26 +34,16 @@ INNER = (0.3, 0.7)
 """Part of a leg that rounding of its corners leaves alone."""
 
 
-def explained(match: Match, track: Track) -> float:
-    """Share of the measured length that lies on the path."""
-    return float(track.lengths[match.leg != OFF_PATH].sum() / track.lengths.sum())
-
-
-def covered(match: Match, track: Track, corners: Array) -> float:
+def covered(match: Match, corners: Array) -> float:
     """Share of the nominal length that was driven."""
-    length = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-    use = match.leg != OFF_PATH
-    driven = np.bincount(match.leg[use], track.lengths[use], minlength=len(length))
+    length, use = Legs(corners).length, match.leg != OFF_PATH
+    driven = np.bincount(match.leg[use], match.track.lengths[use], minlength=len(length))
     return float(np.minimum(driven, length).sum() / length.sum())
 
 
-def _with_points(track: Track, points: Array) -> Track:
-    return Track(track.hops, points, track.start, track.stop, track.joined)
-
-
-def mirrored_match(track: Track, corners: Array, tolerance: float) -> Match | None:
+def mirrored(track: Track, guide: Guide, tolerance: float) -> Match | None:
     """Match the mirror image of a track."""
-    return find_match(_with_points(track, track.points * [-1.0, 1.0, 1.0]), corners, tolerance)
+    return guide.find(replace(track, points=track.points * [-1.0, 1.0, 1.0]), tolerance)
 
 
 MIRRORED = (
@@ -58,10 +52,10 @@ MIRRORED = (
 )
 
 
-def why_no_match(samples: Samples, track: Track, corners: Array, tolerance: float) -> str:
+def why_no_match(samples: Samples, track: Track, guide: Guide, tolerance: float) -> str:
     """Say why nothing fits, as far as the shapes tell."""
     out, size = standing_out(samples)
-    ratio = np.ptp(track.points, axis=0).max() / np.ptp(corners, axis=0).max()
+    ratio = np.ptp(track.points, axis=0).max() / np.ptp(guide.vertices, axis=0).max()
     if out > MANY:
         return (
             f'about {100 * out:.0f} % of the samples lie {1e3 * size:.2g} mm and more beside '
@@ -74,24 +68,23 @@ def why_no_match(samples: Samples, track: Track, corners: Array, tolerance: floa
         which = 'points seem' if ratio > 1 else 'path seems'
         unit = f'; the {which} to be in mm, expected m' if fits else ''
         return f'the measured track is {ratio:.3g} times as large as the path{unit}'
-    match = mirrored_match(track, corners, tolerance)
-    if match is not None and explained(match, track) > WHOLE:
+    match = mirrored(track, guide, tolerance)
+    if match is not None and match.explained > WHOLE:
         return MIRRORED
-    return _resembles(samples, corners, tolerance) or (
+    return _resembles(samples, guide, tolerance) or (
         f'no run of measured corners fits the path within match_tolerance '
         f'({1e3 * tolerance:g} mm): do bag and path belong together?'
     )
 
 
-def _resembles(samples: Samples, corners: Array, tolerance: float) -> str:
+def _resembles(samples: Samples, guide: Guide, tolerance: float) -> str:
     """Say within which tolerance the track would fit, and whether corners are why."""
     for factor in WIDER:
         enough = factor * tolerance
-        track = measured_track(samples, enough)
-        match = find_match(track, corners, enough)
-        if match is None or explained(match, track) <= WHOLE:
+        match = guide.find(measured_track(samples, enough), enough)
+        if match is None or match.explained <= WHOLE:
             continue
-        beside = _beside_lines(match, track, corners)
+        beside = _beside_lines(match, guide.vertices)
         if beside > BESIDE * enough:
             return (
                 f'it resembles the path, but lies {1e3 * beside:.2g} mm beside the middle of its '
@@ -105,18 +98,18 @@ def _resembles(samples: Samples, corners: Array, tolerance: float) -> str:
     return ''
 
 
-def _beside_lines(match: Match, track: Track, corners: Array) -> float:
+def _beside_lines(match: Match, corners: Array) -> float:
     """Distance of the inner parts of the legs from their lines, root median square, m."""
+    track = match.track
     points = match.pose.apply(track.points)
-    step = np.diff(corners, axis=0)
+    unit = Legs(corners).unit
     found = []
     for first, last, leg in zip(track.start, track.stop, match.leg, strict=True):
         low, high = (int(first + share * (last - first)) for share in INNER)
         if leg == OFF_PATH or high - low < 2:
             continue
-        unit = step[leg] / np.linalg.norm(step[leg])
         away = points[low:high] - corners[leg]
-        found.append(float(np.mean(np.linalg.norm(np.cross(away, unit), axis=1))))
+        found.append(float(np.mean(np.linalg.norm(np.cross(away, unit[leg]), axis=1))))
     return float(np.percentile(found, 75)) if found else 0.0
 
 
@@ -141,18 +134,19 @@ def standing_out(samples: Samples) -> tuple[float, float]:
 
 
 def check_partial(
-    samples: Samples, pose: RigidTransform, now: float, corners: Array, tolerance: float
+    samples: Samples, path: NominalPath, pose: RigidTransform, now: float, tolerance: float
 ) -> None:
     """Look for the reason of a low coverage.
 
     Parameters
     ----------
     samples : Samples
+    path : NominalPath
+        As published.
     pose : RigidTransform
         Tracker to machine, as aligned.
     now : float
         Driven share of the path length.
-    corners : ndarray, shape (n, 3), m
     tolerance : float
         m.
 
@@ -163,35 +157,32 @@ def check_partial(
     """
     if now > LOW:
         return
-    track = measured_track(samples, tolerance)
-    mirrored = mirrored_match(track, corners, tolerance)
-    if mirrored is not None and covered(mirrored, track, corners) > 0.5 * (1.0 + now):
+    guide, track = Guide.of(path, tolerance), measured_track(samples, tolerance)
+    image = mirrored(track, guide, tolerance)
+    if image is not None and covered(image, guide.vertices) > 0.5 * (1.0 + now):
         raise InputError(f'samples do not follow the path: {MIRRORED}')
-    match = follow(pose, track, corners, tolerance)
-    _check_far_step(samples, track, match, corners, tolerance)
+    whole = cut_track(track, pose, guide.cuts, 2 * tolerance)
+    _check_far_step(samples, follow(pose, whole, guide.vertices, tolerance), guide, tolerance)
 
 
-def _check_far_step(
-    samples: Samples, track: Track, match: Match, corners: Array, tolerance: float
-) -> None:
+def _check_far_step(samples: Samples, match: Match, guide: Guide, tolerance: float) -> None:
     """Raise where what lies off the path before or after some moment fits with another pose."""
-    on = match.leg != OFF_PATH
+    track, on = match.track, match.leg != OFF_PATH
     if not on.any():
         return
     first, last = int(np.argmax(on)), len(on) - int(np.argmax(on[::-1]))
     for rest, moment in ((slice(last, None), last - 1), (slice(0, first), first)):
         if track.lengths[rest].sum() < 0.2 * track.lengths.sum():
             continue
-        other = Track(
-            track.hops,
-            track.points,
-            track.start[rest],
-            track.stop[rest],
-            track.joined[rest].copy(),
+        other = replace(
+            track,
+            start=track.start[rest],
+            stop=track.stop[rest],
+            joined=track.joined[rest].copy(),
         )
         other.joined[:1] = False
-        again = find_match(other, corners, tolerance)
-        if again is None or explained(again, other) < WHOLE:
+        again = guide.find(other, tolerance)
+        if again is None or again.explained < WHOLE:
             continue
         middle = np.mean(track.points, axis=0)[None]
         shift = float(np.linalg.norm(again.pose.apply(middle) - match.pose.apply(middle)))

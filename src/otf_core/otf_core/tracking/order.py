@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.model.frames import RigidTransform
+from otf_core.model.path import Legs
 from otf_core.tracking.track import Track
 
 Array = NDArray[np.float64]
@@ -75,9 +76,8 @@ class _Legs:
 
     @classmethod
     def of(cls, corners: Array) -> _Legs:
-        step = np.diff(corners, axis=0)
-        length = np.linalg.norm(step, axis=1)
-        return cls(corners[:-1], length, step / length[:, None])
+        legs = Legs(corners)
+        return cls(corners[:-1], legs.length, legs.unit)
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
         """Squared distance of points from every leg and position along it, both (k, n)."""

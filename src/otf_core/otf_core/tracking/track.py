@@ -170,10 +170,7 @@ def measured_track(samples: Samples, tolerance: float) -> Track:
     InputError
         If the target hardly moved.
     """
-    stride = 1
-    if len(samples) > 2:
-        step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
-        stride = max(1, round(STRIDE_TIME / max(step, 1e-9)))
+    stride = max(1, round(STRIDE_TIME / max(samples.step, 1e-9))) if len(samples) > 2 else 1
     index = np.arange(0, len(samples), stride)
     points = samples.xyz[index].copy()
     if len(points) > 2:
@@ -187,9 +184,7 @@ def measured_track(samples: Samples, tolerance: float) -> Track:
     hops, points = index[kept], points[kept]
     quiet = np.diff(samples.stamp_ns[hops])  # a pause is no gap: look at the sample before
     before = samples.stamp_ns[hops[1:]] - samples.stamp_ns[np.maximum(hops[1:] - stride, 0)]
-    gap = np.minimum(quiet, before) > max(
-        GAP_TIME * 1e9, 5 * stride * np.median(np.diff(samples.stamp_ns))
-    )
+    gap = np.minimum(quiet, before) > max(GAP_TIME * 1e9, 5 * stride * samples.step_ns)
     bounds = np.concatenate([[0], np.flatnonzero(gap) + 1, [len(hops)]])
     starts, stops, joined = [], [], []
     for low, high in pairwise(bounds):

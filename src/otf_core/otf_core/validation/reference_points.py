@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.calibration.result import CalibrationResult
 from otf_core.comparison.compare import normalised_error
-from otf_core.config import CalibrationConfig, PlannerConfig
+from otf_core.config import STANDSTILL, CalibrationConfig, PlannerConfig
 from otf_core.model.evaluation import lattice, mean_length, rigid_columns, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
@@ -34,7 +34,6 @@ Array = NDArray[np.float64]
 ERROR_SIZE = 7e-6
 """m; paper 2.3.2: 7.2 um and 6.9 um on a grid."""
 EDGE_POINTS, INNER_POINTS, REFERENCE_POINTS = 76, 150, 200
-STANDSTILL = 'standstill'
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ import numpy as np
 
 from otf_core.comparison.compare import Comparison
 from otf_core.comparison.compare import agreement as share_within
+from otf_core.config import STANDSTILL
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
 from otf_core.validation.direct import direct_test, largest_differences
 from otf_core.validation.laboratory import Laboratory, Scale, paper_machine
 from otf_core.validation.reference_points import (
-    STANDSTILL,
     ReferenceTest,
     agreement,
     reference_test,

@@ -68,11 +68,11 @@ def dense(runs, done, effect):
     base = (at.system.design @ done.unknowns.gauge).toarray()
     white = [
         np.stack(
-            [at.whitener.vector(c.reshape(at.system.deviation.shape)).ravel() for c in m.T], 1
+            [at.whitener.whiten(c.reshape(at.system.deviation.shape)).ravel() for c in m.T], 1
         )
         for m in (base, extra.reshape(-1, extra.shape[2]))
     ]
-    return *white, at.whitener.vector(at.system.deviation).ravel()
+    return *white, at.whitener.whiten(at.system.deviation).ravel()
 
 
 @pytest.mark.parametrize('how', [FILE, FOUND])

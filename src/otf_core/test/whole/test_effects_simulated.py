@@ -279,7 +279,7 @@ def information(name, machine, plan, samples):
     shape = shape_of(name) | ({'order': 2.0} if 'tau' in EXAMPLES[name] else {})
     terms = REGISTRY[name].terms(state, shape)
     extra = np.einsum('kij,ijc->kic', system.axes, terms.columns)
-    whitener = Whitener(system, run.pieces, run.noise)
+    whitener = Whitener.of(system, run.pieces, run.noise)
     group = np.zeros(len(whitener.bounds), dtype=int)
     normal = sum_groups(system, unknowns, whitener, group, extra)[0]
     matrix, f = normal.matrix, unknowns.free

@@ -217,7 +217,7 @@ def test_backlash_in_the_ratio_of_the_axes_is_blind_on_box_diagonals():
             linear_bases(table_nodes(machine, machine.lower, machine.upper)), reversal=1
         )
         system = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
-        normal = normal_equations(system, unknowns, Whitener(system, pieces, white(machine)))
+        normal = normal_equations(system, unknowns, Whitener.of(system, pieces, white(machine)))
         blocks = identifiable_blocks(normal, unknowns, 1e-4)
         assert all(b[:3] in blocks for b in blocks if is_reversal(b))
         return {b for b in blocks if is_reversal(b) and b[1] == b[2]}

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.evidence import estimate
-from otf_core.diagnosis.engine.rows import FOLDS, Rows
+from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause
+from otf_core.solving.folds import FOLDS, leg_numbers
 
 Array = NDArray[np.float64]
 
@@ -45,13 +46,8 @@ class Residuals:
 
 
 def _per_piece(rows: Rows, values: Array) -> Residuals:
-    square, legs, offset = [], [], 0
-    for run, part in zip(rows.runs, rows.by_run(values), strict=True):
-        square.append(np.sum(part**2, axis=0))
-        number = np.unique(run.pieces.leg, return_inverse=True)[1]
-        legs.append(number + offset)
-        offset += int(number.max()) + 1
-    return Residuals(np.concatenate(square), np.concatenate(legs), values)
+    square = [np.sum(part**2, axis=0) for part in rows.by_run(values)]
+    return Residuals(np.concatenate(square), np.concatenate(leg_numbers(rows.done)), values)
 
 
 def plain_residuals(rows: Rows) -> Residuals:

@@ -9,8 +9,8 @@ remains of E once A is projected out.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,17 +19,17 @@ from scipy import linalg
 
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.model.tables import ErrorTables
+from otf_core.pieces.observed import Observed
 from otf_core.pieces.runs import Run
 from otf_core.solving.columns import across, name_in_run, piece_state, sensitivity
+from otf_core.solving.folds import fold_of, leg_numbers
 from otf_core.solving.joint import JointSolution, settled, summed, tables_of
-from otf_core.solving.normal import Whitener
+from otf_core.solving.normal import Whitener, rows_by_run
 from otf_core.solving.sample_states import sample_state
 from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-FOLDS = 8
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Rows:
 
     Attributes
     ----------
-    runs : tuple of Run
+    observed : tuple of Observed
     done : JointSolution
         Of the calibration, without reversal: its residuals are the gap.
     whiteners : tuple of Whitener
@@ -47,13 +47,8 @@ class Rows:
         As solved.
     states : tuple of State
         One per run, one entry per piece.
-    plain_deviation : ndarray, shape (r,), m
-        ``deviation`` before whitening.
-    base : ndarray, shape (r, b)
-        Whitened columns of the free unknowns that are solved for, in units of the
-        identifiability limit.
-    deviation : ndarray, shape (r,)
-        Whitened deviations.
+    plain_base, plain_deviation : ndarray, shape (r, b) and (r,), m
+        ``base`` and ``deviation`` before whitening.
     fold : ndarray of int, shape (r,)
         Group of legs each row belongs to, for judging on rows that were not fitted.
     limit : float
@@ -62,19 +57,22 @@ class Rows:
         Free unknowns in ``base``: those that are solved for, and rotations that only what a
         spline times the travel is off a spline tells from translations. They are of no use as
         tables, but their trace must not be taken for something else.
+    runs : tuple of Run
+        What was observed, with its samples; empty for a plan. Effects that differ from sample to
+        sample are then taken at the pieces.
     """
 
-    runs: tuple[Run, ...]
+    observed: tuple[Observed, ...]
     done: JointSolution
     whiteners: tuple[Whitener, ...]
     tables: ErrorTables
     states: tuple[State, ...]
+    plain_base: Array
     plain_deviation: Array
-    base: Array
-    deviation: Array
     fold: Index
     limit: float
     use: Index
+    runs: tuple[Run, ...] = ()
 
     @cached_property
     def sample_states(self) -> tuple[State, ...]:
@@ -88,9 +86,10 @@ class Rows:
     def plain_columns(self, effect: Effect, shape: Shape) -> Array:
         """Displacements across the path per unit of each term, shape (r, k)."""
         parts = []
-        for k, (run, solved) in enumerate(zip(self.runs, self.done.runs, strict=True)):
-            if effect.sample_resolution and len(run.recording.samples):
-                columns = run.pieces.mean_of(effect.terms(self.sample_states[k], shape).columns)
+        for k, solved in enumerate(self.done.runs):
+            if effect.sample_resolution and self.runs:
+                samples = effect.terms(self.sample_states[k], shape).columns
+                columns = self.runs[k].pieces.mean_of(samples)
             else:
                 columns = effect.terms(self.states[k], shape).columns
             parts.append(across(solved, columns).reshape(-1, columns.shape[2]))
@@ -99,7 +98,7 @@ class Rows:
     def terms(self, effect: Effect, shape: Shape) -> Terms:
         """Terms of the columns; each run's own where they differ from run to run."""
         first = effect.terms(self.states[0], shape)
-        runs = range(len(self.runs)) if effect.own_per_run else range(1)
+        runs = range(len(self.states)) if effect.own_per_run else range(1)
         return Terms(
             tuple(name_in_run(name, k) for k in runs for name in first.names),
             first.units * len(runs),
@@ -107,20 +106,16 @@ class Rows:
             first.columns,
         )
 
-    def by_run(self, values: Array) -> Iterator[Array]:
+    def by_run(self, values: Array) -> list[Array]:
         """Values (r, ...) of the rows of every run, each of shape (c, p, ...)."""
-        start = 0
-        for solved in self.done.runs:
-            shape = solved.system.deviation.shape
-            stop = start + shape[0] * shape[1]
-            yield values[start:stop].reshape(*shape, *values.shape[1:])
-            start = stop
+        return rows_by_run(values, [s.system.deviation.shape for s in self.done.runs])
 
     def whiten(self, columns: Array) -> Array:
-        """Whiten columns (r, k) of all runs."""
-        width = columns.shape[1]
+        """Whiten columns (r, ...) of all runs."""
         parts = zip(self.whiteners, self.by_run(columns), strict=True)
-        return np.concatenate([_whitened(w, part).reshape(-1, width) for w, part in parts])
+        return np.concatenate([
+            whitener.whiten(part).reshape(-1, *columns.shape[1:]) for whitener, part in parts
+        ])  # fmt: skip
 
     def left(self, plain: Array) -> Array:
         """Deviations (r,) less tables and poses as the calibration fits them, m."""
@@ -128,6 +123,16 @@ class Rows:
         fitted = sensitivity(self.done, parts)[:, 0]
         model = [solved.system.design @ fitted for solved in self.done.runs]
         return np.asarray(plain - np.concatenate(model))
+
+    @cached_property
+    def base(self) -> Array:
+        """Whitened columns of the unknowns in ``use``, in units of ``limit``, shape (r, b)."""
+        return self.whiten(self.plain_base)
+
+    @cached_property
+    def deviation(self) -> Array:
+        """Whitened deviations, shape (r,)."""
+        return self.whiten(self.plain_deviation)
 
     @cached_property
     def factor(self) -> Array:
@@ -151,70 +156,44 @@ class Rows:
         return self.project(self.deviation[:, None])[:, 0]
 
 
-def _whitened(whitener: Whitener, columns: Array) -> Array:
-    """Whiten columns (c, p, k) of one run."""
-    white = np.empty_like(columns)
-    for leg, (low, high) in enumerate(whitener.bounds):
-        for component in range(len(columns)):
-            part = columns[component, low:high]
-            white[component, low:high] = whitener.leg_rows(leg, component, part)
-    return white
-
-
 def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
-    """Set up the rows of solved runs.
+    """Set up the rows of solved runs of recordings; see ``rows_of``."""
+    return replace(rows_of(runs, settled(done, limit), limit), runs=tuple(runs))
+
+
+def rows_of(observed: Sequence[Observed], done: JointSolution, limit: float) -> Rows:
+    """Set up the rows of solved runs, of recordings or of a plan.
 
     Parameters
     ----------
-    runs : sequence of Run
+    observed : sequence of Observed
     done : JointSolution
         Of the same runs, without reversal.
     limit : float
         ``CalibrationConfig.unidentifiable_above``.
     """
-    done = settled(done, limit)
-    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
-    states = tuple(
-        piece_state(r, s, done.unknowns.knots, tables)
-        for r, s in zip(runs, done.runs, strict=True)
-    )
-    noise = [Whitener(s.system, r.pieces, r.noise) for r, s in zip(runs, done.runs, strict=True)]
-    return rows_of(runs, done, noise, tables, states, limit)
-
-
-def rows_of(
-    runs: Sequence[Run],
-    done: JointSolution,
-    whiteners: Sequence[Whitener],
-    tables: ErrorTables,
-    states: tuple[State, ...],
-    limit: float,
-) -> Rows:
-    """Set up rows for given states; see ``Rows``."""
     systems = [s.system for s in done.runs]
+    whiteners = [
+        Whitener.of(s, run.pieces, run.noise) for s, run in zip(systems, observed, strict=True)
+    ]
     seen = identifiable_blocks(summed(systems, done.unknowns, whiteners), done.unknowns, limit)
     use = free_columns(done.unknowns, seen)
-    plain, deviation, fold, offset = [], [], [], 0
-    for run, solved in zip(runs, done.runs, strict=True):
+    tables = tables_of(observed[0].machine, done.unknowns, done.solution)
+    plain, deviation, fold, states = [], [], [], []
+    for run, solved, number in zip(observed, done.runs, leg_numbers(done), strict=True):
+        states.append(piece_state(run, solved, done.unknowns.knots, tables))
         design = solved.system.design @ done.unknowns.gauge
-        parts = (*solved.system.deviation.shape, len(use))
-        plain.append(design[:, use].toarray().reshape(parts) * limit)
-        deviation.append(solved.system.deviation)
-        # neighbouring legs go to different folds; laps of one line do not always share one
-        number = np.unique(run.pieces.leg, return_inverse=True)[1] + offset
-        fold.append(np.tile((number * 5 + number // FOLDS) % FOLDS, len(solved.system.axes)))
-        offset += int(number.max()) + 1
-    white = [_whitened(w, p) for w, p in zip(whiteners, plain, strict=True)]
-    bare = [w.vector(d) for w, d in zip(whiteners, deviation, strict=True)]
+        plain.append(design[:, use].toarray() * limit)
+        deviation.append(solved.system.deviation.reshape(-1))
+        fold.append(np.tile(fold_of(number), len(solved.system.axes)))
     return Rows(
-        runs=tuple(runs),
+        observed=tuple(observed),
         done=done,
         whiteners=tuple(whiteners),
         tables=tables,
-        states=states,
-        plain_deviation=np.concatenate([d.reshape(-1) for d in deviation]),
-        base=np.concatenate([w.reshape(-1, len(use)) for w in white]),
-        deviation=np.concatenate([b.reshape(-1) for b in bare]),
+        states=tuple(states),
+        plain_base=np.concatenate(plain),
+        plain_deviation=np.concatenate(deviation),
         fold=np.concatenate(fold),
         limit=limit,
         use=use,

@@ -54,7 +54,7 @@ class Cause:
 
 def noise_variance(rows: Rows, residual: Array) -> float:
     """Variance of the noise left in residuals, correlation between pieces included."""
-    parts = zip(rows.runs, rows.by_run(residual), strict=True)
+    parts = zip(rows.observed, rows.by_run(residual), strict=True)
     return float(np.mean([check_residuals(p, r.pieces.leg, 0).inflation for r, p in parts]))
 
 

@@ -94,7 +94,7 @@ class LegSums:
 
 def leg_rows(view: RunView, residual: Array) -> Iterator[tuple[slice, list[LegRows]]]:
     """Yield the pieces of each leg and its components."""
-    for (low, high), leg in zip(view.bounds, view.noise_factors, strict=True):
+    for (low, high), leg in zip(view.bounds, view.whitener.factors, strict=True):
         yield (
             slice(low, high),
             [LegRows(residual[c, low:high], f @ f.T) for c, f in enumerate(leg)],

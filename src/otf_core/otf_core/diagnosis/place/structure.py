@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from otf_core.diagnosis.place.shape_families import all_shapes
 from otf_core.diagnosis.place.shapes import Shape
 from otf_core.diagnosis.place.views import RunView
+from otf_core.solving.normal import rows_by_run
 from otf_core.solving.residual_check import check_residuals
 
 Array = NDArray[np.float64]
@@ -83,7 +84,7 @@ def _screened(
     """Most promising of many shapes: exact products with the residual, sizes interpolated."""
     if len(shapes) <= EXACT:
         return _candidates(views, shapes, project)
-    pull = [v.vectors(v.whiten_transposed(part)) for v, part in _parts(views, residual)]
+    pull = [v.vectors(v.whitener.whiten_transposed(part)) for v, part in _parts(views, residual)]
     sample = np.unique(np.linspace(0, len(shapes) - 1, EXACT // 2).round().astype(int))
     exact = _candidates(views, [shapes[k] for k in sample], project)
     normals = np.array([(c.white.T @ c.white).ravel() for c in exact])
@@ -111,11 +112,7 @@ def _fit(white: Array, residual: Array) -> tuple[Array, float]:
 
 def _parts(views: Sequence[RunView], white: Array) -> Iterator[tuple[RunView, Array]]:
     """Whitened values (r,) run by run, shape (c, p)."""
-    start = 0
-    for view in views:
-        size = view.expected.size
-        yield view, white[start : start + size].reshape(view.expected.shape)
-        start += size
+    return zip(views, rows_by_run(white, [v.expected.shape for v in views]), strict=True)
 
 
 def _inflation(views: Sequence[RunView], residual: Array) -> float:
@@ -126,7 +123,7 @@ def _inflation(views: Sequence[RunView], residual: Array) -> float:
 
 def _squares(views: Sequence[RunView], white: Array) -> float:
     """Sum of squares of whitened values turned back, m^2."""
-    return sum(float((v.unwhiten(p) ** 2).sum()) for v, p in _parts(views, white))
+    return sum(float((v.whitener.unwhiten(p) ** 2).sum()) for v, p in _parts(views, white))
 
 
 def _best(

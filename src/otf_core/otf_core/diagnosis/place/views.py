@@ -11,10 +11,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky
 
+from otf_core.model.path import leg_bounds
 from otf_core.noise.model import TYPICAL_CORRELATION_TIME
-from otf_core.solving.normal import leg_bounds
+from otf_core.solving.normal import Whitener
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -68,17 +69,16 @@ class RunView:
         return leg_bounds(self.leg)
 
     @cached_property
-    def noise_factors(self) -> tuple[tuple[Array, ...], ...]:
-        """Lower Cholesky factors by leg and component, scaled so that they give ``expected``."""
+    def whitener(self) -> Whitener:
+        """Frees rows of the correlation of the noise, scaled so that it gives ``expected``."""
         given = self.factors or tuple(self._typical(low, high) for low, high in self.bounds)
-        scaled = []
-        for (low, high), leg in zip(self.bounds, given, strict=True):
-            rows = []
-            for component, factor in enumerate(leg):
-                size = np.linalg.norm(factor, axis=1)
-                rows.append(factor * (self.expected[component, low:high] / size)[:, None])
-            scaled.append(tuple(rows))
-        return tuple(scaled)
+        plain = Whitener(self.bounds, given)
+        scale = self.expected / plain.expected
+        scaled = [
+            tuple(factor * scale[c, low:high, None] for c, factor in enumerate(leg))
+            for (low, high), leg in zip(self.bounds, given, strict=True)
+        ]
+        return Whitener(self.bounds, tuple(scaled))
 
     def _typical(self, low: int, high: int) -> tuple[Array, ...]:
         gap = np.abs(self.time[low:high, None] - self.time[None, low:high])
@@ -87,40 +87,8 @@ class RunView:
         return (factor,) * len(self.axes)
 
     def whiten(self, columns: Array) -> Array:
-        """Free columns of the correlation of the noise.
-
-        Parameters
-        ----------
-        columns : ndarray, shape (c, p, k), m
-
-        Returns
-        -------
-        ndarray, shape (c p, k)
-            Component by component, of unit variance for noise as expected.
-        """
-        white = np.empty_like(columns)
-        for (low, high), leg in zip(self.bounds, self.noise_factors, strict=True):
-            for component, factor in enumerate(leg):
-                part = columns[component, low:high]
-                white[component, low:high] = solve_triangular(factor, part, lower=True)
-        return white.reshape(-1, columns.shape[2])
-
-    def unwhiten(self, white: Array) -> Array:
-        """Undo ``whiten`` for values of shape (c, p)."""
-        plain = np.empty_like(white)
-        for (low, high), leg in zip(self.bounds, self.noise_factors, strict=True):
-            for component, factor in enumerate(leg):
-                plain[component, low:high] = factor @ white[component, low:high]
-        return plain
-
-    def whiten_transposed(self, white: Array) -> Array:
-        """Apply the transpose of ``whiten`` to values (c, p): for products with columns."""
-        pull = np.empty_like(white)
-        for (low, high), leg in zip(self.bounds, self.noise_factors, strict=True):
-            for component, factor in enumerate(leg):
-                part = white[component, low:high]
-                pull[component, low:high] = solve_triangular(factor, part, trans='T', lower=True)
-        return pull
+        """Whiten columns (c, p, k), m, component by component, shape (c p, k)."""
+        return self.whitener.whiten(columns).reshape(-1, columns.shape[2])
 
     def vectors(self, residual: Array) -> Array:
         """Residual (c, p) as vectors in the machine frame, shape (p, 3)."""
