@@ -16,7 +16,7 @@ from otf_core.diagnosis.engine.search import Cause, fit_jointly
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.place.where import Where
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
-from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo, names_of
 
 Array = NDArray[np.float64]
 
@@ -142,10 +142,10 @@ def _add(named: list[NamedCause], cause: NamedCause) -> None:
 
 
 def _noise_cause(noise: NoiseFinding, before_um: float, after_um: float) -> NamedCause:
-    effect = REGISTRY['tracker_noise']
+    effect = noise.effect
     units = dict(zip(effect.shape_names, effect.shape_units, strict=True))
     return NamedCause(
-        effect='tracker_noise',
+        effect=effect.name,
         axes=(),
         parameters=noise.parameters,
         u={},
@@ -232,7 +232,8 @@ def answer(
         last = gap_um(findings.steps[-1].rms_um, findings.simulated_um)
         causes.append(_noise_cause(noise, last, gap.after_um))
         verdict = 'explained' if verdict == 'none' else verdict
-    causes.sort(key=lambda c: c.after_um - c.before_um if c.effect != 'tracker_noise' else 0.0)
+    noises = names_of(BelongsTo.NOISE)
+    causes.sort(key=lambda c: c.after_um - c.before_um if c.effect not in noises else 0.0)
     sentence = _SENTENCES[verdict].format(
         before=gap.before_um, after=gap.after_um, causes=_spoken(causes)
     )

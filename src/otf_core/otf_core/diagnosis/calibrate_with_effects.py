@@ -3,8 +3,8 @@
 
 Reversal is left to the calibration's own choice (``reversal_choice``) unless the configuration
 says 'none': backlash and direction-dependent tables that a diagnosis finds are not taken off
-twice. A file that names one of them switches that choice off. Nodes too far apart
-(``table_resolution``) are nothing to take off: it is the tables that follow finer.
+twice. A file that names one of them switches that choice off. Nodes too far apart are nothing to
+take off: it is the tables that follow finer. Each effect says which it is (``belongs_to``).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from otf_core.calibration.calibrate import calibrate_runs
-from otf_core.calibration.correction import TABLES_OWN, calibrate_without
+from otf_core.calibration.correction import calibrate_without
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.complete import diagnose
 from otf_core.diagnosis.diagnose import Twin
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.effects import AppliedEffect
+from otf_core.effects import AppliedEffect, BelongsTo, names_of
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.stated import FILE, FOUND
 from otf_core.effects.taken import Taken, taken
@@ -30,8 +30,6 @@ from otf_core.solving.joint import Progress
 from otf_core.threads import in_one_thread
 
 AUTO, NONE = 'auto', 'none'
-REVERSAL = ('backlash', 'direction_dependent_tables')
-NOISE = 'tracker_noise'
 SURE = 0.99
 """Least confidence of a cause that is taken off without a warning."""
 
@@ -111,7 +109,7 @@ def calibrate_with_effects(
     else:
         taking = [taken([one] * len(recordings), FILE) for one in named]
         words = f'Effects of {effects} taken off: {_listed(taking)}.'
-        if any(one.effect.name in REVERSAL for one in taking):
+        if any(one.effect.belongs_to is BelongsTo.REVERSAL for one in taking):
             config = replace(config, reversal='none')
     if not taking:
         result = replace(plain, warnings=(*warnings, *plain.warnings))
@@ -127,12 +125,12 @@ def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
     """Effects of a file that can be taken off; ConfigError says why one cannot."""
     found = read_effects(file, recordings[0].machine)
     for one in found:
-        if one.effect.name == NOISE:
+        if one.effect.belongs_to is BelongsTo.NOISE:
             raise ConfigError(
-                f'{file}: {NOISE}: noise displaces nothing that could be taken off; its size is '
-                f'found from the data in every calibration; leave it out of the file'
+                f'{file}: {one.effect.name}: noise displaces nothing that could be taken off; its '
+                f'size is found from the data in every calibration; leave it out of the file'
             )
-        if one.effect.name in TABLES_OWN:
+        if one.effect.belongs_to is BelongsTo.TABLES:
             raise ConfigError(
                 f'{file}: {one.effect.name}: belongs into the tables and is not taken off; the '
                 f'tables follow the data as finely as they call for; leave it out of the file'
@@ -146,7 +144,9 @@ def _to_take(
     found: Sequence[Taken], causes: Sequence[Cause], config: CalibrationConfig
 ) -> tuple[list[Taken], list[str]]:
     """What of the causes found is taken off, and warnings."""
-    left = TABLES_OWN if config.reversal == 'none' else (*TABLES_OWN, *REVERSAL)
+    left = names_of(BelongsTo.TABLES)
+    if config.reversal != 'none':
+        left |= names_of(BelongsTo.REVERSAL)
     taking, warnings = [], []
     for one, cause in zip(found, causes, strict=True):
         if one.effect.name in left:

@@ -29,6 +29,7 @@ from otf_core.diagnosis.engine.catalogue import (
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES, DECOYS
 from otf_core.diagnosis.engine.rows import Rows, build_rows
 from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance, search
+from otf_core.effects import Effect
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording, Run, prepare_runs
@@ -40,10 +41,6 @@ from otf_core.threads import one_thread
 Array = NDArray[np.float64]
 Twin = Callable[[Run, RigidTransform, ErrorTables, int], Recording]
 
-MATERIAL_UM = 0.2
-"""um; a cause that changes the residual by less is not named."""
-MATERIAL_TABLES_UM = 0.45
-"""um; the same for table_resolution: smooth errors always leave a little between nodes."""
 MATERIAL_SHARE = 0.12
 """Least share of a further cause in the gap, as amplitude."""
 NO_GAP_SHARE = 0.35
@@ -131,11 +128,10 @@ def simulated_residual_um(
     return plain_residuals(build_rows(runs, done, config.unidentifiable_above)).rms_um
 
 
-def _material(name: str, before: Residuals, after: Residuals, whole_um: float) -> bool:
+def _material(effect: Effect, before: Residuals, after: Residuals, whole_um: float) -> bool:
     """Tell whether a cause matters: by its own trace, and beside the whole gap."""
     trace = float(np.sqrt(max(0.0, before.rms_um**2 - after.rms_um**2)))
-    least = MATERIAL_TABLES_UM if name == 'table_resolution' else MATERIAL_UM
-    return trace > least and trace > MATERIAL_SHARE * whole_um
+    return trace > effect.material_um and trace > MATERIAL_SHARE * whole_um
 
 
 def find(
@@ -212,7 +208,7 @@ def _named(
     whole = gap_um(steps[0].rms_um, simulated)
     for cause in found:
         after = residuals_with(rows, [*causes, cause])
-        if _material(cause.option.effect.name, steps[-1], after, whole):
+        if _material(cause.option.effect, steps[-1], after, whole):
             causes.append(cause)
             steps.append(after)
     return causes, steps

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.calibration.calibrate import calibrate_prepared
-from otf_core.calibration.correction import TABLES_OWN, calibrate_without
+from otf_core.calibration.correction import calibrate_without
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.answer import DiagnosisData
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.effects import AppliedEffect
+from otf_core.effects import AppliedEffect, BelongsTo
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.effects.stated import FOUND
 from otf_core.effects.taken import taken
@@ -37,7 +37,7 @@ def _with_causes(
 ) -> CalibrationResult:
     """Calibrate again with the causes taken off, reversal among them."""
     found = [taken(list(one), FOUND) for one in zip(*applied, strict=True)]
-    taking = [one for one in found if one.effect.name not in TABLES_OWN]
+    taking = [one for one in found if one.effect.belongs_to is not BelongsTo.TABLES]
     if not taking:
         return plain
     config = replace(config, reversal='none')

@@ -85,7 +85,7 @@ class Rows:
         """Displacements across the path per unit of each term, shape (r, k)."""
         parts = []
         for k, (run, solved) in enumerate(zip(self.runs, self.done.runs, strict=True)):
-            if effect.sample_resolution and len(run.recording.samples):
+            if effect.wave is not None and len(run.recording.samples):
                 columns = run.pieces.mean_of(effect.terms(self.sample_states[k], shape).columns)
             else:
                 columns = effect.terms(self.states[k], shape).columns
