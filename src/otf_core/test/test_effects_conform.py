@@ -239,7 +239,7 @@ def test_waves_repeat_as_they_say(name, state):
     assert dict(zip(effect.shape_names, effect.shape_units, strict=True))[wave.parameter] == (
         'Hz' if wave.in_time else 'm'
     )
-    shape = shape_of(name) | {wave.parameter: wave.probe}
+    shape = effect.complete_shape({wave.parameter: wave.probe})
     columns = effect.terms(state, shape).columns
     later = {'time': state.time + 1 / wave.probe} if wave.in_time else {'q': state.q + wave.probe}
     once, half = (

@@ -57,7 +57,8 @@ def shapes_from_lines(lines: Sequence[Line]) -> dict[str, list[Shape]]:
     shapes: dict[str, list[Shape]] = {}
     for line in lines:
         if line.score > LINE_SCORE:
-            shapes.setdefault(line.effect, []).append({line.wave.parameter: line.place})
+            shape = REGISTRY[line.effect].complete_shape({line.wave.parameter: line.place})
+            shapes.setdefault(line.effect, []).append(shape)
     return shapes
 
 
@@ -117,7 +118,7 @@ def _shapes(
     wave = effect.wave
     if wave is None:
         return found.get(effect.name, effect.shapes(rows.states[0])), ()
-    return found.get(effect.name, ()), ({wave.parameter: wave.probe},)
+    return found.get(effect.name, ()), (effect.complete_shape({wave.parameter: wave.probe}),)
 
 
 @dataclass(frozen=True)
