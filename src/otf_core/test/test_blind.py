@@ -68,7 +68,7 @@ def test_leave_one_out_takes_every_effect_in_turn():
     assert [o.names[0] for o in orders(len(REGISTRY), 1, leave_one_out=True)] == list(REGISTRY)
 
 
-@pytest.mark.parametrize('name', [n for n in (*UNKNOWN_EFFECTS, *REGISTRY) if n != NOISE])
+@pytest.mark.parametrize('name', [n for n in (*UNKNOWN_EFFECTS, *REGISTRY) if n not in NOISE])
 def test_effects_are_drawn_and_scaled_in_proportion(name, trial, state):
     drawn = draw_effect(name, trial.machine, trial.plan.duration, np.random.default_rng(1))
     once = drawn.effect.displacement(state, drawn.parameters)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.blind.draw import Trial, draw_trial, nodal
-from otf_core.blind.draw_effects import HARD_TO_SEE, draw_effect, scaled
+from otf_core.blind.draw_effects import draw_effect, scaled
 from otf_core.blind.trace import Ruler, make_ruler
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
-from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.model.kinematics import displacement
 
 Array = NDArray[np.float64]
@@ -25,14 +25,16 @@ Rng = np.random.Generator
 
 KINDS = {'none': 0.15, 'one': 0.45, 'two': 0.12, 'unknown': 0.16, 'places': 0.12}
 """Kinds of cells and how often they are drawn; 'places': one effect, two tracker places."""
-PLACE_EFFECTS = (*HARD_TO_SEE, 'target_incidence', 'cross_coupling', 'tracker_pose_drift',
-                 'backlash')  # fmt: skip
+PLACE_EFFECTS = tuple(
+    sorted(
+        (n for n, e in REGISTRY.items() if e.trial.second_place),
+        key=lambda n: REGISTRY[n].trial.second_place,
+    )
+)
 SMALLEST, LARGEST = 0.3e-6, 10e-6
 """m; sizes of effects in the residual."""
 MOST = 25e-6
 """m; root mean square of a displacement itself is not drawn larger."""
-BLURRED = ('vibration', 'cyclic_error')
-"""Effects that means over pieces wash out; where they do, the size is that of the samples."""
 
 
 @dataclass(frozen=True)
@@ -101,13 +103,15 @@ def weigh(ruler: Ruler, applied: AppliedEffect) -> Part:
 
 def sized(ruler: Ruler, applied: AppliedEffect, rng: Rng) -> Part:
     """Give an effect a random size."""
-    name = applied.effect.name
+    effect = applied.effect
     part = weigh(ruler, applied)
-    if name == 'tracker_noise' or part.raw == 0.0:
+    if effect.belongs_to is BelongsTo.NOISE or part.raw == 0.0:
         return part
     wanted = float(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST))))
     have = part.size
-    if name in HARD_TO_SEE or (name in BLURRED and part.size < 0.3 * part.raw):
+    # where means over pieces wash an effect out, its size is that of the samples
+    blurred = effect.wave is not None and part.size < 0.3 * part.raw
+    if effect.trial.hard_to_see or blurred:
         wanted, have = 1.5 * wanted, part.raw
     factor = min(wanted / max(have, 1e-12), MOST / part.raw)
     return weigh(ruler, scaled(applied, factor))
@@ -123,7 +127,10 @@ def _names(kind: str, turn: int, rng: Rng) -> list[str]:
         return [unknown[turn % len(unknown)]]
     if kind == 'places':
         return [PLACE_EFFECTS[turn % len(PLACE_EFFECTS)]]
-    visible = [n for n in known if n not in (*HARD_TO_SEE, 'tracker_noise')]
+    visible = [
+        n for n, e in REGISTRY.items()
+        if not e.trial.hard_to_see and e.belongs_to is not BelongsTo.NOISE
+    ]  # fmt: skip
     return [str(n) for n in rng.choice(visible, 2, replace=False)]
 
 

@@ -2,7 +2,7 @@
 """What an answer is worth once the key is open, cell by cell.
 
 Right is: the true effect is the first cause, or named as indistinguishable from it in a short
-list; tracker_noise may be named besides. An effect that leaves next to nothing in the residual is
+list; noise may be named besides. An effect that leaves next to nothing in the residual is
 answered rightly by listing it as not visible and blaming no other.
 """
 
@@ -12,14 +12,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-NOISE = 'tracker_noise'
+from otf_core.effects import REGISTRY, BelongsTo, names_of
+
+NOISE = names_of(BelongsTo.NOISE)
+BENDS = names_of(BelongsTo.TABLES)
 SHORT_LIST = 4
 """Effects a cause may be said to be indistinguishable from."""
 VISIBLE_SNR = 6.0
 VISIBLE_UM = 0.25
 """From here on an effect counts as visible: to a perfect observer, and in the residual."""
 BENDS_UM = 0.1
-"""um; where smooth tables leave more between the nodes, naming table_resolution is no error."""
+"""um; where smooth tables leave more between the nodes, naming that is no error."""
 CONFIDENT = 0.5
 
 RIGHT = ('right', 'listed', 'quiet', 'not_visible', 'unknown')
@@ -39,7 +42,7 @@ class Outcome:
         What each leaves in the residual.
     visible : tuple of bool
     named : tuple of str
-        Causes of the answer but ``tracker_noise``, first the first.
+        Causes of the answer but noise, first the first.
     verdict : str
     result : str
         right, listed (in the short list of the first cause), second (named, but not first),
@@ -74,9 +77,10 @@ class Outcome:
 
 def is_visible(part: Mapping[str, Any]) -> bool:
     """Tell whether an effect of the key leaves enough to be seen."""
-    if part['effect'] == NOISE:
+    if part['effect'] in NOISE:
         return True
-    blurred = part['effect'] in ('vibration', 'cyclic_error')
+    effect = REGISTRY.get(part['effect'])
+    blurred = effect is not None and effect.wave is not None
     size = max(part['size_um'], part['raw_um'] if blurred else 0.0)
     return bool(part['snr'] >= VISIBLE_SNR and size >= VISIBLE_UM)
 
@@ -152,11 +156,11 @@ def outcome(
     """
     parts = entry['first_place_only' if first_place else 'parts']
     truth = tuple(p['effect'] for p in parts)
-    kept = {NOISE} - set(truth)
+    kept = NOISE - set(truth)
     causes = [c for c in answer.get('causes', ()) if c['effect'] not in kept]
     allowed = set(truth)
-    if entry['bends_um'] > BENDS_UM and 'table_resolution' not in truth:
-        causes = [c for c in causes if c['effect'] != 'table_resolution']
+    if entry['bends_um'] > BENDS_UM and not BENDS & set(truth):
+        causes = [c for c in causes if c['effect'] not in BENDS]
     everything = {n for c in causes for n in known_names(c)}
     extra = tuple(c['effect'] for c in causes if not allowed & set(known_names(c)))
     failed = 'failed' in answer

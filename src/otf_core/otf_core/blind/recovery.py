@@ -12,7 +12,7 @@ import numpy as np
 from otf_core.blind.draw import draw_trial
 from otf_core.blind.trace import Ruler, make_ruler
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
-from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.errors import ConfigError
 
 LOOSE_SHAPE = ('order', 'until')
@@ -98,7 +98,7 @@ def _applied(rows: Sequence[Mapping[str, Any]]) -> list[AppliedEffect]:
     return [
         AppliedEffect(every[r['effect']], r['parameters'])
         for r in rows
-        if r['effect'] != 'tracker_noise'
+        if every[r['effect']].belongs_to is not BelongsTo.NOISE
     ]
 
 

@@ -65,7 +65,7 @@ def by_size(outcomes: Sequence[Outcome]) -> list[str]:
             o
             for o in outcomes
             if len(o.truth) == 1 and o.visible[0] and o.kind in ('one', 'places')
-            and o.truth[0] != NOISE and low <= o.size_um[0] < high
+            and o.truth[0] not in NOISE and low <= o.size_um[0] < high
         ]  # fmt: skip
         if rows:
             share = _share(sum(o.is_right for o in rows), len(rows))

@@ -9,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from otf_core.blind.answers import Answer, Question, ask_all
-from otf_core.blind.outcome import Outcome, outcome
+from otf_core.blind.outcome import NOISE, Outcome, outcome
 from otf_core.blind.recovery import Recovery, recover, ruler_of
 from otf_core.blind.score import leave_one_out_report, report, score_to_dict
 from otf_core.blind.seal import KEY, SEAL, Entry, Order, open_key, orders, seal
@@ -52,7 +52,7 @@ def _score(
             answer = answers[FIRST, entry['cell']]
             alone.append(outcome(entry, answer, first_place=True))
     sized = [e for e in entries if e['parts'] and 'failed' not in answers[WHOLE, e['cell']]]
-    sized = [e for e in sized if all(p['effect'] != 'tracker_noise' for p in e['parts'])]
+    sized = [e for e in sized if all(p['effect'] not in NOISE for p in e['parts'])]
     with ProcessPoolExecutor(jobs) as pool:
         results = pool.map(_recover, sized, [answers[WHOLE, e['cell']] for e in sized])
         recovered = [r for r in results if r is not None]

@@ -14,7 +14,10 @@ import numpy as np
 
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.base import Array
+from otf_core.effects.drawing import Number, Trial, Uniform
 from otf_core.model.machine import AXES
+
+_MOMENT = Number('t0', Uniform(0.15, 0.85), of_duration=True)
 
 
 class UnknownEffect(Effect):
@@ -25,6 +28,10 @@ class UnknownEffect(Effect):
     source: ClassVar[str] = 'made for the blind trial'
     needs: ClassVar[str] = ''
     vector: ClassVar[tuple[str, ...]] = ('A_X', 'A_Y', 'A_Z')
+    size: ClassVar[float] = 1e-6
+    """Of the vector that is drawn, before the trial scales it."""
+    trial: ClassVar[Trial] = Trial(())
+    """How its shape is drawn."""
 
     @abstractmethod
     def factor(self, state: State, shape: Shape) -> Array:
@@ -50,6 +57,7 @@ class MachineStep(UnknownEffect):
     equation: ClassVar[str] = 'A [t > t0]'
     shape_names: ClassVar[tuple[str, ...]] = ('t0',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
+    trial: ClassVar[Trial] = Trial((_MOMENT,))
 
     def factor(self, state: State, shape: Shape) -> Array:
         """One after t0."""
@@ -64,6 +72,8 @@ class TrackerStep(UnknownEffect):
     equation: ClassVar[str] = '(A / 1 m) x r [t > t0]'
     shape_names: ClassVar[tuple[str, ...]] = ('t0',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
+    size: ClassVar[float] = 2e-6
+    trial: ClassVar[Trial] = Trial((_MOMENT,))
 
     def factor(self, state: State, shape: Shape) -> Array:
         """Not used: the terms are turns."""
@@ -84,6 +94,9 @@ class SlowSwing(UnknownEffect):
     equation: ClassVar[str] = 'A sin(2 pi (t - t0) / period)'
     shape_names: ClassVar[tuple[str, ...]] = ('period', 't0')
     shape_units: ClassVar[tuple[str, ...]] = ('s', 's')
+    trial: ClassVar[Trial] = Trial(
+        (Number('period', Uniform(30.0, 120.0)), Number('t0', Uniform(1.0, 60.0)))
+    )
 
     def factor(self, state: State, shape: Shape) -> Array:
         """Sine of time."""
@@ -121,6 +134,7 @@ class PlayTakenUp(UnknownEffect):
     equation: ClassVar[str] = '-A_a sign(d_a) exp(-s_a / l) e_a, s_a travel since reversal'
     shape_names: ClassVar[tuple[str, ...]] = ('l',)
     shape_units: ClassVar[tuple[str, ...]] = ('m',)
+    trial: ClassVar[Trial] = Trial((Number('l', Uniform(0.01, 0.06)),))
 
     def factor(self, state: State, shape: Shape) -> Array:
         """Decay after each reversal, axis by axis."""
@@ -136,6 +150,9 @@ class LocalBump(UnknownEffect):
     equation: ClassVar[str] = 'A exp(-|q - q0|^2 / (2 w^2))'
     shape_names: ClassVar[tuple[str, ...]] = ('x', 'y', 'z', 'width')
     shape_units: ClassVar[tuple[str, ...]] = ('', '', '', 'm')
+    trial: ClassVar[Trial] = Trial(
+        (*(Number(k, Uniform(0.2, 0.8)) for k in 'xyz'), Number('width', Uniform(0.04, 0.12)))
+    )
 
     def factor(self, state: State, shape: Shape) -> Array:
         """Bell curve about a place given in shares of the ranges."""
@@ -153,6 +170,7 @@ class StickSlip(UnknownEffect):
     equation: ClassVar[str] = 'A_a (2 frac(s_a / p) - 1) e_a, s_a travel so far'
     shape_names: ClassVar[tuple[str, ...]] = ('period',)
     shape_units: ClassVar[tuple[str, ...]] = ('m',)
+    trial: ClassVar[Trial] = Trial((Number('period', Uniform(0.03, 0.12)),))
 
     def factor(self, state: State, shape: Shape) -> Array:
         """Sawtooth, axis by axis."""

@@ -53,8 +53,6 @@ SETTLED = 2e-8
 """m; change of the displacement by an effect below which its coefficients count as settled."""
 ROUGH = 1e-6
 """m; a larger change can alter which functions and which reversal the data call for."""
-TABLES_OWN = ('table_resolution',)
-"""What is nothing to take off: it is the tables that follow finer."""
 
 
 @dataclass(frozen=True)
@@ -131,14 +129,14 @@ class _Scene:
 
     def mean(self, one: Taken, function: Callable[[State, int], Array]) -> Array:
         """Values over the pieces, means over their samples where the effect asks for that."""
-        if one.effect.sample_resolution and self.samples is not None:
+        if one.effect.wave is not None and self.samples is not None:
             return self.run.pieces.mean_of(function(self.samples, self.number))
         return function(self.pieces, self.number)
 
 
 def _scene(run: Run, number: int, pieces: State, effects: Sequence[Taken]) -> _Scene:
     samples = None
-    if any(e.effect.sample_resolution for e in effects) and len(run.pieces.samples):
+    if any(e.effect.wave is not None for e in effects) and len(run.pieces.samples):
         nodes = dict(pieces.nodes)
         samples = sample_state(run, run.pose, pieces.tables, nodes)
     return _Scene(run, number, pieces, samples)

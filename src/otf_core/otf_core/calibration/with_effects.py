@@ -3,8 +3,8 @@
 
 Reversal is left to the calibration's own choice (``reversal_choice``) unless the configuration
 says 'none': backlash and direction-dependent tables that a diagnosis finds are not taken off
-twice. A file that names one of them switches that choice off. Nodes too far apart
-(``table_resolution``) are nothing to take off: it is the tables that follow finer.
+twice. A file that names one of them switches that choice off. Nodes too far apart are nothing to
+take off: it is the tables that follow finer. Each effect says which it is (``belongs_to``).
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from otf_core.calibration.calibrate import SolvedRecordings, assemble, solve_recordings
-from otf_core.calibration.correction import TABLES_OWN, calibrate_without
+from otf_core.calibration.correction import calibrate_without
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
-from otf_core.effects import AppliedEffect
+from otf_core.effects import AppliedEffect, BelongsTo
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.stated import FILE
 from otf_core.effects.taken import Taken, taken
@@ -24,9 +24,6 @@ from otf_core.errors import ConfigError
 from otf_core.pieces.runs import Recording
 from otf_core.solving.joint import Progress
 from otf_core.threads import in_one_thread
-
-REVERSAL = ('backlash', 'direction_dependent_tables')
-NOISE = 'tracker_noise'
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,7 @@ def calibrate_with_file(
     solved = solve_recordings(recordings, config, progress)
     taking = [taken([one] * len(solved.runs), FILE) for one in named]
     own = config
-    if any(one.effect.name in REVERSAL for one in taking):
+    if any(one.effect.belongs_to is BelongsTo.REVERSAL for one in taking):
         own = replace(config, reversal='none')
     words = f'Effects of {file} taken off: {listed(taking)}.'
     plain = assemble(solved.solution, config)
@@ -129,12 +126,12 @@ def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:
     """Effects of a file that can be taken off; ConfigError says why one cannot."""
     found = read_effects(file, recordings[0].machine)
     for one in found:
-        if one.effect.name == NOISE:
+        if one.effect.belongs_to is BelongsTo.NOISE:
             raise ConfigError(
-                f'{file}: {NOISE}: noise displaces nothing that could be taken off; its size is '
-                f'found from the data in every calibration; leave it out of the file'
+                f'{file}: {one.effect.name}: noise displaces nothing that could be taken off; its '
+                f'size is found from the data in every calibration; leave it out of the file'
             )
-        if one.effect.name in TABLES_OWN:
+        if one.effect.belongs_to is BelongsTo.TABLES:
             raise ConfigError(
                 f'{file}: {one.effect.name}: belongs into the tables and is not taken off; the '
                 f'tables follow the data as finely as they call for; leave it out of the file'

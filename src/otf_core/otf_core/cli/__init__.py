@@ -32,6 +32,7 @@ from otf_core.config import (
     SimulationConfig,
 )
 from otf_core.errors import OtfError
+from otf_core.planning.nc import DIALECTS
 
 LARGEST_SEED = 10_000_000
 Handler = Callable[[argparse.Namespace], int]
@@ -61,7 +62,7 @@ def _add_plan_options(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     sub.add_argument('--noise', help='noise.json of otf noise; as in machine.yaml if not given')
     sub.add_argument(
-        '--dialect', choices=('sinumerik', 'fanuc', 'heidenhain', 'linuxcnc'),
+        '--dialect', choices=tuple(DIALECTS),
         help='write the NC program for this control; there is no generic one',
     )  # fmt: skip
 

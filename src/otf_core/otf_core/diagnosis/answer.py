@@ -11,7 +11,6 @@ from otf_core.diagnosis.engine.noise_check import NoiseFinding
 from otf_core.diagnosis.explanation import Explanation
 from otf_core.diagnosis.fitted import FittedCause
 from otf_core.diagnosis.result import Gap, NamedCause
-from otf_core.effects import REGISTRY
 
 
 def named_causes(
@@ -81,10 +80,10 @@ def _add(named: list[NamedCause], cause: NamedCause) -> None:
 
 
 def _noise_cause(noise: NoiseFinding, before_um: float, after_um: float) -> NamedCause:
-    effect = REGISTRY['tracker_noise']
+    effect = noise.effect
     units = dict(zip(effect.shape_names, effect.shape_units, strict=True))
     return NamedCause(
-        effect='tracker_noise',
+        effect=effect.name,
         axes=(),
         parameters=noise.parameters,
         u={},

@@ -6,12 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from otf_core.calibration.calibrate import SolvedRecordings
-from otf_core.calibration.correction import TABLES_OWN
 from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.with_effects import REVERSAL, EffectsCalibration, listed, take_off
+from otf_core.calibration.with_effects import EffectsCalibration, listed, take_off
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.search import Cause
-from otf_core.effects import AppliedEffect
+from otf_core.effects import AppliedEffect, BelongsTo, names_of
 from otf_core.effects.stated import FOUND
 from otf_core.effects.taken import Taken, taken
 
@@ -51,7 +50,9 @@ def _to_take(
     found: Sequence[Taken], causes: Sequence[Cause], config: CalibrationConfig
 ) -> tuple[list[Taken], list[str]]:
     """What of the causes found is taken off, and warnings."""
-    left = TABLES_OWN if config.reversal == 'none' else (*TABLES_OWN, *REVERSAL)
+    left = names_of(BelongsTo.TABLES)
+    if config.reversal != 'none':
+        left |= names_of(BelongsTo.REVERSAL)
     taking, warnings = [], []
     for one, cause in zip(found, causes, strict=True):
         if one.effect.name in left:

@@ -14,13 +14,10 @@ from otf_core.diagnosis.engine.assess import Residuals, gap_um, plain_residuals,
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
+from otf_core.effects import Effect
 
 Array = NDArray[np.float64]
 
-MATERIAL_UM = 0.2
-"""um; a cause that changes the residual by less is not named."""
-MATERIAL_TABLES_UM = 0.45
-"""um; the same for table_resolution: smooth errors always leave a little between nodes."""
 MATERIAL_SHARE = 0.12
 """Least share of a further cause in the gap, as amplitude."""
 FREE_OF_STRUCTURE = 1.2
@@ -110,11 +107,10 @@ def explain(rows: Rows, found: Sequence[Cause], simulated_um: float) -> Explanat
     )
 
 
-def _material(name: str, before: Residuals, after: Residuals, whole_um: float) -> bool:
+def _material(effect: Effect, before: Residuals, after: Residuals, whole_um: float) -> bool:
     """Tell whether a cause matters: by its own trace, and beside the whole gap."""
     trace = float(np.sqrt(max(0.0, before.rms_um**2 - after.rms_um**2)))
-    least = MATERIAL_TABLES_UM if name == 'table_resolution' else MATERIAL_UM
-    return trace > least and trace > MATERIAL_SHARE * whole_um
+    return trace > effect.material_um and trace > MATERIAL_SHARE * whole_um
 
 
 def _named(
@@ -126,7 +122,7 @@ def _named(
     whole = gap_um(steps[0].rms_um, simulated_um)
     for cause in found:
         after = residuals_with(rows, [*causes, cause])
-        if _material(cause.option.effect.name, steps[-1], after, whole):
+        if _material(cause.option.effect, steps[-1], after, whole):
             causes.append(cause)
             steps.append(after)
     return causes, steps

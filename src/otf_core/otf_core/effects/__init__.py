@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from otf_core.effects.applied import AppliedEffect, total_displacement
 from otf_core.effects.backlash import Backlash
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import BelongsTo, Effect, Shape, State, Terms
 from otf_core.effects.corner_rounding import CornerRounding
 from otf_core.effects.cross_coupling import CrossCoupling
 from otf_core.effects.cyclic_error import CyclicError
@@ -48,12 +48,20 @@ REGISTRY: dict[str, Effect] = {
     )
 }
 
+
+def names_of(part: BelongsTo) -> frozenset[str]:
+    """Names of the effects that a part of a calibration takes up."""
+    return frozenset(n for n, e in REGISTRY.items() if e.belongs_to is part)
+
+
 __all__ = [
     'REGISTRY',
     'AppliedEffect',
+    'BelongsTo',
     'Effect',
     'Shape',
     'State',
     'Terms',
+    'names_of',
     'total_displacement',
 ]

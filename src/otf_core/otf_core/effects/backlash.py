@@ -14,12 +14,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
+from otf_core.effects.drawing import Axes, Maybe, Number, Trial
 from otf_core.model.machine import AXES
 from otf_core.model.path import MOVING
 
 HELD = 'held'
 """Shape parameter: 1 if an axis that stands stays on the side of its last travel, else 0."""
+SOMETIMES_HELD = Maybe(0.5, Number(HELD, 1.0))
 
 
 def travel_sign(state: State, shape: Shape) -> Array:
@@ -48,7 +50,8 @@ class Backlash(Effect):
     needs: ClassVar[str] = (
         'every line driven forward and reverse, and lines that are no box diagonals'
     )
-
+    belongs_to: ClassVar[BelongsTo] = BelongsTo.REVERSAL
+    trial: ClassVar[Trial] = Trial((Axes('B'), SOMETIMES_HELD), second_place=9)
     shape_names: ClassVar[tuple[str, ...]] = (HELD,)
     shape_units: ClassVar[tuple[str, ...]] = ('',)
     shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType({HELD: 0.0})

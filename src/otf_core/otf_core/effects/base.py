@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.effects.drawing import Trial
 from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
@@ -119,8 +121,68 @@ class Terms:
     columns: Array
 
 
+class BelongsTo(Enum):
+    """The part of a calibration that takes an effect up."""
+
+    EFFECTS = 'taken off as an effect'
+    TABLES = 'the tables follow it finer; nothing is taken off'
+    REVERSAL = 'the calibration chooses its own tables for both senses of travel'
+    NOISE = 'no displacement: it changes the noise, which every calibration judges anyway'
+
+
+@dataclass(frozen=True)
+class Wave:
+    """What makes an effect a line in a spectrum; its shapes are looked for there.
+
+    Means over path pieces wash it out, so it is evaluated at the samples.
+
+    Attributes
+    ----------
+    parameter : str
+        Shape parameter: a frequency in Hz if it repeats in time, else a period in m.
+    in_time : bool
+        True if it repeats in time, False if it does along an axis.
+    probe : float
+        Stands for it where no line is found.
+    """
+
+    parameter: str
+    in_time: bool
+    probe: float
+
+
+def product(terms: Terms, state: State, given: Sequence[float]) -> Array:
+    """Standard uncertainty of every coefficient: the product of what is declared, shape (k,)."""
+    return np.full(len(terms.names), float(np.prod(given)))
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """A source of the uncertainty budget that acts as an effect does.
+
+    Attributes
+    ----------
+    source : str
+        As the budget calls it.
+    keys : tuple of str
+        Keys of ``uncertainty`` in machine.yaml, any of which declares it.
+    shape : mapping of str to float
+        Shape with which it acts.
+    size : callable(terms, state, given)
+        Standard uncertainty of every coefficient, shape (k,), from the declared values.
+    """
+
+    source: str
+    keys: tuple[str, ...]
+    shape: Shape = field(default_factory=dict)
+    size: Callable[[Terms, State, Sequence[float]], Array] = product
+
+
 class Effect(ABC):
-    """One effect; every subclass is one file and one line in the registry."""
+    """One effect; every subclass is one file and one line in the registry.
+
+    A simple one gives the words, ``terms`` and ``trial``; all other facts have defaults.
+    """
 
     name: ClassVar[str]
     """Name in files and reports (INTERFACES section 6)."""
@@ -147,11 +209,29 @@ class Effect(ABC):
     """Relative distance over which it may move."""
     own_per_run: ClassVar[bool] = False
     """True if every run has coefficients of its own, as what drifts since its start."""
-    sample_resolution: ClassVar[bool] = False
-    """True if means over path pieces wash it out."""
+    wave: ClassVar[Wave | None] = None
+    """What makes it a line in a spectrum; None if it is none."""
     stays_in_place: ClassVar[bool] = False
     """True if it displaces the target in the same way whenever it comes by a place, as tables do,
     but no table can hold it."""
+    belongs_to: ClassVar[BelongsTo] = BelongsTo.EFFECTS
+    """The part of a calibration that takes it up."""
+    material_um: ClassVar[float] = 0.2
+    """um; where it changes the residual by less it is not named."""
+    contributions: ClassVar[tuple[Contribution, ...]] = ()
+    """Sources of the uncertainty budget that act as it does."""
+    trial: ClassVar[Trial]
+    """How a blind trial draws it."""
+
+    def loose(self, shape: Shape) -> dict[str, float]:
+        """Shape parameters that more data may still move: standard deviation of their logarithm.
+
+        Parameters
+        ----------
+        shape : mapping of str to float
+            As a diagnosis found it.
+        """
+        return {self.refine: self.refine_width} if self.refine else {}
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Shapes worth trying in this run; one empty shape if there is nothing to choose."""

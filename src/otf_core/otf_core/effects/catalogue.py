@@ -55,7 +55,8 @@ def _listed(names: Sequence[str]) -> str:
 
 def _parameters(effect: Effect) -> str:
     state = probe_state(_machine())
-    shape = {'tau': 1.0, 'l': 0.01, 'period': 0.01, 'frequency': 1.0}
+    first = effect.shapes(state)[0]
+    shape = {n: v for n, v in first.items() if n not in effect.shape_defaults}
     terms = effect.terms(state, effect.complete_shape(shape))
     parts = []
     for unit in dict.fromkeys(terms.units):

@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.drawing import Number, Trial, Uniform
 
 LENGTHS = (0.002, 0.004, 0.008, 0.016, 0.032)
 """m; about v^2 / 2a, from 0.1 m/s to 0.4 m/s at 2 m/s^2 and more."""
@@ -46,6 +47,7 @@ class CornerRounding(Effect):
     refine: ClassVar[str] = 'l'
     refine_width: ClassVar[float] = 0.5
     shape_units: ClassVar[tuple[str, ...]] = ('m',)
+    trial: ClassVar[Trial] = Trial((Number('l', Uniform(0.004, 0.03)), Number('A', 1e-6)))
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Lengths of a few millimetres to a few centimetres."""

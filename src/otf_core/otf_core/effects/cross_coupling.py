@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.drawing import Either, Number, Several, Share, Trial
 from otf_core.effects.position import scaled_position
 from otf_core.model.machine import AXES
 
@@ -28,6 +29,13 @@ POWERS = (
 def _label(axes: tuple[int, ...]) -> str:
     counts = [(AXES[a], axes.count(a)) for a in sorted(set(axes))]
     return ''.join(name + (str(count) if count > 1 else '') for name, count in counts)
+
+
+_SIZE = Share(1e-6, 0.5, signed=False)
+_DRAWN = Either(
+    tuple((Either(tuple((Number(f'{d}_{_label(p)}', _SIZE),) for p in POWERS)),) for d in AXES)
+)
+"""Any one of the coefficients."""
 
 
 class CrossCoupling(Effect):
@@ -53,6 +61,7 @@ class CrossCoupling(Effect):
         'look alike from one'
     )
     stays_in_place: ClassVar[bool] = True
+    trial: ClassVar[Trial] = Trial((Several(_DRAWN, 2),), second_place=7)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return X_XY ... Z_XYZ: direction, then the product of positions."""

@@ -12,7 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Effect, Shape, State, Terms, Wave
+from otf_core.effects.drawing import Axes, Maybe, Number, OneOf, Trial, Uniform
 from otf_core.model.machine import AXES
 
 WAVES = 3
@@ -42,8 +43,14 @@ class CyclicError(Effect):
     shape_units: ClassVar[tuple[str, ...]] = ('m',)
     refine: ClassVar[str] = 'period'
     refine_width: ClassVar[float] = 0.01
-    sample_resolution: ClassVar[bool] = True
+    wave: ClassVar[Wave | None] = Wave('period', in_time=False, probe=0.01)
     stays_in_place: ClassVar[bool] = True
+    trial: ClassVar[Trial] = Trial((
+        Number('period', OneOf((0.005, 0.008, 0.01, 0.012, 0.016, 0.02, 0.025))),
+        Maybe(0.5, Number('period', Uniform(0.006, 0.03))),
+        Axes('S', most=2),
+        Axes('C', most=2),
+    ))  # fmt: skip
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Periods from four sample spacings up, as close as the longest axis can tell apart."""

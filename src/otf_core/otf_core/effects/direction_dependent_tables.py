@@ -15,14 +15,28 @@ from typing import ClassVar
 import numpy as np
 from numpy.polynomial import legendre
 
-from otf_core.effects.backlash import HELD, travel_sign
-from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.backlash import HELD, SOMETIMES_HELD, travel_sign
+from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
+from otf_core.effects.drawing import Either, Normal, Number, Some, Trial
 from otf_core.effects.position import scaled_position
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES
 from otf_core.model.tables import MOTIONS, is_positioning, unit_of
 
 ORDER = 3
+
+
+def _drawn_motion(motion: str) -> Either:
+    """One motion up to an order drawn from 1 to ``ORDER``: about 1 um or 4 urad each."""
+    size = Normal(1e-6 if unit_of(motion) == 'm' else 4e-6)
+    first = int(is_positioning(motion))
+    numbers = [Number(f'{motion}_{k}', size) for k in range(first, ORDER + 1)]
+    return Either(tuple(tuple(numbers[: k + 1 - first]) for k in range(1, ORDER + 1)))
+
+
+def _drawn_axis(axis: str) -> Some:
+    """One or two of the motions of an axis."""
+    return Some(tuple(_drawn_motion(m) for m in MOTIONS if m[2] == axis), 2)
 
 
 def polynomials(place: Array, order: int) -> Array:
@@ -51,6 +65,10 @@ class DirectionDependentTables(Effect):
         'forward and reverse passes of one line differ by a smooth function of position'
     )
     needs: ClassVar[str] = 'every line driven forward and reverse'
+    belongs_to: ClassVar[BelongsTo] = BelongsTo.REVERSAL
+    trial: ClassVar[Trial] = Trial(
+        (Either(tuple((SOMETIMES_HELD, _drawn_axis(a)) for a in AXES)),)
+    )
     shape_names: ClassVar[tuple[str, ...]] = ('order', HELD)
     shape_units: ClassVar[tuple[str, ...]] = ('', '')
     shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from otf_core.effects.base import Array, Effect, Shape, State
+from otf_core.effects.drawing import LogUniform, Number
 
 ORDER = 4
 SHAPE_NAMES = ('tau', 'until', 'order')
@@ -27,6 +28,12 @@ TIME_CONSTANTS = (0.1, 0.3, 1.0)
 """Time constants worth trying, in durations of the recording."""
 LINEAR = 100.0
 """In durations of the recording; bends the line by less than 0.2 % of its end."""
+STRAIGHT = 10.0
+"""Time constants of so many durations and more make a straight line, whatever they are."""
+TIME_CONSTANT_WIDTH = 1.0
+"""Standard deviation of the logarithm of a time constant that a diagnosis found on a raster."""
+DRAWN = (Number('tau', LogUniform(0.15, 4.0), of_duration=True), Number('order', 1.0))
+"""How a blind trial draws the course in time."""
 
 
 def time_functions(state: State, shape: Shape) -> list[tuple[str, Array]]:
@@ -66,6 +73,11 @@ class DriftingEffect(Effect):
     shape_units: ClassVar[tuple[str, ...]] = SHAPE_UNITS
     shape_defaults: ClassVar[Mapping[str, float]] = SHAPE_DEFAULTS
     own_per_run: ClassVar[bool] = True
+
+    def loose(self, shape: Shape) -> dict[str, float]:
+        """Time constant, where it bends the course."""
+        bent = shape['tau'] < STRAIGHT * shape.get('until', 0.0)
+        return {'tau': TIME_CONSTANT_WIDTH} if bent else {}
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Time constants around the duration, a line, and a general slow drift."""

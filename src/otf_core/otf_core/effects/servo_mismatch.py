@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.drawing import Axes, Trial
 from otf_core.model.machine import AXES
 
 
@@ -30,6 +31,7 @@ class ServoMismatch(Effect):
         'offset on every diagonal that flips with the sense of travel and grows with the feed'
     )
     needs: ClassVar[str] = 'two feeds, forward and reverse; at one feed it looks like backlash'
+    trial: ClassVar[Trial] = Trial((Axes('T', 1e-5, most=2),))
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return T_X, T_Y, T_Z."""

@@ -17,7 +17,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
+from otf_core.effects.drawing import BetweenNodes, Number, Some, Trial
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES
@@ -25,6 +26,10 @@ from otf_core.model.tables import MOTIONS, unit_of
 
 NAME = re.compile(r'(E[XYZABC][XYZ])@(-?[\d.e-]+?)\.\.(-?[\d.e-]+?)(_2)?')
 TRANSLATIONS = tuple(m for m in MOTIONS if unit_of(m) == 'm')
+_DRAWN = tuple(
+    BetweenNodes(m + '@{:.6g}..{:.6g}', m[2], size=1e-6, lengths=(1.0, 2.5), rough=0.3)
+    for m in ('EXX', 'EYX', 'EZX', 'EYY', 'EXY', 'EZY', 'EZZ', 'EXZ', 'EYZ')
+)
 
 
 def _label(motion: str, low: float, high: float, wave: bool) -> str:
@@ -37,18 +42,17 @@ def _bump(q: Array, low: float, high: float, wave: bool) -> Array:
 
 
 def _parsed(name: str) -> tuple[str, float, float, bool]:
+    where = f'{TableResolution.name}: {name}'
     match = NAME.fullmatch(name)
     if match is None:
-        raise ConfigError(
-            f'table_resolution: {name}: unknown; write motion@from..to, m, as in EYX@0.03..0.06'
-        )
+        raise ConfigError(f'{where}: unknown; write motion@from..to, m, as in EYX@0.03..0.06')
     motion, low, high, wave = match.groups()
     try:
         ends = float(low), float(high)
     except ValueError:
-        raise ConfigError(f'table_resolution: {name}: {low}..{high} is no interval') from None
+        raise ConfigError(f'{where}: {low}..{high} is no interval') from None
     if not ends[1] > ends[0]:
-        raise ConfigError(f'table_resolution: {name}: the interval is empty')
+        raise ConfigError(f'{where}: the interval is empty')
     return motion, *ends, wave is not None
 
 
@@ -76,6 +80,10 @@ class TableResolution(Effect):
     shape_names: ClassVar[tuple[str, ...]] = ('order',)
     shape_units: ClassVar[tuple[str, ...]] = ('',)
     shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType({'order': 2.0})
+    belongs_to: ClassVar[BelongsTo] = BelongsTo.TABLES
+    material_um: ClassVar[float] = 0.45
+    """um; smooth errors always leave a little between nodes."""
+    trial: ClassVar[Trial] = Trial((Number('order', 2.0), Some(_DRAWN, 3)))
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Order 1: bows of the translations; 2: waves as well; (3: rotations as well)."""

@@ -12,8 +12,15 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.drawing import Drawn, Either, Number, OneOf, Trial
 from otf_core.effects.position import travel_from_reference
 from otf_core.model.machine import AXES
+
+
+def _drawn(tilt: str) -> Drawn:
+    """Tilt about one axis by any one that moves."""
+    size = OneOf((-2e-5, 2e-5))
+    return Either(tuple((Number(f'tilt_{tilt}_by_{a}', size),) for a in AXES))
 
 
 class TableTilt(Effect):
@@ -30,6 +37,9 @@ class TableTilt(Effect):
     )
     signature: ClassVar[str] = 'as an angular error of the axis, but about the tracker'
     needs: ClassVar[str] = 'a second tracker place, or a level sensor on the table'
+    trial: ClassVar[Trial] = Trial(
+        (Either(tuple((_drawn(k),) for k in 'XY')),), hard_to_see=True, second_place=4
+    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return tilt_X_by_X ... tilt_Y_by_Z: axis of the tilt, axis that moves."""

@@ -17,11 +17,6 @@ from otf_core.effects.applied import AppliedEffect
 from otf_core.effects.base import Array, Effect, State
 from otf_core.effects.stated import FILE, FOUND
 
-TIME_CONSTANT, UNTIL = 'tau', 'until'
-TIME_CONSTANT_WIDTH = 1.0
-"""Standard deviation of the logarithm of a time constant that a diagnosis found on a raster."""
-STRAIGHT = 10.0
-"""Time constants of so many durations and more make a straight line, whatever they are."""
 LARGEST_STEP = 0.5
 """Of the logarithm of a time constant or a period, in its prior standard deviations."""
 DIFFERENCE = 1e-4
@@ -138,11 +133,6 @@ def taken(applied: Sequence[AppliedEffect], how: str) -> Taken:
     rows = applied if effect.own_per_run else applied[:1]
     names = tuple(dict.fromkeys(n for a in rows for n in a.parameters if n not in shape))
     values = np.array([[float(a.parameters.get(n, 0.0)) for n in names] for a in rows])
-    widths: dict[str, float] = {}
-    if how == FOUND and effect.refine:
-        widths[effect.refine] = effect.refine_width
-    bent = shape.get(TIME_CONSTANT, np.inf) < STRAIGHT * shape.get(UNTIL, 0.0)
-    if how == FOUND and bent:
-        widths[TIME_CONSTANT] = TIME_CONSTANT_WIDTH
+    widths = effect.loose(shape) if how == FOUND else {}
     start = {n: shape[n] for n in widths}
     return Taken(effect, shape, names, values, values.copy(), widths, start, how)

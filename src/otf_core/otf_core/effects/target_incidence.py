@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.drawing import Maybe, Normal, Number, OneOf, Trial
 
 
 class TargetIncidence(Effect):
@@ -34,6 +35,10 @@ class TargetIncidence(Effect):
         'range too long or short towards the edges of the volume, and lost beams beyond 25 deg'
     )
     needs: ClassVar[str] = 'the target turned on its axis between runs, or aimed along at places'
+    trial: ClassVar[Trial] = Trial(
+        (Number('k', OneOf((-2e-5, 2e-5))), Maybe(0.3, Number('k_u', Normal(5e-6)))),
+        second_place=6,
+    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return k, k_u, k_w."""

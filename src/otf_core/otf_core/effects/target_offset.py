@@ -11,7 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Contribution, Effect, Shape, State, Terms
+from otf_core.effects.drawing import Axes, Trial
 from otf_core.model.machine import AXES
 
 
@@ -26,6 +27,10 @@ class TargetOffset(Effect):
     source: ClassVar[str] = 'Bryan, Precision Engineering 1 (1979) 129 (Abbe principle)'
     signature: ClassVar[str] = 'none in one run: the straightness tables take it up'
     needs: ClassVar[str] = 'runs with a second and a third target offset'
+    contributions: ClassVar[tuple[Contribution, ...]] = (
+        Contribution('target offset', ('target_offset',)),
+    )
+    trial: ClassVar[Trial] = Trial((Axes('dT', 5e-3),), hard_to_see=True, second_place=5)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return dT_X, dT_Y, dT_Z."""

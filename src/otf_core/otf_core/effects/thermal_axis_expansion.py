@@ -12,9 +12,13 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
-from otf_core.effects.base import Shape, State, Terms
+from otf_core.effects.base import Contribution, Shape, State, Terms
+from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.position import travel_from_reference
 from otf_core.model.machine import AXES
+
+AT_ONCE = 1e-6
+"""s; time constant of a warming that is complete when the run starts."""
 
 
 class ThermalAxisExpansion(drift.DriftingEffect):
@@ -40,6 +44,14 @@ class ThermalAxisExpansion(drift.DriftingEffect):
     needs: ClassVar[str] = (
         'one reference line repeated every few minutes, one line along the beam, axis temperatures'
     )
+    contributions: ClassVar[tuple[Contribution, ...]] = (
+        Contribution(
+            'machine temperature',
+            ('machine_temperature', 'expansion'),
+            {'tau': AT_ONCE, 'until': 0.0, 'order': 1.0},
+        ),
+    )
+    trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('S', 4e-6)))
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return S_X, S_Y, S_Z: strain at ``until``; S_X_2 ...: further functions of time."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from otf_core.effects import drift
 from otf_core.effects.base import Array, Shape, State, Terms
+from otf_core.effects.drawing import Axes, Trial
 from otf_core.model.machine import AXES
 
 
@@ -42,6 +43,7 @@ class ThermalStructureDrift(drift.DriftingEffect):
         'lines repeated at other times; a fixed second target on the table tells it from a drift '
         'of the tracker, with which it agrees exactly'
     )
+    trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('D')))
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return D_X, D_Y, D_Z: shift at ``until``; D_X_2 ...: further functions of time."""

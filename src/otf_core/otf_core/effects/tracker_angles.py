@@ -5,18 +5,27 @@ Errors of azimuth H, zenith angle V and range R, delta = R sinV dH e_H + R dV e_
 dH = x1n/R + x1z/(R tanV) + x3/(R sinV) + x5z7/tanV + 2 x6/sinV - x8x sinH + x8y cosH
 + x11a cos2H + x11b sin2H; dV = (x1n + x2) cosV/R - x1z sinV/R + x4 + x5n9n cosV - x5z9z sinV
 + x12a cos2V + x12b sin2V; dR = x2 sinV. H counts about the tracker's third axis, one face.
+
+Makers specify the error across the beam as a + b R. In an uncertainty budget the parameters each
+take an equal share of it in mean square over the pieces: the offsets of a, the angles of b R.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.base import Array, Contribution, Effect, Shape, State, Terms
 from otf_core.effects.beam import Beam, beam_of
+from otf_core.effects.drawing import Number, Share, Some, Trial
 
 OFFSETS = ('x1n', 'x1z', 'x2', 'x3')
+DRAWN = ('x1n', 'x2', 'x3', 'x5n9n', 'x5z7', 'x8x', 'x8y', 'x11a', 'x11b', 'x12a', 'x12b')
+"""Parameters that blind trials draw."""
+NO_EFFECT = 1e-9
+"""Displacement per unit of a parameter, relative to the largest possible, that is rounding."""
 
 
 def _amplitudes(beam: Beam) -> dict[str, tuple[Array, Array, Array]]:
@@ -40,6 +49,24 @@ def _amplitudes(beam: Beam) -> dict[str, tuple[Array, Array, Array]]:
         'x12a': (zero, r * (cos_v**2 - sin_v**2), zero),
         'x12b': (zero, r * 2.0 * sin_v * cos_v, zero),
     }
+
+
+def _shared_equally(terms: Terms, state: State, given: Sequence[float]) -> Array:
+    """Standard uncertainties that together make the declared offset a and angle b."""
+    offset, angle = given
+    distance = np.linalg.norm(state.beam, axis=1)
+    beam = state.beam / distance[:, None]
+    along = np.einsum('ij,ijk->ik', beam, terms.columns)
+    beside = terms.columns - beam[:, :, None] * along[:, None, :]
+    size = np.sqrt(np.mean(np.sum(beside**2, axis=1), axis=0))
+    is_offset = np.array([unit == 'm' for unit in terms.units])
+    wanted = np.where(is_offset, offset, angle * np.sqrt(np.mean(distance**2)))
+    # what displaces nothing on this path, but for rounding, has no share
+    acts = size > NO_EFFECT * np.where(is_offset, 1.0, np.sqrt(np.mean(distance**2)))
+    share = np.where(is_offset, (acts & is_offset).sum(), (acts & ~is_offset).sum())
+    size, share = np.where(acts, size, np.inf), np.maximum(share, 1)
+    # in each of the two directions across the beam: hence the factor 2
+    return np.asarray(wanted * np.sqrt(2.0 / share) / size)
 
 
 class TrackerAngles(Effect):
@@ -66,6 +93,14 @@ class TrackerAngles(Effect):
         'points shift across the beam as a smooth function of azimuth and zenith angle'
     )
     needs: ClassVar[str] = 'a second tracker place; two-face checks tell the parts apart'
+    contributions: ClassVar[tuple[Contribution, ...]] = (
+        Contribution('tracker angles', ('tracker_offset', 'tracker_angle'), size=_shared_equally),
+    )
+    trial: ClassVar[Trial] = Trial(
+        (Some(tuple(Number(n, Share(2e-6, 0.5)) for n in DRAWN), 3),),
+        hard_to_see=True,
+        second_place=3,
+    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return x1n ... x12b: offsets in m, all others in rad."""

@@ -13,8 +13,11 @@ import numpy as np
 
 from otf_core.effects import drift
 from otf_core.effects.base import Shape, State, Terms
+from otf_core.effects.drawing import Axes, Either, Trial
 from otf_core.effects.thermal_structure_drift import translation_columns
 from otf_core.model.machine import AXES
+
+_SHIFT, _TURN = Axes('M'), Axes('W', 2e-6)
 
 
 class TrackerPoseDrift(drift.DriftingEffect):
@@ -38,6 +41,9 @@ class TrackerPoseDrift(drift.DriftingEffect):
     needs: ClassVar[str] = (
         'fixed nests on the table, measured again and again; its shift agrees exactly with a '
         'drift of the structure'
+    )
+    trial: ClassVar[Trial] = Trial(
+        (*drift.DRAWN, Either(((_SHIFT,), (_TURN,), (_SHIFT, _TURN)))), second_place=8
     )
 
     def terms(self, state: State, shape: Shape) -> Terms:

@@ -10,7 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Contribution, Effect, Shape, State, Terms
+from otf_core.effects.drawing import Number, OneOf, Trial
 
 
 class TrackerRangeOffset(Effect):
@@ -27,6 +28,12 @@ class TrackerRangeOffset(Effect):
     )
     signature: ClassVar[str] = 'points spread like a fan from the tracker, more so at short range'
     needs: ClassVar[str] = 'a second tracker place on another side of the volume'
+    contributions: ClassVar[tuple[Contribution, ...]] = (
+        Contribution('tracker range offset', ('tracker_range_offset',)),
+    )
+    trial: ClassVar[Trial] = Trial(
+        (Number('c', OneOf((-5e-6, 5e-6))),), hard_to_see=True, second_place=2
+    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return c."""

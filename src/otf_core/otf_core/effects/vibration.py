@@ -11,7 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Effect, Shape, State, Terms, Wave
+from otf_core.effects.drawing import Axes, LogUniform, Number, Trial
 from otf_core.model.machine import AXES
 
 SECONDS = 2.0
@@ -40,7 +41,10 @@ class Vibration(Effect):
     shape_units: ClassVar[tuple[str, ...]] = ('Hz',)
     refine: ClassVar[str] = 'frequency'
     refine_width: ClassVar[float] = 2e-4
-    sample_resolution: ClassVar[bool] = True
+    wave: ClassVar[Wave | None] = Wave('frequency', in_time=True, probe=10.0)
+    trial: ClassVar[Trial] = Trial(
+        (Number('frequency', LogUniform(1.5, 45.0)), Axes('S'), Axes('C'))
+    )
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Frequencies up to half the sample rate, 1 / (2 * SECONDS) apart."""

@@ -15,7 +15,7 @@ from otf_core.diagnosis.engine.evidence import Option, axis_subsets
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, search
 from otf_core.diagnosis.engine.spectral import Line, strongest_lines
-from otf_core.effects import REGISTRY, Effect, Shape, Terms
+from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape, Terms
 from otf_core.solving.columns import column_size
 from otf_core.solving.sample_states import sample_residuals
 
@@ -29,11 +29,6 @@ PLAUSIBLE = 5e-6
 """m; an effect that would have to be larger to be found counts as not visible."""
 NO_TRACE = 1e-9
 """m per unit; terms that move the target less across the path have no trace at all."""
-PROBES: Mapping[str, Shape] = {
-    'vibration': {'frequency': 10.0},
-    'cyclic_error': {'period': 0.01},
-}
-"""Shapes that stand for an effect whose own shapes are looked for in spectra."""
 LINE_SCORE = 8.0
 """Least score of a spectral line to be tried as a shape."""
 
@@ -61,11 +56,11 @@ class Visibility:
 
 def shapes_from_lines(lines: Sequence[Line]) -> dict[str, list[Shape]]:
     """Frequencies and periods of spectral lines as shapes of the effects that make them."""
-    shapes: dict[str, list[Shape]] = {'vibration': [], 'cyclic_error': []}
+    shapes: dict[str, list[Shape]] = {}
     for line in lines:
         if line.score > LINE_SCORE:
-            key = 'frequency' if line.kind == 'vibration' else 'period'
-            shapes[line.kind].append({key: line.place})
+            shape = REGISTRY[line.effect].complete_shape({line.wave.parameter: line.place})
+            shapes.setdefault(line.effect, []).append(shape)
     return shapes
 
 
@@ -75,14 +70,15 @@ def spectral_lines(rows: Rows) -> list[Line]:
     lines: list[Line] = []
     for run, solved in zip(rows.runs, rows.done.runs, strict=True):
         if len(run.pieces.samples):
-            lines += strongest_lines(sample_residuals(run, solved.pose, rows.tables, nodes))
+            residuals = sample_residuals(run, solved.pose, rows.tables, nodes)
+            lines += strongest_lines(residuals, list(REGISTRY.values()))
     return sorted(lines, key=lambda line: -line.score)
 
 
 def effects_without(names: Sequence[str]) -> list[Effect]:
     """Effects of the catalogue that displace, less the named ones."""
     left = [e for e in REGISTRY.values() if e.name not in names]
-    return [e for e in left if e.name != 'tracker_noise']
+    return [e for e in left if e.belongs_to is not BelongsTo.NOISE]
 
 
 @dataclass(frozen=True)
@@ -133,9 +129,8 @@ def collect_options(
     visible: dict[str, Visibility] = {}
     for effect in effects:
         name = effect.name
-        looked_for = () if effect.sample_resolution else effect.shapes(rows.states[0])
-        chosen = shapes.get(name, looked_for)
-        tried = _tried(rows, effect, chosen or (PROBES[name],))
+        chosen, stand_in = _shapes(rows, effect, shapes)
+        tried = _tried(rows, effect, chosen or stand_in)
         options[name] = [o for t in tried for o in t.options()] if chosen else []
         seen = [t.visibility() for t in tried]
         visible[name] = Visibility(
@@ -143,6 +138,16 @@ def collect_options(
             min((v.smallest for v in seen), default=np.inf),
         )
     return options, visible
+
+
+def _shapes(
+    rows: Rows, effect: Effect, found: Mapping[str, Sequence[Shape]]
+) -> tuple[Sequence[Shape], Sequence[Shape]]:
+    """Shapes to try, and what stands for them where there are none."""
+    wave = effect.wave
+    if wave is None:
+        return found.get(effect.name, effect.shapes(rows.states[0])), ()
+    return found.get(effect.name, ()), (effect.complete_shape({wave.parameter: wave.probe}),)
 
 
 @dataclass(frozen=True)

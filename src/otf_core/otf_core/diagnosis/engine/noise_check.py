@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from otf_core.diagnosis.engine.rows import Rows
-from otf_core.effects import REGISTRY
+from otf_core.effects import REGISTRY, Effect
+from otf_core.effects.tracker_noise import TrackerNoise
 from otf_core.noise.model import NoiseModel, sample_variance
 from otf_core.noise.rest import spherical_deviations
 from otf_core.noise.standstill import find_standstills, standstill_noise
@@ -33,7 +34,7 @@ class NoiseFinding:
     Attributes
     ----------
     parameters : dict
-        Of the effect ``tracker_noise``: what departs from the specification.
+        Of the effect: what departs from the specification.
     variance_ratio : float
         Mean variance of the rows with the measured levels over that with the specified ones.
     words : str
@@ -47,6 +48,11 @@ class NoiseFinding:
     def level(self) -> float:
         """Mean standard deviation over the specified one."""
         return float(np.sqrt(self.variance_ratio))
+
+    @property
+    def effect(self) -> Effect:
+        """The effect that stands for it."""
+        return REGISTRY[TrackerNoise.name]
 
 
 def _freedom(run: Run, speed: float) -> float | None:
@@ -65,7 +71,7 @@ def _freedom(run: Run, speed: float) -> float | None:
 
 def check_noise(rows: Rows, speed: float, exclude: Sequence[str] = ()) -> NoiseFinding | None:
     """Compare the noise in standstills with machine.yaml; None if it is as specified."""
-    if 'tracker_noise' in exclude or 'tracker_noise' not in REGISTRY:
+    if TrackerNoise.name in exclude or TrackerNoise.name not in REGISTRY:
         return None
     found: dict[str, float] = {}
     words: list[str] = []

@@ -87,7 +87,7 @@ class Rows:
         """Displacements across the path per unit of each term, shape (r, k)."""
         parts = []
         for k, solved in enumerate(self.done.runs):
-            if effect.sample_resolution and self.runs:
+            if effect.wave is not None and self.runs:
                 samples = effect.terms(self.sample_states[k], shape).columns
                 columns = self.runs[k].pieces.mean_of(samples)
             else:

@@ -175,7 +175,7 @@ def search(
         option = causes[-1].option
         name = option.effect.name
         group = candidates.pop(name)
-        if option.effect.sample_resolution:  # each axis has a period of its own
+        if option.effect.wave is not None:  # each axis has a period of its own
             others = [c for c in group if c.option.axes]
             candidates[name] = [c for c in others if not set(c.option.axes) & set(option.axes)]
         taken = _orthonormal(option.white)

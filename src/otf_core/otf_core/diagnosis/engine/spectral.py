@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines in the spectra of the residuals: vibration over time, cyclic errors over axis position.
+"""Lines in the spectra of the residuals, over time and over axis position.
 
 A line is judged against its own neighbourhood in the spectrum, so coloured noise makes none. Over
 time the sum of the power of three directions, each over its local level, is gamma distributed
@@ -8,6 +8,7 @@ with shape 3 if there is no line; over position the power along the axis is expo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +16,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.stats import gamma
 
+from otf_core.effects import Effect
+from otf_core.effects.base import Wave
 from otf_core.model.machine import AXES
 from otf_core.solving.sample_states import SampleResiduals
 
 Array = NDArray[np.float64]
+Peak = tuple[float, float]
+"""Frequency in Hz or period in m of a line, and its score."""
 
 NEIGHBOURHOOD = 301
 """Spectral bins that make the local level."""
@@ -38,18 +43,18 @@ class Line:
 
     Attributes
     ----------
-    kind : str
-        'vibration' or 'cyclic_error'.
-    axis : str
-        Machine axis of a cyclic error, '' for a vibration.
+    effect : str
+        Effect that makes such lines.
+    wave : Wave
+        What of it repeats.
     place : float
         Frequency in Hz or period in m.
     score : float
         Minus the logarithm of the probability that noise makes such a line anywhere.
     """
 
-    kind: str
-    axis: str
+    effect: str
+    wave: Wave
     place: float
     score: float
 
@@ -67,7 +72,7 @@ def _improbability(value: float, shape: float, trials: int) -> float:
     return float(-gamma.logsf(value, shape) - np.log(max(trials, 1)))
 
 
-def vibration_line(residuals: SampleResiduals) -> Line | None:
+def line_in_time(residuals: SampleResiduals) -> Peak | None:
     """Find the strongest line over time, or None if there is too little data."""
     time = residuals.state.time
     if len(time) < 100:
@@ -83,10 +88,10 @@ def vibration_line(residuals: SampleResiduals) -> Line | None:
     total = sum(_over_level(power[:, k]) for k in range(3))
     best = int(np.argmax(total))
     score = _improbability(float(np.asarray(total)[best]), 3.0, len(power))
-    return Line('vibration', '', float(frequency[use][best]), score)
+    return float(frequency[use][best]), score
 
 
-def cyclic_line(residuals: SampleResiduals, axis: str) -> Line | None:
+def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     """Find the strongest line over the position of one axis."""
     k = AXES.index(axis)
     moving = np.abs(residuals.state.direction[:, k]) > MOVING
@@ -104,10 +109,25 @@ def cyclic_line(residuals: SampleResiduals, axis: str) -> Line | None:
     ratio = _over_level(power)
     best = int(np.argmax(ratio))
     score = _improbability(float(ratio[best]), 1.0, len(ratio))
-    return Line('cyclic_error', axis, float(1.0 / number[use][best]), score)
+    return float(1.0 / number[use][best]), score
 
 
-def strongest_lines(residuals: SampleResiduals) -> list[Line]:
-    """Lines of all kinds, strongest first."""
-    lines = [vibration_line(residuals), *(cyclic_line(residuals, a) for a in AXES)]
-    return sorted((x for x in lines if x is not None), key=lambda x: -x.score)
+def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> list[Line]:
+    """Lines that effects make, strongest first.
+
+    Parameters
+    ----------
+    residuals : SampleResiduals
+    effects : sequence of Effect
+        Those that make no lines are passed over.
+    """
+    in_time = [line_in_time(residuals)]
+    along_axes = [line_along_axis(residuals, a) for a in AXES]
+    lines = [
+        Line(effect.name, effect.wave, *peak)
+        for effect in effects
+        if effect.wave is not None
+        for peak in (in_time if effect.wave.in_time else along_axes)
+        if peak is not None
+    ]
+    return sorted(lines, key=lambda line: -line.score)

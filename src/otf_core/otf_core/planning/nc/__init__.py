@@ -6,9 +6,10 @@ from otf_core.planning.nc.fanuc import Fanuc
 from otf_core.planning.nc.heidenhain import Heidenhain
 from otf_core.planning.nc.linuxcnc import LinuxCnc
 from otf_core.planning.nc.sinumerik import Sinumerik
+from otf_core.planning.nc.twincat import TwinCat
 
 DIALECTS: dict[str, Dialect] = {
-    d.name: d for d in (Sinumerik(), Fanuc(), Heidenhain(), LinuxCnc())
+    d.name: d for d in (Sinumerik(), Fanuc(), Heidenhain(), LinuxCnc(), TwinCat())
 }
 
 __all__ = ['DIALECTS', 'Dialect', 'on_increment', 'program']

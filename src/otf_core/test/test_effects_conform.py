@@ -1,0 +1,409 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every effect of the registry keeps to; a new one is tested once it is registered."""
+
+import ast
+import dataclasses
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from core_cells import some_machine
+from effect_cells import driven_state, some_plan
+
+import otf_core
+from otf_core.blind.draw_effects import draw_effect
+from otf_core.config import SimulationConfig
+from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo, base, drawing, names_of
+from otf_core.effects.catalogue import catalogue_markdown
+from otf_core.effects.effects_yaml import read_effects, write_effects
+from otf_core.effects.state import probe_state
+from otf_core.errors import ConfigError
+from otf_core.model.declared import KEYS
+from otf_core.model.frames import RigidTransform
+from otf_core.sim.cell import simulate
+from otf_core.sim.drive import Drive
+from otf_core.sim.effects import run_state
+
+UNITS = {'', 'm', 'rad', 's', 'Hz', 'm/m', 'rad/m', 'm/rad', 'm/rad^2'}
+DURATION = 150.0
+DISPLACING = [n for n, e in REGISTRY.items() if e.belongs_to is not BelongsTo.NOISE]
+every_effect = pytest.mark.parametrize('name', REGISTRY)
+displacing = pytest.mark.parametrize('name', DISPLACING)
+
+
+@pytest.fixture(scope='module')
+def state():
+    return driven_state()
+
+
+def drawn(name, seed=1):
+    """Parameters as a blind trial draws them."""
+    machine = some_machine('w-Y-b-X-Z-t')
+    return draw_effect(name, machine, DURATION, np.random.default_rng(seed)).parameters
+
+
+def shape_of(name):
+    effect = REGISTRY[name]
+    return effect.complete_shape({k: v for k, v in drawn(name).items() if k in effect.shape_names})
+
+
+def at(state, **changes):
+    """The same state with some of its arrays replaced."""
+    return dataclasses.replace(state, **changes)
+
+
+# ---------------------------------------------------------------- words and names
+
+
+@every_effect
+def test_effect_is_one_file_and_says_what_it_is(name):
+    effect = REGISTRY[name]
+    assert effect.name == name
+    for text in ('cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs'):
+        assert len(getattr(effect, text)) > 2, text
+    assert not any(getattr(effect, n).endswith('.') for n in ('cause', 'signature', 'needs'))
+    module = Path(base.__file__).with_name(f'{name}.py')
+    assert type(effect).__module__ == f'otf_core.effects.{module.stem}' and module.exists()
+
+
+@every_effect
+def test_documentation_has_a_row_and_a_section(name):
+    text = catalogue_markdown()
+    assert f'| [{name}](#{name}) |' in text and f'\n## {name}\n' in text
+
+
+def test_generated_documentation_is_current():
+    document = Path(__file__).parents[3] / 'docs' / 'effects.md'
+    assert document.read_text(encoding='utf-8') == catalogue_markdown(), (
+        'run python3 -m otf_core.effects.catalogue docs/effects.md'
+    )
+
+
+@every_effect
+def test_names_and_units_belong_together(name, state):
+    effect = REGISTRY[name]
+    assert len(effect.shape_names) == len(effect.shape_units)
+    assert set(effect.shape_defaults) <= set(effect.shape_names)
+    for shape in (shape_of(name), *effect.shapes(state)[:3]):
+        terms = effect.terms(state, shape)
+        count = len(terms.names)
+        assert len({*terms.names, *effect.shape_names}) == count + len(effect.shape_names)
+        assert len(terms.units) == len(terms.axes) == count
+        assert {*terms.units, *effect.shape_units} <= UNITS
+        assert set(terms.axes) <= {'X', 'Y', 'Z', ''}
+        assert terms.columns.shape == (len(state), 3, count)
+        assert np.all(np.isfinite(terms.columns))
+
+
+@every_effect
+def test_names_do_not_depend_on_the_points(name, state):
+    effect = REGISTRY[name]
+    probe = effect.terms(probe_state(state.machine), shape_of(name))
+    terms = effect.terms(state, shape_of(name))
+    assert probe.names == terms.names and probe.units == terms.units
+
+
+@every_effect
+def test_unknown_parameters_are_named(name, state):
+    with pytest.raises(ConfigError, match=rf'^{name}: wobble: unknown'):
+        REGISTRY[name].displacement(state, shape_of(name) | {'wobble': 1.0})
+
+
+@every_effect
+def test_missing_and_impossible_shapes_are_named(name, state):
+    effect = REGISTRY[name]
+    for key in effect.shape_names:
+        shape = shape_of(name)
+        for wrong in (-3.0, np.nan):
+            with pytest.raises(ConfigError, match=rf'^{name}: {key}: .*out of range'):
+                effect.displacement(state, shape | {key: wrong})
+        del shape[key]
+        if key not in effect.shape_defaults:
+            with pytest.raises(ConfigError, match=rf'^{name}: {key}: missing'):
+                effect.displacement(state, shape)
+
+
+@every_effect
+def test_effects_yaml_keeps_every_digit(name, tmp_path):
+    machine = some_machine('w-Y-b-X-Z-t')
+    for seed in range(5):
+        given = AppliedEffect(REGISTRY[name], drawn(name, seed))
+        write_effects(tmp_path / 'effects.yaml', [given], machine)
+        assert read_effects(tmp_path / 'effects.yaml', machine) == (given,)
+
+
+# ---------------------------------------------------------------- displacement
+
+
+@every_effect
+def test_nothing_moves_without_coefficients(name, state):
+    moved = REGISTRY[name].displacement(state, shape_of(name))
+    assert moved.shape == (len(state), 3) and not np.any(moved)
+
+
+@displacing
+def test_displacement_is_linear_in_the_coefficients(name, state):
+    effect = REGISTRY[name]
+    shape, terms = shape_of(name), effect.terms(state, shape_of(name))
+    rng = np.random.default_rng(2)
+    a, b = rng.standard_normal((2, len(terms.names)))
+
+    def moved(values):
+        return effect.displacement(state, shape | dict(zip(terms.names, values, strict=True)))
+
+    both = moved(2.0 * a - 3.0 * b)
+    np.testing.assert_allclose(2.0 * moved(a) - 3.0 * moved(b), both, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(moved(a), terms.columns @ a, rtol=1e-9, atol=1e-9)
+
+
+@displacing
+def test_points_are_taken_in_blocks(name, state, monkeypatch):
+    whole = REGISTRY[name].displacement(state, drawn(name))
+    assert np.abs(whole).max() > 0
+    monkeypatch.setattr(base, 'BLOCK', 501)
+    np.testing.assert_array_equal(REGISTRY[name].displacement(state, drawn(name)), whole)
+
+
+def degenerate_states(state):
+    """States at the edge of what can be: name and state."""
+    machine, count = state.machine, len(state)
+    zero, upright = np.zeros(count), np.tile([0.0, 0.0, 1.0], (count, 1))
+    yield 'one point', state.part(slice(0, 1))
+    yield 'standing still', at(state, speed=zero, direction=np.zeros((count, 3)))
+    yield 'no axis has moved yet', at(state, side=np.zeros((count, 3)))
+    yield 'no time passes', at(state, time=zero, duration=0.0)
+    yield 'no corners', at(state, before=state.direction, after=state.direction)
+    yield 'there and back', at(state, before=-state.direction, after=-state.direction)
+    yield 'at a corner', at(state, from_corner=zero, to_corner=zero)
+    yield 'beam straight up', at(state, beam=upright, R_machine_tracker=np.eye(3))
+    yield 'beam straight down', at(state, beam=-upright, R_machine_tracker=np.eye(3))
+    yield 'tables unknown', at(state, tables=None)
+    for end in (machine.lower, machine.upper):
+        yield 'end of all ranges', at(state, q=np.tile(end, (count, 1)))
+
+
+@every_effect
+def test_displacement_is_finite_in_degenerate_states(name, state):
+    effect = REGISTRY[name]
+    for what, edge in degenerate_states(state):
+        for shape in (shape_of(name), *effect.shapes(edge)[:3]):
+            assert np.all(np.isfinite(effect.terms(edge, shape).columns)), what
+
+
+@displacing
+def test_simulated_run_differs_by_the_terms(name):
+    """Central difference of whole simulated runs along a random direction of coefficients."""
+    machine, config = some_machine('w-Y-b-X-Z-t'), SimulationConfig(rate=20.0, seed=71)
+    plan, effect, shape = some_plan(machine), REGISTRY[name], shape_of(name)
+    names = effect.terms(probe_state(machine), shape).names
+    direction = np.random.default_rng(3).standard_normal(len(names))
+    unit = {'T': 1e-5, 'd': 1e-3}.get(names[0][0], 1e-6)
+
+    def run(step):
+        values = dict(zip(names, step * direction, strict=True))
+        return simulate(machine, plan, config, effects=[AppliedEffect(effect, shape | values)])
+
+    low, middle, high = (run(step) for step in (-unit, 0.0, unit))
+    slope = (high.samples.xyz - low.samples.xyz) @ middle.rotation / (2.0 * unit)
+    drive, pose = Drive(plan, config.acceleration), RigidTransform(middle.rotation.T, middle.place)
+    time = middle.samples.time / (1 + config.clock_drift)
+    state = run_state(machine, plan, drive, time, middle.samples.time, pose, middle.truth)
+    expected = effect.terms(state, shape).columns @ direction
+    # noise of the angles grows with the range and turns with the point
+    np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=3e-4 * np.abs(expected).max())
+
+
+# ---------------------------------------------------------------- facts that others rely on
+
+
+@every_effect
+def test_shapes_to_try_are_complete(name, state):
+    effect = REGISTRY[name]
+    shapes = effect.shapes(state)
+    assert 1 <= len(shapes) < 1000
+    for shape in shapes:
+        assert set(shape) <= set(effect.shape_names)
+        assert set(effect.complete_shape(shape)) == set(effect.shape_names)
+        assert set(effect.loose(shape)) <= set(shape)
+        assert all(width > 0 for width in effect.loose(shape).values())
+    assert effect.refine in ('', *effect.shape_names)
+    assert (effect.refine_width > 0) == bool(effect.refine)
+    assert effect.material_um > 0
+
+
+@pytest.mark.parametrize('name', [n for n, e in REGISTRY.items() if e.wave])
+def test_waves_repeat_as_they_say(name, state):
+    effect, wave = REGISTRY[name], REGISTRY[name].wave
+    assert dict(zip(effect.shape_names, effect.shape_units, strict=True))[wave.parameter] == (
+        'Hz' if wave.in_time else 'm'
+    )
+    shape = effect.complete_shape({wave.parameter: wave.probe})
+    columns = effect.terms(state, shape).columns
+    later = {'time': state.time + 1 / wave.probe} if wave.in_time else {'q': state.q + wave.probe}
+    once, half = (
+        {k: getattr(state, k) + part * (v - getattr(state, k)) for k, v in later.items()}
+        for part in (1.0, 0.5)
+    )
+    np.testing.assert_allclose(effect.terms(at(state, **once), shape).columns, columns, atol=1e-9)
+    assert np.abs(effect.terms(at(state, **half), shape).columns - columns).max() > 1.0
+
+
+@pytest.mark.parametrize(
+    'name',
+    [n for n, e in REGISTRY.items() if e.stays_in_place or e.belongs_to is BelongsTo.TABLES],
+)
+def test_what_stays_in_place_depends_on_the_place_alone(name, state):
+    effect, shape = REGISTRY[name], shape_of(name)
+    other = at(
+        state, time=state.time[::-1], speed=state.speed + 0.1, direction=-state.direction,
+        side=-state.side, before=state.after, after=state.before,
+        from_corner=state.to_corner, to_corner=state.from_corner,
+    )  # fmt: skip
+    columns = effect.terms(state, shape).columns
+    np.testing.assert_array_equal(effect.terms(other, shape).columns, columns)
+
+
+@pytest.mark.parametrize('name', sorted(names_of(BelongsTo.REVERSAL)))
+def test_reversal_flips_with_the_sense_of_travel(name, state):
+    effect, shape = REGISTRY[name], shape_of(name)
+    back = at(state, direction=-state.direction, side=-state.side)
+    columns = effect.terms(state, shape).columns
+    np.testing.assert_array_equal(effect.terms(back, shape).columns, -columns)
+
+
+@pytest.mark.parametrize('name', [n for n, e in REGISTRY.items() if e.own_per_run])
+def test_what_each_run_has_of_its_own_changes_with_time(name, state):
+    effect, shape = REGISTRY[name], shape_of(name)
+    start = effect.terms(at(state, time=np.zeros(len(state))), shape).columns
+    np.testing.assert_allclose(start, 0, atol=1e-12)
+    assert np.any(effect.terms(state, shape).columns)
+
+
+@every_effect
+def test_only_noise_displaces_nothing(name, state):
+    effect = REGISTRY[name]
+    silent = effect.belongs_to is BelongsTo.NOISE
+    assert bool(effect.terms(state, shape_of(name)).names) is not silent
+
+
+@every_effect
+def test_contributions_to_the_budget_follow_what_is_declared(name, state):
+    effect = REGISTRY[name]
+    for one in effect.contributions:
+        terms = effect.terms(state, effect.complete_shape(one.shape))
+        ones = one.size(terms, state, [1.0] * len(one.keys))
+        assert ones.shape == (len(terms.names),) and np.all(ones >= 0) and np.any(ones)
+        assert not np.any(one.size(terms, state, [0.0] * len(one.keys)))
+        assert np.any(np.einsum('nik,k->ni', terms.columns, ones))
+
+
+def test_every_declared_uncertainty_acts_through_one_effect():
+    keys = [k for e in REGISTRY.values() for c in e.contributions for k in c.keys]
+    assert sorted(keys) == sorted(KEYS)
+
+
+# ---------------------------------------------------------------- drawn
+
+
+def limits(value):
+    """Smallest and largest number that may be drawn."""
+    match value:
+        case drawing.Uniform(low, high) | drawing.LogUniform(low, high):
+            return low, high
+        case drawing.Normal(size):
+            return -6 * size, 6 * size
+        case drawing.OneOf(values):
+            return min(values), max(values)
+        case drawing.Share(size):
+            return -size, size
+        case _:
+            return value, value
+
+
+def possible(item, machine):
+    """Every parameter that may be drawn: name, limits."""
+    match item:
+        case drawing.Number():
+            low, high = limits(item.value)
+            scale = DURATION if item.of_duration else 1.0
+            for name in (item.name, *item.also):
+                yield name, scale * low, scale * high
+        case drawing.Axes():
+            for axis in 'XYZ':
+                yield f'{item.prefix}_{axis}', -item.size, item.size
+        case drawing.Some():
+            for part in item.items:
+                yield from possible(part, machine)
+        case drawing.Several() | drawing.Maybe():
+            for name, low, high in possible(item.item, machine):
+                both = isinstance(item, drawing.Several)
+                yield name, -high if both else low, high
+        case drawing.Either():
+            for way in item.ways:
+                for part in way:
+                    yield from possible(part, machine)
+        case drawing.BetweenNodes():
+            nodes = probe_state(machine).nodes[item.axis]
+            most = item.size * (1.0 + 6 * item.rough)
+            for low, high in pairwise(nodes):
+                yield item.name.format(low, high), -most, most
+
+
+@every_effect
+def test_drawn_parameters_lie_within_their_limits(name):
+    machine, effect = some_machine('w-Y-b-X-Z-t'), REGISTRY[name]
+    bounds = {}
+    for item in effect.trial.drawn:
+        for key, low, high in possible(item, machine):
+            before = bounds.get(key, (low, high))
+            bounds[key] = min(low, before[0]), max(high, before[1])
+    seen = set()
+    for seed in range(100):
+        parameters = drawn(name, seed)
+        seen |= set(parameters)
+        assert set(effect.units(probe_state(machine), parameters)) == set(parameters)
+        for key, value in parameters.items():
+            low, high = bounds[key]
+            assert low - 1e-12 * abs(low) <= value <= high + 1e-12 * abs(high), key
+    assert len(seen) > 0.5 * len(bounds), 'most of what may be drawn is drawn'
+
+
+# ---------------------------------------------------------------- named nowhere else
+
+ROOT = Path(otf_core.__file__).parents[2]
+HOMONYMS = set(REGISTRY) & {*KEYS, 'target_offset'}
+"""Keys of machine.yaml that are spelled like the effect they declare."""
+SOURCES = sorted(
+    f for f in ROOT.rglob('*.py')
+    if not {'test', 'tests', 'build', 'install'} & set(f.relative_to(ROOT).parts)
+    and not (f.parent.name == 'effects' and f.stem in (*REGISTRY, 'catalogue'))
+)  # fmt: skip
+
+
+def docstrings(tree):
+    """Strings that stand alone: docstrings and descriptions of constants."""
+    return {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+
+
+@pytest.mark.parametrize('file', SOURCES, ids=[str(f.relative_to(ROOT)) for f in SOURCES])
+def test_no_effect_is_named_outside_its_own_file(file):
+    tree = ast.parse(file.read_text())
+    exempt = docstrings(tree)
+    texts = [
+        n for n in ast.walk(tree)
+        if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in exempt
+    ]  # fmt: skip
+    for node in texts:
+        whole = node.value in REGISTRY
+        words = {w for w in re.findall(r'\w+', node.value) if '_' in w} & set(REGISTRY)
+        named = words | ({node.value} if whole else set())
+        assert not named - HOMONYMS, f'line {node.lineno}: {named}'
+
+
+@pytest.mark.parametrize('file', SOURCES, ids=[str(f.relative_to(ROOT)) for f in SOURCES])
+def test_no_effect_is_taken_from_the_registry_by_a_fixed_name(file):
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Subscript) and getattr(node.value, 'id', '') == 'REGISTRY':
+            assert not isinstance(node.slice, ast.Constant), f'line {node.lineno}'
