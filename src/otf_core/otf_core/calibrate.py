@@ -31,7 +31,7 @@ from otf_core.path import NominalPath
 from otf_core.provenance import origins
 from otf_core.reversal import Reversal, reversal_tables
 from otf_core.reversal_choice import Choice, ReversalSolution, solve_with_reversal
-from otf_core.runs import Recording, Run, prepare_runs
+from otf_core.runs import Recording, Run, prepare_runs, rigid_pose
 from otf_core.system import build_system
 from otf_core.tables import MOTIONS, SQUARENESS, ErrorTables, with_uncertainty
 from otf_core.tabulate import mean_grid_uncertainty, tabulate
@@ -163,8 +163,11 @@ def calibrate_prepared(
         return assemble(ReversalSolution(kept, done, Choice('none', False, {})), config)
 
 
-def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
-    before = build_system(run.machine, run.pieces, run.pose, unknowns)
+def _run_result(
+    run: Run, solved: SolvedRun, unknowns: Unknowns, config: CalibrationConfig
+) -> RunResult:
+    rigid = rigid_pose(run.pieces, run.pose, config)  # that of a solution holds its gauge
+    before = build_system(run.machine, run.pieces, rigid, unknowns)
     specified = sample_variance(
         NoiseModel.from_spec(run.machine.tracker), solved.system.along, solved.system.across
     )
@@ -245,7 +248,7 @@ def assemble(
     """Put a solution into a result, with the effects that were ``taken`` off its runs."""
     runs, done = solved.runs, settled(solved.done, config.unidentifiable_above)
     solution, unknowns = done.solution, done.unknowns
-    results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
+    results = [_run_result(r, s, unknowns, config) for r, s in zip(runs, done.runs, strict=True)]
     machine = runs[0].machine
     fine = tables_of(machine, unknowns, solution)
     budget = make_budget(runs, done, fine, config.standstill_speed)

@@ -15,7 +15,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.contradictions.finding import Finding
 from otf_core.contradictions.no_match import check_partial
 from otf_core.errors import ConfigError, InputError, OtfError
-from otf_core.frames import RigidTransform
+from otf_core.frames import RigidTransform, rigid_fit
 from otf_core.machine import AXES, Machine
 from otf_core.matching import OFF_PATH
 from otf_core.noise import Misfit, NoiseModel, misfit_of, scaled
@@ -72,7 +72,7 @@ class Run:
     alignment : Alignment
     pieces : Pieces
     pose : RigidTransform
-        Tracker to machine, fitted rigidly.
+        Tracker to machine, to start from: fitted rigidly, or of a solution before.
     noise : NoiseModel
         As the standstills of the run show it, else as specified.
     fitted : ndarray, shape (5,), optional
@@ -152,7 +152,12 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
 
 
 def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) -> RigidTransform:
-    """Fine alignment on the pieces: perpendicular distances, every sample counting alike."""
+    """Fine alignment on the pieces: perpendicular distances, every sample counting alike.
+
+    Stops are fitted to their points, every stop counting alike.
+    """
+    if pieces.standstill:
+        return rigid_fit(pieces.xyz, pieces.origin)
     for _ in range(config.max_iterations):
         points = pose.apply(pieces.xyz)
         step = line_step(points, pieces.origin, pieces.direction, pieces.count.astype(float))
