@@ -28,7 +28,7 @@ from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, with_uncerta
 from otf_core.noise.model import NoiseModel, sample_variance
 from otf_core.pieces.finding import GATE, WARNING, words_of
 from otf_core.pieces.methods import Preparation
-from otf_core.pieces.runs import Recording, Run, prepare_runs
+from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose
 from otf_core.solving.curve_lag import curve_remarks, moved_onto_curves
 from otf_core.solving.extrapolation import prior_of
 from otf_core.solving.joint import (
@@ -196,8 +196,11 @@ def solve_recordings(
     return SolvedRecordings(runs, nodes, solution)
 
 
-def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
-    before = build_system(run.machine, run.pieces, run.pose, unknowns)
+def _run_result(
+    run: Run, solved: SolvedRun, unknowns: Unknowns, config: CalibrationConfig
+) -> RunResult:
+    rigid = rigid_pose(run.pieces, run.pose, config)  # that of a solution holds its gauge
+    before = build_system(run.machine, run.pieces, rigid, unknowns)
     specified = sample_variance(
         NoiseModel.from_spec(run.machine.tracker), solved.system.along, solved.system.across
     )
@@ -278,7 +281,7 @@ def assemble(
     """Put a solution into a result, with the effects that were ``taken`` off its runs."""
     runs, done = solved.runs, settled(solved.done, config.unidentifiable_above)
     solution, unknowns = done.solution, done.unknowns
-    results = [_run_result(r, s, unknowns) for r, s in zip(runs, done.runs, strict=True)]
+    results = [_run_result(r, s, unknowns, config) for r, s in zip(runs, done.runs, strict=True)]
     machine = runs[0].machine
     fine = tables_of(machine, unknowns, solution)
     budget = make_budget(runs, done, fine, config.standstill_speed)

@@ -32,7 +32,7 @@ class Observed:
         Corner points and curves of the path as driven.
     pieces : Pieces
     pose : RigidTransform
-        Tracker to machine, fitted rigidly.
+        Tracker to machine, to start from: fitted rigidly, or of a solution before.
     noise : NoiseModel
         As the standstills of the run show it, else as specified.
     fitted : ndarray, shape (5,), optional

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
-from otf_core.model.frames import RigidTransform
+from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import AXES, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
@@ -166,7 +166,12 @@ def common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dic
 
 
 def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) -> RigidTransform:
-    """Fine alignment on the pieces: perpendicular distances, every sample counting alike."""
+    """Fine alignment on the pieces: perpendicular distances, every sample counting alike.
+
+    Stops are fitted to their points, every stop counting alike.
+    """
+    if pieces.standstill:
+        return rigid_fit(pieces.xyz, pieces.origin)
     for _ in range(config.max_iterations):
         points = pose.apply(pieces.xyz)
         step = line_step(points, pieces.origin, pieces.direction, pieces.count.astype(float))

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import yaml
 from core_cells import CONTRACT_CHAINS, START_NS, some_machine, tracker_noise
+from scipy.spatial.transform import Rotation
 
 from otf_core import cli
 from otf_core.calibration.calibrate import calibrate_runs
@@ -63,6 +64,10 @@ def test_tables_from_stops_leave_little_of_the_error(chain):
     assert result.fit.coverage == 1.0
     assert result.runs[0].residual.shape == (3, 100)
     assert not result.failed_gates
+    points, places = result.runs[0].pieces.xyz, result.runs[0].pieces.origin
+    points, places = points - points.mean(axis=0), places - places.mean(axis=0)
+    left = places - Rotation.align_vectors(places, points)[0].apply(points)
+    assert result.fit.path_mae_before == pytest.approx(mean_length(left), rel=1e-6)
 
 
 def test_without_noise_the_errors_come_back():
