@@ -39,7 +39,6 @@ class DriverConfig(Parameters):
         5000.0, 'most samples published per second; limits time_scale so that subscribers '
         'keep up', 'Hz', 10.0, 50000.0,
     )  # fmt: skip
-    frame_id: str = parameter('tracker', 'frame of the samples')
     wait_for_subscribers: int = parameter(
         1, 'the stream starts once this many subscriptions of tracker/point are matched', '', 0, 20
     )

@@ -104,7 +104,7 @@ class Streamer:
             self.stop()
             self._status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')
             return
-        for message in convert.points_to_messages(batch, self._config.frame_id):
+        for message in convert.points_to_messages(batch):
             self._points.publish(message)
         self._status.message.samples_published += len(batch)
         if self._backend.finished:
