@@ -25,7 +25,7 @@ class NominalPath:
 
     Attributes
     ----------
-    points : ndarray, shape (n, 3), m
+    points : array_like, shape (n, 3), m
         Corner points in driving order; repeated points (dwells) are allowed.
 
     Raises
@@ -40,6 +40,7 @@ class NominalPath:
 
     def __post_init__(self) -> None:
         """Check shape and content."""
+        object.__setattr__(self, 'points', np.asarray(self.points, dtype=float))
         if self.points.ndim != 2 or self.points.shape[1] != 3:
             raise ShapeError(f'a path needs points of shape (n, 3), got {self.points.shape}')
         if not np.all(np.isfinite(self.points)):
