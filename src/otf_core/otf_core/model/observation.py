@@ -28,6 +28,12 @@ class Samples:
         If the arrays have other shapes.
     InputError
         If the stamps are no integers: float64 has no room for nanoseconds since 1970.
+
+    Examples
+    --------
+    >>> samples = otf_core.Samples([0, 2_000_000], [[0.5, 0.1, 0.0], [0.5, 0.1, 1e-6]])
+    >>> len(samples), samples.time.tolist()
+    (2, [0.0, 0.002])
     """
 
     stamp_ns: NDArray[np.int64]

@@ -34,6 +34,12 @@ class NominalPath:
         If points is not (n, 3).
     InputError
         If there are fewer than two different points or a coordinate is not finite.
+
+    Examples
+    --------
+    >>> path = otf_core.NominalPath([[0, 0, 0], [0.3, 0, 0], [0.3, 0.4, 0]])
+    >>> round(path.length, 9), path.leg_lengths.tolist()
+    (0.7, [0.3, 0.4])
     """
 
     points: NDArray[np.float64]

@@ -35,6 +35,13 @@ class Plan:
         If feed or dwell do not go with the points.
     InputError
         If a feed is not finite and above 0, or a dwell not finite or negative; names leg or point.
+
+    Examples
+    --------
+    >>> path = otf_core.NominalPath([[0, 0, 0], [0.3, 0, 0], [0.3, 0.2, 0]])
+    >>> slow = otf_core.Plan(path, feed=[0.1, 0.05], dwell=[2.0, 0.5, 2.0])
+    >>> round(slow.duration, 9)  # s, without acceleration
+    11.5
     """
 
     path: NominalPath

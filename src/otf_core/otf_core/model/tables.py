@@ -94,6 +94,14 @@ class ErrorTables:
     machine : Machine
     motions : mapping of motion name (EXX ... ECZ) to MotionTable
     squareness : mapping of C0Y, B0Z, A0Z to Squareness
+
+    Examples
+    --------
+    >>> tables = otf_core.load_tables('bags/y-carries-the-table/truth.json').tables
+    >>> q = [-0.15, 0.0, 0.15]
+    >>> twice = tables.scaled(2.0)
+    >>> bool((twice.motions['EXX'].at(q) == 2 * tables.motions['EXX'].at(q)).all())
+    True
     """
 
     machine: Machine
@@ -309,5 +317,25 @@ def _check_fit(entry: Mapping[str, Any], where: str) -> None:
 
 
 def load_tables(path: str | Path) -> TablesFile:
-    """Read an error_tables.json; ConfigError says what is wrong and where."""
+    """Read an error_tables.json.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    TablesFile
+
+    Raises
+    ------
+    ConfigError
+        Says what is wrong and where.
+
+    Examples
+    --------
+    >>> content = otf_core.load_tables('bags/y-carries-the-table/truth.json')
+    >>> content.tables.squareness['C0Y'].value == 0
+    False
+    """
     return tables_from_dict(read_json(path), str(path))
