@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in the descriptions of the public names and in examples/ runs and says the truth."""
+"""What stands in the descriptions of the public names runs and says the truth."""
 
 import doctest
 import inspect
@@ -20,8 +20,6 @@ SESSION = (
 )
 """Each goes on with what those before it left; all others need no more than that."""
 OTHERS = tuple(name for name in otf_core.__all__ if name not in SESSION)
-SCRIPTS = sorted((ROOT / 'examples').glob('*.py'))
-BAG = ROOT / 'bags/y-carries-the-table'
 
 
 @pytest.fixture(scope='module')
