@@ -28,14 +28,10 @@ true_error = otf_core.predict(first.truth, grid).error
 left = otf_core.without_rigid_motion(found.error - true_error, grid)
 before = otf_core.without_rigid_motion(true_error, grid)
 
+mean = [1e6 * np.linalg.norm(field, axis=1).mean() for field in (before, left)]
 
-def mean_length(field):
-    """Mean length of the vectors of a field, um."""
-    return 1e6 * np.linalg.norm(field, axis=1).mean()
-
-
-print(f'mean error in the volume: {mean_length(before):.2f} um')
-print(f'left after compensation: {mean_length(left):.2f} um')
+print(f'mean error in the volume: {mean[0]:.2f} um')
+print(f'left after compensation: {mean[1]:.2f} um')
 inside = np.abs(left) < 2 * found.u
 print(f'stated: {1e6 * found.u.mean():.2f} um in a coordinate (k = 1)')
 print(f'components within 2 u: {100 * inside.mean():.0f} %')

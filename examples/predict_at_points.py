@@ -31,7 +31,7 @@ left = program + otf_core.predict(content, program).error - points
 print(f'compensated once: at most {1e6 * np.abs(left).max():.3f} um of the tables are left')
 
 # the same machine with a tool that is 80 mm longer: its rotations reach further
-offset = machine.target_offset + [0.0, 0.0, -0.08]
+offset = machine.target_offset - np.array([0.0, 0.0, 0.08])
 longer = otf_core.predict(content, points, target_offset=offset)
 change = np.linalg.norm(longer.error - there.error, axis=1)
 print(f'80 mm longer tool: errors change by up to {1e6 * change.max():.2f} um')
