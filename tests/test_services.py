@@ -56,7 +56,7 @@ def publish_samples(graph, samples):
     """Publish samples as a driver without any status would."""
     publisher = graph.ear().create_publisher(PointStamped, 'tracker/point', qos.MEASUREMENT)
     graph.wait(lambda: publisher.get_subscription_count() > 0, 'the calibrator')
-    for message in convert.points_to_messages(samples, 'tracker'):
+    for message in convert.points_to_messages(samples):
         publisher.publish(message)
     graph.wait(lambda: graph.state().samples == len(samples), 'all samples')
 

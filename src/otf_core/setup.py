@@ -16,8 +16,19 @@ setup(
         ('share/ament_index/resource_index/packages', ['resource/otf_core']),
         ('share/otf_core', ['package.xml']),
     ],
-    install_requires=['setuptools'],
+    python_requires='>=3.10',
+    install_requires=[
+        'numpy>=1.26',  # arrays, linear algebra
+        'scipy>=1.11',  # sparse matrices, rotations, distributions
+        'PyYAML>=6.0',  # machine.yaml and the other settings
+        'mcap>=1.1',  # MCAP records; brings lz4
+        'zstandard>=0.18',  # unpacks the chunks of MCAP files
+        'rosbags>=0.10',  # bags of any storage and version, CDR, message definitions
+        'threadpoolctl>=3.1',  # one thread for small matrices: faster, the same result everywhere
+        'matplotlib>=3.6',  # figures of the reports; imported only when one is drawn
+    ],
     extras_require={'test': ['pytest']},
+    entry_points={'console_scripts': ['otf = otf_core.cli.__main__:run']},
     zip_safe=False,
     maintainer='OTF calibration maintainers',
     maintainer_email='maintainers@example.org',

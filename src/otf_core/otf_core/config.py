@@ -7,6 +7,7 @@ Command line, nodes and documentation read the same fields, so their defaults ca
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -63,8 +64,27 @@ class ParameterInfo:
         return value
 
 
+def _described(name: str, field: dataclasses.Field[Any]) -> str:
+    """Return one parameter in the form of numpydoc."""
+    unit, low, high = (field.metadata[key] for key in ('unit', 'low', 'high'))
+    bounds = '' if low is None or high is None else f', {low:.10g} to {high:.10g}'
+    head = f'{name}, {unit}' if unit else name
+    return f'{head}\n    {field.metadata["meaning"]} (default {field.default!r}{bounds})'
+
+
 class Parameters:
-    """Base of the parameter dataclasses: checks every field when built."""
+    """Base of the parameter dataclasses: checks every field when built.
+
+    The fields of a class are added to its description, so that ``help`` shows what they mean.
+    """
+
+    def __init_subclass__(cls) -> None:
+        """Describe the fields where the class describes itself."""
+        fields = {n: f for n, f in vars(cls).items() if isinstance(f, dataclasses.Field)}
+        rows = [_described(f'{n} : {cls.__annotations__[n]}', f) for n, f in fields.items()]
+        text, mark, examples = inspect.cleandoc(cls.__doc__ or '').partition('\nExamples\n')
+        heading = ['Attributes', '----------'] if rows else []
+        cls.__doc__ = '\n'.join([text, *heading, *rows, mark + examples]).rstrip()
 
     @classmethod
     def infos(cls) -> Iterator[ParameterInfo]:
@@ -80,7 +100,16 @@ class Parameters:
 
 @dataclass(frozen=True)
 class CalibrationConfig(Parameters):
-    """How samples become error tables."""
+    """How samples become error tables.
+
+    Examples
+    --------
+    >>> otf_core.CalibrationConfig(piece_length=0.004).piece_length
+    0.004
+    >>> otf_core.CalibrationConfig(piece_length=4.0)  # mm?
+    Traceback (most recent call last):
+    otf_core.errors.ConfigError: piece_length: 4 is out of range [0.0001, 0.1] m
+    """
 
     corner_exclusion: float = parameter(
         0.008,
@@ -122,7 +151,13 @@ class CalibrationConfig(Parameters):
 
 @dataclass(frozen=True)
 class PlannerConfig(Parameters):
-    """The nominal path: which lines and diagonals, how often, how fast."""
+    """The nominal path: which lines and diagonals, how often, how fast.
+
+    Examples
+    --------
+    >>> otf_core.PlannerConfig(passes=1, feed=0.1).end_dwell
+    3.0
+    """
 
     passes: int = parameter(2, 'laps of the path; every second one runs backwards', '', 1, 20)
     feed: float = parameter(0.25, 'feed of the first lap', 'm/s', 1e-4, 5.0)
@@ -137,7 +172,13 @@ class PlannerConfig(Parameters):
 
 @dataclass(frozen=True)
 class SimulationConfig(Parameters):
-    """The simulated cell: truth machine, drive, tracker. All random numbers hang on the seed."""
+    """The simulated cell: truth machine, drive, tracker. All random numbers hang on the seed.
+
+    Examples
+    --------
+    >>> otf_core.SimulationConfig(rate=100.0, error_size=5e-5).seed
+    1
+    """
 
     seed: int = parameter(1, 'seed of all random numbers of the cell', '', 0, 2**31 - 1)
     rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
@@ -164,7 +205,13 @@ class SimulationConfig(Parameters):
 
 @dataclass(frozen=True)
 class ForecastConfig(Parameters):
-    """What a plan is judged for: rate, drives, where the tracker may stand."""
+    """What a plan is judged for: rate, drives, where the tracker may stand.
+
+    Examples
+    --------
+    >>> otf_core.ForecastConfig(rate=1000.0).acceleration
+    2.0
+    """
 
     rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
     acceleration: float = parameter(2.0, 'acceleration of the drives', 'm/s^2', 0.01, 100)

@@ -11,9 +11,9 @@ import otf_core
 
 ROOT = Path(next(iter(otf_core.__path__)))
 FACES = ('__init__', 'errors', 'config', 'threads')
-"""All that lies beside the rooms; whatever is used everywhere, and the public names."""
+"""All that lies beside the rooms: what is used everywhere, and the public names, loaded lazily."""
 FLOORS = (
-    ('cli',),
+    ('api', 'cli'),
     ('reports',),
     ('blind', 'validation'),
     ('planning',),

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from core_cells import some_machine
+from scipy.spatial.transform import Rotation
 
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import displacement
@@ -59,6 +60,85 @@ def test_tables_of_other_people_need_no_uncertainty_nor_squareness(data):
 
 def test_extra_keys_are_kept_for_whoever_knows_them(data):
     assert tables_from_dict(data | {'remark': 7}, 'file').extra == {'remark': 7}
+
+
+def everything():
+    """Tables with every field of the contract, each with a value that nothing else has."""
+    tables = random_tables(some_machine('w-Y-b-X-Z-t'), 2e-5, np.random.default_rng(0))
+    rng = np.random.default_rng(1)
+    data = tables_to_dict(tables)
+    for name, entry in data['motions'].items():
+        size = len(entry['position'])
+        entry['u'] = rng.uniform(1e-7, 1e-6, size).tolist()
+        entry['identifiable'] = name not in ('EAY', 'ECZ')
+        entry['node_identifiable'] = (rng.uniform(size=size) > 0.5).tolist()
+    for entry in data['squareness'].values():
+        entry['u'] = rng.uniform(1e-7, 1e-6)
+    turn = Rotation.from_rotvec([0.1, -0.2, 0.7]).as_matrix()
+    data['alignment'] = {'rotation': turn.tolist(), 'translation': [0.1, -0.4, 0.2]}
+    data['fit'] = {'samples': 900, 'used': 800, 'unknowns': 300, 'rank': 250}
+    data['fit'] |= {'path_mae_before': 1e-5, 'path_mae_after': 1e-6, 'residual_rms': 2e-6}
+    return data
+
+
+def test_every_field_of_the_contract_makes_the_round_trip():
+    data = json.loads(json.dumps(everything()))
+    content = tables_from_dict(data, 'file')
+    assert tables_to_dict(content.tables) | dict(content.extra) == data
+    assert not content.tables.motions['EAY'].identifiable
+    assert content.tables.motions['EXX'].node_identifiable.dtype == bool
+
+
+def test_a_file_that_says_nothing_of_nodes_is_read_as_that(data):
+    assert tables_from_dict(data, 'file').tables.motions['EXX'].node_identifiable is None
+
+
+WRONG_TYPES = [
+    ('identifiable', 'false', 'EBX: identifiable: expected true or false'),
+    ('identifiable', 0, 'EBX: identifiable: expected true or false'),
+    ('identifiable', None, 'EBX: identifiable: expected true or false'),
+    ('node_identifiable', 'true', 'EBX: node_identifiable: expected a list'),
+    ('node_identifiable', ['false'] * 7, 'EBX: node_identifiable: entry 0: expected true'),
+    ('node_identifiable', [1] * 7, 'EBX: node_identifiable: entry 0: expected true'),
+    ('node_identifiable', [True] * 6, 'EBX: node_identifiable: has length 6, expected 7'),
+    ('value', ['1e-6'] * 7, "EBX: value: entry 0: expected a finite number, got '1e-6'"),
+    ('value', [True] * 7, 'EBX: value: entry 0: expected a finite number, got True'),
+    ('value', '1234567', 'EBX: value: expected a list'),
+    ('u', [1e-6, 1e-6, None, 0, 0, 0, 0], 'EBX: u: entry 2: expected a finite number, got None'),
+    ('u', None, 'EBX: u: expected a list'),
+    ('u', [1e-6, -1e-6, 0, 0, 0, 0, 0], 'EBX: u: entry 1: must not be negative'),
+    ('position', {'0': 1}, 'EBX: position: expected a list'),
+]
+
+
+@pytest.mark.parametrize(('key', 'value', 'words'), WRONG_TYPES)
+def test_wrong_types_are_refused_and_never_read_as_something_else(data, key, value, words):
+    data['motions']['EBX'][key] = value
+    with pytest.raises(ConfigError, match=f'^file: {words}'):
+        tables_from_dict(data, 'file')
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'squareness': {'C0Y': {'value': '0'}}}, 'squareness: C0Y: value: expected a finite'),
+        ({'squareness': {'C0Y': {'u': True}}}, 'squareness: C0Y: u: expected a finite'),
+        ({'squareness': {'C0Y': 0}}, 'squareness: C0Y: expected a mapping'),
+        ({'alignment': [1]}, 'alignment: expected a mapping'),
+        ({'alignment': {'translation': [0, 0]}}, 'alignment: translation: has length 2'),
+        ({'alignment': {'rotation': [1, 0, 0]}}, 'alignment: rotation: entry 0: expected a list'),
+        ({'alignment': {'rotation': [[1, 0, 0], [0, 1, 0]]}}, 'alignment: rotation: has length 2'),
+        ({'alignment': {'rotation': np.diag([1, 1, -1]).tolist()}}, 'alignment: rotation: no rot'),
+        ({'alignment': {'rotation': np.diag([1, 1, 1.1]).tolist()}}, 'alignment: rotation: no ro'),
+        ({'fit': 3}, 'fit: expected a mapping'),
+        ({'fit': {'samples': 1.5}}, 'fit: samples: expected a count'),
+        ({'fit': {'rank': -1}}, 'fit: rank: expected a count'),
+        ({'fit': {'residual_rms': 'small'}}, 'fit: residual_rms: expected a finite number'),
+    ],
+)
+def test_the_rest_of_the_contract_is_of_its_types_too(data, change, words):
+    with pytest.raises(ConfigError, match=f'^file: {words}'):
+        tables_from_dict(data | change, 'file')
 
 
 def set_motion(**change):

@@ -40,10 +40,10 @@ def header(stamp: Time, frame: str = MACHINE_FRAME) -> Header:
     return Header(stamp=stamp, frame_id=frame)
 
 
-def points_to_messages(samples: Samples, frame: str) -> Iterator[PointStamped]:
+def points_to_messages(samples: Samples) -> Iterator[PointStamped]:
     """Yield one message per sample, always the same object: publish it before the next one."""
     message = PointStamped()
-    message.header.frame_id = frame
+    message.header.frame_id = TRACKER_FRAME
     stamp, point = message.header.stamp, message.point
     seconds, nanoseconds = np.divmod(samples.stamp_ns, NS)
     rows = zip(seconds.tolist(), nanoseconds.tolist(), samples.xyz.tolist(), strict=True)
@@ -97,7 +97,7 @@ def plan_to_message(plan: Plan, machine: str, passes: int, stamp: Time) -> PlanM
 
 
 def plan_from_message(message: PlanMessage) -> Plan:
-    """Return the plan of a message; InputError if its path is none."""
+    """Return the plan of a message; InputError or ShapeError if it is none."""
     points = np.array([(p.x, p.y, p.z) for p in message.points], float).reshape(-1, 3)
     return Plan(NominalPath(points), np.array(message.feed), np.array(message.dwell))
 

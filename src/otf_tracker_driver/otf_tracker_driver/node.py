@@ -53,7 +53,7 @@ class TrackerDriver(SteadyLifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Connect to the source that the parameters name."""
         config = self._settings.read(DriverConfig)
-        self._status.describe(config.backend, config.frame_id)
+        self._status.describe(config.backend)
         try:
             backend = self._make_backend(config.backend)
             self._streamer = Streamer(self, self._status, config, backend)

@@ -17,7 +17,6 @@ class DriverConfig(Parameters):
         True, 'configure and activate at start; false: wait for lifecycle transitions'
     )
     backend: str = parameter('simulated', 'source of the samples', choices=tuple(BACKENDS))
-    frame_id: str = parameter('tracker', 'frame of the samples')
     wait_for_subscribers: int = parameter(
         1, 'the stream starts once this many subscriptions of tracker/point are matched', '', 0, 20
     )

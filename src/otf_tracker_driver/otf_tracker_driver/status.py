@@ -9,6 +9,7 @@ from rclpy.node import Node
 
 from otf_msgs.msg import TrackerStatus
 from otf_ros import qos
+from otf_ros.convert import TRACKER_FRAME, header
 from otf_tracker_driver.backends import Backend
 
 NAMES = {
@@ -43,10 +44,9 @@ class Status:
         else:
             logger.info(f'{NAMES[state]}: {text}')
 
-    def describe(self, name: str, frame: str) -> None:
-        """Say which backend will deliver samples, and in which frame."""
+    def describe(self, name: str) -> None:
+        """Say which backend will deliver samples."""
         self.message = TrackerStatus(backend=name)
-        self.message.header.frame_id = frame
 
     def begin(self, backend: Backend) -> None:
         """Begin a stream that can be told from all others."""
@@ -64,5 +64,5 @@ class Status:
         (self._timer.reset if active else self._timer.cancel)()
 
     def _publish(self) -> None:
-        self.message.header.stamp = self._node.get_clock().now().to_msg()
+        self.message.header = header(self._node.get_clock().now().to_msg(), TRACKER_FRAME)
         self._publisher.publish(self.message)

@@ -54,12 +54,12 @@ class Streamer:
     def begin(self, plan: Plan | None) -> None:
         """Get ready for a stream from the beginning; it starts when nothing is missing."""
         self._streaming, self._plan_wanted = False, self._backend.needs_plan
+        self._timer.reset()
+        self._status.repeat(True)
         if not self._plan_wanted:
             self._backend.prepare(None)
         elif plan:
             self.take(plan)
-        self._timer.reset()
-        self._status.repeat(True)
 
     def take(self, plan: Plan) -> None:
         """Drive this plan, if one is waited for."""
@@ -68,7 +68,9 @@ class Streamer:
         try:
             self._backend.prepare(convert.plan_from_message(plan))
             self._plan_wanted = False
+            self._timer.reset()
         except OtfError as error:
+            self._timer.cancel()  # the fault is shown until another plan comes
             self._status.report(TrackerStatus.FAULT, f'planner/plan cannot be driven: {error}')
 
     def stop(self) -> None:
@@ -103,7 +105,7 @@ class Streamer:
             self.stop()
             self._status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')
             return
-        for message in convert.points_to_messages(batch, self._config.frame_id):
+        for message in convert.points_to_messages(batch):
             self._points.publish(message)
         self._status.message.samples_published += len(batch)
         if self._backend.finished:

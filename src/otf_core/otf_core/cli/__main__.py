@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m otf_core.cli VERB ...``."""
+"""The command ``otf VERB ...``, and ``python -m otf_core.cli VERB ...``."""
 
 from __future__ import annotations
 
 import os
 import signal
 import sys
-from typing import Any
+from typing import Any, NoReturn
 
 
 class _Terminated(BaseException):
@@ -17,7 +17,8 @@ def _terminate(*_: Any) -> None:
     raise _Terminated
 
 
-if __name__ == '__main__':
+def run() -> NoReturn:
+    """Run the verb of the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _terminate)
     try:
         from otf_core.cli import main
@@ -28,3 +29,8 @@ if __name__ == '__main__':
     except _Terminated:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGTERM)
+        raise
+
+
+if __name__ == '__main__':
+    run()

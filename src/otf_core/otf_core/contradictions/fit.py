@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from otf_core.contradictions.rows import Rows
+from otf_core.contradictions.rows import Rows, scaled_rows
 from otf_core.pieces.pieces import RAYLEIGH_MEDIAN
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def gain(left: Array, score: Array, prior: float = PRIOR) -> tuple[float, Array]
 def _solve(
     design: sparse.csr_array, target: Array, weight: Array
 ) -> tuple[tuple[Array, bool], Array]:
-    weighted = sparse.csr_array(sparse.diags_array(weight) @ design)
+    weighted = scaled_rows(design, weight)
     data = (design.T @ weighted).toarray()
     prior = np.full(len(data), 1.0 / PRIOR**2)
     factor = linalg.cho_factor(data + np.diag(prior), lower=True, check_finite=False)

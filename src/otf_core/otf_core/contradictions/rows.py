@@ -178,6 +178,12 @@ def levers(rows: Rows, chain: Chain, offset: Array, axis: int) -> Array:
     return np.asarray(offset + np.where(carried, rows.q, 0.0))
 
 
+def scaled_rows(matrix: sparse.csr_array, factor: Array) -> sparse.csr_array:
+    """Rows of a matrix (n, k), each times its factor (n,)."""
+    diagonal = sparse.dia_array((factor[None], [0]), shape=(len(factor), len(factor)))
+    return sparse.csr_array(diagonal @ matrix)
+
+
 def table_columns(
     rows: Rows, chain: Chain | None = None, offset: Array | None = None
 ) -> sparse.csr_array:
@@ -206,9 +212,7 @@ def table_columns(
         lever = levers(rows, chain, offset, axis)
         influences = [np.broadcast_to(u, rows.q.shape) for u in UNIT]
         influences += [np.cross(u, lever) for u in UNIT]
-        parts += [
-            sparse.csr_array(sparse.diags_array(rows.component(v)) @ stacked) for v in influences
-        ]
+        parts += [scaled_rows(stacked, rows.component(v)) for v in influences]
     return sparse.csr_array(sparse.hstack(parts, format='csr'))
 
 

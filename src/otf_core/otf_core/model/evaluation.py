@@ -63,6 +63,13 @@ def without_rigid_motion(field: Array, q: Array) -> Array:
     Returns
     -------
     ndarray, shape (n, 3), m
+
+    Examples
+    --------
+    >>> q = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]])
+    >>> moved = np.full((4, 3), 1e-5)  # all by the same: a shift of the machine frame
+    >>> bool(abs(otf_core.without_rigid_motion(moved, q)).max() < 1e-15)
+    True
     """
     columns = rigid_columns(q).reshape(-1, 6)
     motion = np.linalg.lstsq(columns, field.reshape(-1), rcond=None)[0]

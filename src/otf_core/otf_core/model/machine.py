@@ -212,7 +212,27 @@ def _axis(fields: Fields) -> Axis:
 
 
 def load_machine(path: str | Path) -> Machine:
-    """Read a machine.yaml; ConfigError names the file and the key that is wrong."""
+    """Read a machine.yaml.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Machine
+
+    Raises
+    ------
+    ConfigError
+        Names the file and the key that is wrong.
+
+    Examples
+    --------
+    >>> machine = otf_core.load_machine('bags/y-carries-the-table/machine.yaml')
+    >>> str(machine.chain), machine.axes['X'].max, machine.lower.tolist()
+    ('w-Y-b-X-Z-t', 0.15, [-0.15, -0.1, -0.25])
+    """
     if Path(path).is_dir() or Path(path).suffix in ('.mcap', '.db3'):
         what = 'a folder' if Path(path).is_dir() else 'a recording'
         raise ConfigError(

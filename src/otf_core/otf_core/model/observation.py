@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.errors import ShapeError
+from otf_core.errors import InputError, ShapeError
 
 
 @dataclass(frozen=True)
@@ -18,17 +18,35 @@ class Samples:
 
     Attributes
     ----------
-    stamp_ns : ndarray of int64, shape (n,), ns
+    stamp_ns : array_like of int64, shape (n,), ns
         Measurement time on the tracker's clock; any epoch.
-    xyz : ndarray of float64, shape (n, 3), m
+    xyz : array_like of float64, shape (n, 3), m
         Target position in the tracker frame; the beam starts at its origin.
+
+    Raises
+    ------
+    ShapeError
+        If the arrays have other shapes.
+    InputError
+        If the stamps are no integers: float64 has no room for nanoseconds since 1970.
+
+    Examples
+    --------
+    >>> samples = otf_core.Samples([0, 2_000_000], [[0.5, 0.1, 0.0], [0.5, 0.1, 1e-6]])
+    >>> len(samples), samples.time.tolist()
+    (2, [0.0, 0.002])
     """
 
     stamp_ns: NDArray[np.int64]
     xyz: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Refuse arrays of other shapes."""
+        """Refuse arrays of other shapes, and stamps that are no integers."""
+        stamps, xyz = np.asarray(self.stamp_ns), np.asarray(self.xyz, dtype=float)
+        if stamps.dtype.kind not in 'iu':
+            raise InputError(f'samples: stamps are integers in ns, got {stamps.dtype}')
+        object.__setattr__(self, 'stamp_ns', stamps.astype(np.int64, copy=False))
+        object.__setattr__(self, 'xyz', xyz)
         if self.xyz.shape != (self.stamp_ns.size, 3) or self.stamp_ns.ndim != 1:
             raise ShapeError(
                 f'samples need stamps (n,) and points (n, 3); '

@@ -26,7 +26,7 @@ class NominalPath:
 
     Attributes
     ----------
-    points : ndarray, shape (n, 3), m
+    points : array_like, shape (n, 3), m
         Corner points in driving order; repeated points (dwells) are allowed.
 
     Raises
@@ -35,12 +35,19 @@ class NominalPath:
         If points is not (n, 3).
     InputError
         If there are fewer than two different points or a coordinate is not finite.
+
+    Examples
+    --------
+    >>> path = otf_core.NominalPath([[0, 0, 0], [0.3, 0, 0], [0.3, 0.4, 0]])
+    >>> round(path.length, 9), path.leg_lengths.tolist()
+    (0.7, [0.3, 0.4])
     """
 
     points: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         """Check shape and content."""
+        object.__setattr__(self, 'points', np.asarray(self.points, dtype=float))
         if self.points.ndim != 2 or self.points.shape[1] != 3:
             raise ShapeError(f'a path needs points of shape (n, 3), got {self.points.shape}')
         if not np.all(np.isfinite(self.points)):

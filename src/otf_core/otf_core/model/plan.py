@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import PlannerConfig
-from otf_core.errors import InputError
+from otf_core.errors import InputError, ShapeError
 from otf_core.model.machine import AXES, Machine
 from otf_core.model.path import NominalPath
 
@@ -24,20 +24,56 @@ class Plan:
     ----------
     path : NominalPath
         n corner points.
-    feed : ndarray, shape (n - 1,), m/s
+    feed : array_like, shape (n - 1,), m/s
         Programmed speed of every leg.
-    dwell : ndarray, shape (n,), s
+    dwell : array_like, shape (n,), s
         Standstill at every corner point.
+
+    Raises
+    ------
+    ShapeError
+        If feed or dwell do not go with the points.
+    InputError
+        If a feed is not finite and above 0, or a dwell not finite or negative; names leg or point.
+
+    Examples
+    --------
+    >>> path = otf_core.NominalPath([[0, 0, 0], [0.3, 0, 0], [0.3, 0.2, 0]])
+    >>> slow = otf_core.Plan(path, feed=[0.1, 0.05], dwell=[2.0, 0.5, 2.0])
+    >>> round(slow.duration, 9)  # s, without acceleration
+    11.5
     """
 
     path: NominalPath
     feed: NDArray[np.float64]
     dwell: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        """Check shapes and values."""
+        points = len(self.path.points)
+        for name, count in (('feed', points - 1), ('dwell', points)):
+            values = np.asarray(getattr(self, name), dtype=float)
+            object.__setattr__(self, name, values)
+            if values.shape != (count,):
+                raise ShapeError(
+                    f'{name}: a plan of {points} points needs shape ({count},), got {values.shape}'
+                )
+        _check('feed: leg', self.feed, self.feed > 0, 'must be above 0')
+        _check('dwell: point', self.dwell, self.dwell >= 0, 'must not be negative')
+
     @property
     def duration(self) -> float:
         """Driving time without acceleration, s."""
         return float(np.sum(self.path.leg_lengths / self.feed) + self.dwell.sum())
+
+
+def _check(where: str, values: Array, good: NDArray[np.bool_], rule: str) -> None:
+    finite = np.isfinite(values)
+    wrong = np.flatnonzero(~(finite & good))
+    if wrong.size:
+        first = int(wrong[0])
+        reason = rule if finite[first] else 'must be finite'
+        raise InputError(f'{where} {first}: {reason}, got {values[first]:g}')
 
 
 def plan_for_path(path: NominalPath, config: PlannerConfig) -> Plan:

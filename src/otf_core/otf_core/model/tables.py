@@ -7,7 +7,7 @@ A table is linear between its nodes and constant outside them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,12 @@ DIRECTIONS = ('X', 'Y', 'Z', 'A', 'B', 'C')
 MOTIONS = tuple(f'E{d}{a}' for a in AXES for d in DIRECTIONS)
 SQUARENESS = ('C0Y', 'B0Z', 'A0Z')
 SCHEMA = 'otf-error-tables/1'
+FIT_COUNTS = ('samples', 'used', 'unknowns', 'rank')
+FIT_LENGTHS = ('path_mae_before', 'path_mae_after', 'residual_rms')
+ORTHONORMAL = 1e-4
+"""Largest departure of a rotation matrix in a file, which may be rounded."""
+Check = Callable[[Any, str], Any]
+"""Takes a value and where it stands; returns it, or raises a ConfigError."""
 
 
 def unit_of(motion: str) -> str:
@@ -55,8 +61,9 @@ class MotionTable:
         Standard uncertainty, k = 1.
     identifiable : bool
         False if the data cannot see the motion; its values are zero then.
-    node_identifiable : ndarray of bool, shape (k,)
-        False where a single node is not determined and was interpolated from its neighbours.
+    node_identifiable : ndarray of bool, shape (k,), optional
+        False where the data do not determine a single node; its value continues smoothly what
+        they determine. None where a file does not say.
     """
 
     position: NDArray[np.float64]
@@ -87,6 +94,14 @@ class ErrorTables:
     machine : Machine
     motions : mapping of motion name (EXX ... ECZ) to MotionTable
     squareness : mapping of C0Y, B0Z, A0Z to Squareness
+
+    Examples
+    --------
+    >>> tables = otf_core.load_tables('bags/y-carries-the-table/truth.json').tables
+    >>> q = [-0.15, 0.0, 0.15]
+    >>> twice = tables.scaled(2.0)
+    >>> bool((twice.motions['EXX'].at(q) == 2 * tables.motions['EXX'].at(q)).all())
+    True
     """
 
     machine: Machine
@@ -126,7 +141,7 @@ def with_uncertainty(tables: ErrorTables, covariance: NDArray[np.float64]) -> Er
 
 @dataclass(frozen=True)
 class TablesFile:
-    """Content of an error_table.json: the tables and all other top-level keys."""
+    """Content of an error_tables.json: the tables and all other top-level keys."""
 
     tables: ErrorTables
     extra: Mapping[str, Any] = field(default_factory=dict)
@@ -158,51 +173,103 @@ def tables_to_dict(tables: ErrorTables) -> dict[str, Any]:
     }
 
 
-def _array(entry: Mapping[str, Any], key: str, where: str) -> NDArray[np.float64]:
+def _number(value: Any, where: str) -> float:
     try:
-        values = np.asarray(entry[key], dtype=float)
-    except KeyError:
-        raise ConfigError(f'{where}: {key}: missing') from None
-    except (TypeError, ValueError, OverflowError):
-        raise ConfigError(f'{where}: {key}: expected a list of numbers') from None
-    if values.ndim != 1 or not values.size or not np.all(np.isfinite(values)):
-        raise ConfigError(f'{where}: {key}: expected a list of finite numbers')
-    return values
+        number = float(value) if isinstance(value, (int, float)) else math.nan
+    except OverflowError:
+        number = math.nan
+    if isinstance(value, bool) or not math.isfinite(number):
+        raise ConfigError(f'{where}: expected a finite number, got {shown(value)}')
+    return number
+
+
+def _not_negative(value: Any, where: str) -> float:
+    number = _number(value, where)
+    if number < 0:
+        raise ConfigError(f'{where}: must not be negative, got {number:g}')
+    return number
+
+
+def _flag(value: Any, where: str) -> bool:
+    if not isinstance(value, bool):
+        raise ConfigError(f'{where}: expected true or false, got {shown(value)}')
+    return value
+
+
+def _members(values: Any, where: str, check: Check, size: int = 0) -> list[Any]:
+    """Members of a list, each checked; as many as ``size`` says if that is above 0."""
+    if not isinstance(values, list) or not values:
+        raise ConfigError(f'{where}: expected a list, got {shown(values)}')
+    if size and len(values) != size:
+        raise ConfigError(f'{where}: has length {len(values)}, expected {size}')
+    return [check(value, f'{where}: entry {k}') for k, value in enumerate(values)]
+
+
+def _row(values: Any, where: str) -> list[Any]:
+    return _members(values, where, _number, 3)
+
+
+def _array(
+    entry: Mapping[str, Any], key: str, where: str, check: Check = _number, size: int = 0
+) -> NDArray[Any]:
+    if key not in entry:
+        raise ConfigError(f'{where}: {key}: missing')
+    return np.array(_members(entry[key], f'{where}: {key}', check, size))
 
 
 def _motion(entry: Any, name: str, where: str) -> MotionTable:
     if not isinstance(entry, Mapping):
-        raise ConfigError(f'{where}: expected position, value and u')
-    position, value = _array(entry, 'position', where), _array(entry, 'value', where)
-    u = _array(entry, 'u', where) if 'u' in entry else np.zeros_like(value)
-    if not position.size == value.size == u.size:
-        raise ConfigError(f'{where}: position, value and u differ in length')
-    if np.any(u < 0):
-        raise ConfigError(f'{where}: u: must not be negative')
+        raise ConfigError(f'{where}: expected position, value and u, got {shown(entry)}')
     for key, right in (('unit', unit_of(name)), ('axis', name[2])):
         if entry.get(key, right) != right:
             raise ConfigError(f"{where}: {key}: must be '{right}', got {shown(entry[key])}")
+    position = _array(entry, 'position', where)
     if np.any(np.diff(position) <= 0):
         raise ConfigError(f'{where}: position: must ascend strictly')
-    return MotionTable(position, value, u, bool(entry.get('identifiable', True)))
+    size = len(position)
+    value = _array(entry, 'value', where, size=size)
+    u = _array(entry, 'u', where, _not_negative, size) if 'u' in entry else np.zeros(size)
+    known = None
+    if 'node_identifiable' in entry:
+        known = _array(entry, 'node_identifiable', where, _flag, size)
+    seen = _flag(entry.get('identifiable', True), f'{where}: identifiable')
+    return MotionTable(position, value, u, seen, known)
 
 
-def _squareness(data: Any, name: str, where: str) -> Squareness:
-    try:
-        unknown = sorted(set(data) - set(SQUARENESS))
-        entry = data.get(name) or {}
-        result = Squareness(float(entry.get('value', 0.0)), float(entry.get('u', 0.0)))
-    except (AttributeError, TypeError, ValueError, OverflowError):
-        raise ConfigError(f'{where}: squareness: {name}: expected value and u') from None
+def _squareness(data: Mapping[str, Any], name: str, where: str) -> Squareness:
+    entry = _mapping(data, name, where)
+    return Squareness(
+        _number(entry.get('value', 0.0), f'{where}: {name}: value'),
+        _not_negative(entry.get('u', 0.0), f'{where}: {name}: u'),
+    )
+
+
+def _mapping(data: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    """Mapping under a key; empty where there is none."""
+    found = data.get(key)
+    if found is None:
+        return {}
+    if not isinstance(found, Mapping):
+        raise ConfigError(f'{where}: {key}: expected a mapping, got {shown(found)}')
+    return found
+
+
+def _named(
+    data: Mapping[str, Any], key: str, names: Collection[str], where: str
+) -> Mapping[str, Any]:
+    """The same, with keys that are all among ``names``."""
+    found = _mapping(data, key, where)
+    unknown = sorted(set(found) - set(names))
     if unknown:
-        raise ConfigError(f'{where}: squareness: {unknown[0]}: unknown squareness error')
-    if not math.isfinite(result.value) or not math.isfinite(result.u) or result.u < 0:
-        raise ConfigError(f'{where}: squareness: {name}: must be finite, u not negative')
-    return result
+        raise ConfigError(f'{where}: {key}: {unknown[0]}: unknown; known: {", ".join(names)}')
+    return found
 
 
 def tables_from_dict(data: Any, where: str) -> TablesFile:
     """Build tables from plain data in the layout of error_tables.json.
+
+    ``u``, ``identifiable``, ``node_identifiable``, ``axis``, ``unit``, squareness, alignment and
+    fit may be missing; what is there has to be of its type.
 
     Raises
     ------
@@ -211,25 +278,64 @@ def tables_from_dict(data: Any, where: str) -> TablesFile:
     """
     if not isinstance(data, Mapping) or data.get('schema') != SCHEMA:
         raise ConfigError(f"{where}: no error tables; expected schema '{SCHEMA}'")
-    motions = data.get('motions')
-    if not isinstance(motions, Mapping):
-        raise ConfigError(f'{where}: motions: missing')
-    unknown = sorted(set(motions) - set(MOTIONS))
-    missing = sorted(set(MOTIONS) - set(motions))
-    if unknown or missing:
-        raise ConfigError(
-            f'{where}: motions: '
-            + (f'{unknown[0]}: unknown motion' if unknown else f'{missing[0]}: missing')
-        )
+    motions = _named(data, 'motions', MOTIONS, where)
+    missing = [name for name in MOTIONS if name not in motions]
+    if missing:
+        raise ConfigError(f'{where}: motions: {missing[0] if motions else "all"} missing')
+    squareness = _named(data, 'squareness', SQUARENESS, where)
     tables = ErrorTables(
         machine_from_dict(data.get('machine'), f'{where}: machine'),
         {name: _motion(motions[name], name, f'{where}: {name}') for name in MOTIONS},
-        {name: _squareness(data.get('squareness') or {}, name, where) for name in SQUARENESS},
+        {name: _squareness(squareness, name, f'{where}: squareness') for name in SQUARENESS},
     )
-    extra = {k: v for k, v in data.items() if k not in tables_to_dict(tables)}
+    _check_alignment(_mapping(data, 'alignment', where), f'{where}: alignment')
+    _check_fit(_mapping(data, 'fit', where), f'{where}: fit')
+    known = tables_to_dict(tables)
+    extra = {k: v for k, v in data.items() if k not in known}
     return TablesFile(tables, extra)
 
 
+def _check_alignment(entry: Mapping[str, Any], where: str) -> None:
+    """Refuse an alignment that is no rotation with a translation; either may be missing."""
+    if 'translation' in entry:
+        _array(entry, 'translation', where, size=3)
+    if 'rotation' in entry:
+        rotation = _array(entry, 'rotation', where, _row, 3)
+        turned = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if turned > ORTHONORMAL or np.linalg.det(rotation) < 0:
+            raise ConfigError(f'{where}: rotation: no rotation matrix')
+
+
+def _check_fit(entry: Mapping[str, Any], where: str) -> None:
+    """Refuse a fit whose counts are no counts or whose lengths are no lengths."""
+    for key in FIT_COUNTS:
+        value = entry.get(key, 0)
+        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            raise ConfigError(f'{where}: {key}: expected a count, got {shown(value)}')
+    for key in FIT_LENGTHS:
+        _not_negative(entry.get(key, 0.0), f'{where}: {key}')
+
+
 def load_tables(path: str | Path) -> TablesFile:
-    """Read an error_tables.json; ConfigError says what is wrong and where."""
+    """Read an error_tables.json.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    TablesFile
+
+    Raises
+    ------
+    ConfigError
+        Says what is wrong and where.
+
+    Examples
+    --------
+    >>> content = otf_core.load_tables('bags/y-carries-the-table/truth.json')
+    >>> content.tables.squareness['C0Y'].value == 0
+    False
+    """
     return tables_from_dict(read_json(path), str(path))

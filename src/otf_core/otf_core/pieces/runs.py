@@ -44,6 +44,14 @@ class Recording:
         The same machine in all runs; its target offset and tracker may differ.
     name : str
         Where it comes from, for messages and reports; empty if it needs none.
+
+    Examples
+    --------
+    Samples and path need not come from a bag:
+
+    >>> own = otf_core.Recording(recording.samples, recording.path, machine, name='Monday')
+    >>> own.path is recording.path
+    True
     """
 
     samples: Samples

@@ -75,10 +75,6 @@ def read_plan(path: str | Path) -> PlanFile:
     points = _numbers(data, 'path', (-1, 3), where)
     feed = _numbers(data, 'feed', (len(points) - 1,), where)
     dwell = _numbers(data, 'dwell', (len(points),), where)
-    if np.any(feed <= 0):
-        raise ConfigError(f'{where}: feed: leg {int(np.argmin(feed))}: must be above 0')
-    if np.any(dwell < 0):
-        raise ConfigError(f'{where}: dwell: point {int(np.argmin(dwell))}: must not be negative')
     try:
         plan = Plan(NominalPath(points), feed, dwell)
     except InputError as error:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import AXES
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, load_tables
+from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, TablesFile, load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.driven_volume import driven_from_dict, inside, table_ranges
 from otf_core.prediction.table_prior import (
@@ -166,14 +166,18 @@ def _offset(tables: ErrorTables, wanted: Array | None) -> Array:
 
 
 def predict(
-    tables_path: str | Path, q: Array, target_offset: Array | None = None, where: str = 'points'
+    source: str | Path | TablesFile,
+    q: Array,
+    target_offset: Array | None = None,
+    where: str = 'points',
 ) -> Prediction:
     """Evaluate an error_tables.json.
 
     Parameters
     ----------
-    tables_path : str or Path
-        Any gauge; the covariance it holds, if any, is used, and likewise its prior.
+    source : str, Path or TablesFile
+        A file or what it holds, in any gauge; its covariance, if any, is used, and likewise its
+        prior.
     q : ndarray, shape (n, 3), m
         Programmed axis positions.
     target_offset : ndarray, shape (3,), m, optional
@@ -188,10 +192,11 @@ def predict(
     ConfigError
         If the tables cannot be read, or points or offset are not of such a machine.
     """
-    content = load_tables(tables_path)
+    content = source if isinstance(source, TablesFile) else load_tables(source)
+    name = 'tables' if isinstance(source, TablesFile) else str(source)
     measured, extra = content.tables, content.extra
-    prior = prior_from_dict(extra.get('prior'), str(tables_path))
-    driven = driven_from_dict(extra.get('driven'), str(tables_path))
+    prior = prior_from_dict(extra.get('prior'), name)
+    driven = driven_from_dict(extra.get('driven'), name)
     offset, (low, high) = _offset(measured, target_offset), table_ranges(measured)
     notes = _check_points(measured, q, where)
     tables = replace(measured, machine=replace(measured.machine, target_offset=offset))

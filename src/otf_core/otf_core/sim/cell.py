@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
+from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, exact_position
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 
 EPOCH_NS = 1_700_000_000_000_000_000
 """ns; start of the simulated tracker clock, arbitrary."""
+MOST_SAMPLES = 50_000_000
+"""A run of more is refused: it needs tens of gigabytes of memory."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +123,7 @@ def simulate(
     Raises
     ------
     ConfigError
-        If an effect's parameters are wrong.
+        If an effect's parameters are wrong, or the run takes more than ``MOST_SAMPLES``.
     """
     rngs = [np.random.default_rng([config.seed, part]) for part in range(4)]
     truth = tables if tables is not None else random_tables(machine, config.error_size, rngs[0])
@@ -128,6 +131,12 @@ def simulate(
     if tracker_place is not None:
         place = tracker_place
     drive = Drive(plan, config.acceleration)
+    if drive.duration * config.rate >= MOST_SAMPLES:
+        raise ConfigError(
+            f'a run of {drive.duration:.3g} s at {config.rate:g} samples/s is too long to '
+            f'simulate, {MOST_SAMPLES} samples at most; check feeds (m/s) and dwells (s), or '
+            f'lower the rate'
+        )
     count = int(drive.duration * config.rate) + 1
     time = np.arange(count) / config.rate
     clock = time * (1 + config.clock_drift)

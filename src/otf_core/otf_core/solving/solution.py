@@ -94,9 +94,11 @@ def identifiable_blocks(
         if not new.size or (is_reversal(name) and name[:3] not in accepted):
             continue
         old, end = use.size, use.size + new.size
-        cross = linalg.solve_triangular(
-            factor[:old, :old], matrix[np.ix_(use, new)], lower=True, check_finite=False
-        )
+        cross = np.zeros((0, new.size))
+        if old:  # SciPy 1.11, which Ubuntu 24.04 has, refuses an empty system
+            cross = linalg.solve_triangular(
+                factor[:old, :old], matrix[np.ix_(use, new)], lower=True, check_finite=False
+            )
         left = matrix[np.ix_(new, new)] - cross.T @ cross
         if linalg.eigvalsh(left)[-1] <= 1.0:
             continue

@@ -105,7 +105,9 @@ def projection(motion: str, basis: Basis, nodes: Array) -> Array:
     q = (cuts[:-1, None] + half[:, None] * (1.0 + places)).ravel()
     weight = np.sqrt((half[:, None] * weights).ravel())[:, None]
     hats = table.matrix(q) @ gauge
-    return np.asarray(gauge @ np.linalg.lstsq(hats * weight, basis.matrix(q) * weight)[0])
+    return np.asarray(
+        gauge @ np.linalg.lstsq(hats * weight, basis.matrix(q) * weight, rcond=None)[0]
+    )
 
 
 def table_rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:

@@ -97,6 +97,18 @@ def test_all_other_commands_of_the_section_are_parsed_and_know_their_files(folde
             assert name in known or (README.parent / name).exists(), statement
 
 
+def test_block_of_the_library_runs_as_printed_after_it(folder, monkeypatch, capsys):
+    section = README.read_text(encoding='utf-8').split('## As a library')[1]
+    code = re.search(r'```python\n(.*?)```', section, re.DOTALL)[1]
+    monkeypatch.chdir(folder)
+    left = {}
+    exec(code, left)
+    tables = json.loads((folder / 'results' / 'error_tables.json').read_text())
+    assert left['result'].run_id == tables['run_id']  # what ./otf calibrate run1 found
+    assert 'is explained by backlash (X)' in capsys.readouterr().out
+    assert (folder / 'program' / 'plan.json').exists()
+
+
 JSON = {
     'plan/plan.json': 'plan',
     'run2/truth_tables.json': 'simulate',

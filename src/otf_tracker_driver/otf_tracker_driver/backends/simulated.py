@@ -11,7 +11,7 @@ from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine, load_machine
-from otf_core.model.plan import Plan
+from otf_core.model.plan import Plan, check_inside
 from otf_core.model.tables import ErrorTables, load_tables
 from otf_core.sim.cell import SimulatedRun, simulate
 from otf_tracker_driver.backends.base import CommonConfig
@@ -63,6 +63,7 @@ class SimulatedTracker(PacedBackend):
     def prepare(self, plan: Plan | None) -> None:
         """Simulate the whole run in a thread; takes about a second per 100 000 samples."""
         assert self._machine is not None and plan is not None, 'connected, and given a plan'
+        check_inside(plan.path, self._machine)
         arguments = self._machine, plan, self.own, self._truth, self._effects
         self._run = self._worker.submit(simulate, *arguments)
 

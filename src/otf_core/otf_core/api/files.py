@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Public functions that read a run and write results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from otf_core.bags import bag
+from otf_core.calibration.result import CalibrationResult
+from otf_core.diagnosis.result import Diagnosis, format_diagnosis
+from otf_core.errors import ConfigError
+from otf_core.files.manifest import MANIFEST
+from otf_core.files.output import OutputFolder
+from otf_core.model.machine import Machine, load_machine
+from otf_core.pieces.runs import Recording
+from otf_core.planning.judged import PlanReport
+from otf_core.planning.nc import DIALECTS
+from otf_core.reports import calibration, plan
+
+Name = str | Path
+
+
+def read_bag(source: Name, machine: Machine | Name) -> Recording:
+    """Read a recorded run.
+
+    Parameters
+    ----------
+    source : str or Path
+        A rosbag2 folder or an .mcap file with ``/tracker/point`` and ``/planner/path``.
+    machine : Machine, str or Path
+        The machine that was driven, or its machine.yaml.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    ConfigError
+        If there is no bag, or machine.yaml is wrong.
+    InputError
+        If the bag is damaged, or holds no usable points and path.
+
+    Examples
+    --------
+    >>> recording = otf_core.read_bag('bags/y-carries-the-table/bag', machine)
+    >>> len(recording.samples), recording.samples.xyz.shape, recording.machine.name
+    (38280, (38280, 3), 'wYbXZt')
+    >>> round(recording.path.length, 3)
+    41.005
+    """
+    content = bag.read_bag(source)
+    used = machine if isinstance(machine, Machine) else load_machine(machine)
+    return Recording(content.samples, content.path, used, str(source))
+
+
+def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) -> None:
+    """Write a run as a rosbag2 folder, complete or not at all.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its samples and its path; the machine is not part of a bag.
+    folder : str or Path
+    overwrite : bool
+        Replace a bag that is there; never anything else.
+
+    Raises
+    ------
+    ConfigError
+        If the folder exists or cannot be written.
+
+    Examples
+    --------
+    >>> otf_core.write_bag(recording, 'copy')
+    >>> again = otf_core.read_bag('copy', machine)
+    >>> bool((again.samples.stamp_ns == recording.samples.stamp_ns).all())
+    True
+    """
+    content = bag.BagContent(recording.samples, recording.path)
+    bag.write_bag(folder, content, overwrite=overwrite)
+
+
+def write_calibration(
+    result: CalibrationResult, folder: Name, *, overwrite: bool = False
+) -> list[Path]:
+    """Write error_tables.json and its companions, all or nothing.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+    folder : str or Path
+    overwrite : bool
+        Replace results that are there and unchanged; other files are never deleted.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds anything else or cannot be written.
+
+    Examples
+    --------
+    >>> files = otf_core.write_calibration(result, 'results')
+    >>> sorted(file.name for file in files)[:2]
+    ['error_tables.csv', 'error_tables.json']
+    """
+    return _written(
+        folder, overwrite, 'calibrate', lambda place: calibration.write_calibration(result, place)
+    )
+
+
+def write_plan(
+    report: PlanReport, folder: Name, *, dialect: str | None = None, overwrite: bool = False
+) -> list[Path]:
+    """Write path, plan and forecast, and an NC program where a control is named.
+
+    Parameters
+    ----------
+    report : PlanReport
+    folder : str or Path
+    dialect : str, optional
+        'sinumerik', 'fanuc', 'heidenhain' or 'linuxcnc'; there is no program for all.
+    overwrite : bool
+        As in `write_calibration`.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    ConfigError
+        If the dialect is unknown or cannot express the plan, or the folder cannot be written.
+
+    Examples
+    --------
+    >>> files = otf_core.write_plan(report, 'plan', dialect='linuxcnc')
+    >>> [file.name for file in files]
+    ['otf_path.ngc', 'path.csv', 'forecast.txt', 'plan.json']
+    """
+    if dialect is not None and dialect not in DIALECTS:
+        raise ConfigError(f'dialect: {dialect!r} is unknown; possible: {", ".join(DIALECTS)}')
+    chosen = None if dialect is None else DIALECTS[dialect]
+    return _written(
+        folder, overwrite, 'plan', lambda place: plan.write_report(report, place, chosen)
+    )
+
+
+def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
+    """Return a result as the text that the command line shows.
+
+    Parameters
+    ----------
+    of : CalibrationResult, Diagnosis or PlanReport
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> print(otf_core.summary(diagnosis).splitlines()[0])
+    verdict: none
+    """
+    if isinstance(of, CalibrationResult):
+        return calibration.format_result(of)
+    if isinstance(of, Diagnosis):
+        return format_diagnosis(of)
+    if isinstance(of, PlanReport):
+        return plan.format_report(of)
+    raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
+
+
+def _written(
+    folder: Name, overwrite: bool, verb: str, write: Callable[[Path], list[Path]]
+) -> list[Path]:
+    """Fill a folder as a whole; return its files but the manifest."""
+    with OutputFolder(folder, overwrite=overwrite).filled(verb) as partial:
+        names = [file.relative_to(partial) for file in write(partial)]
+    return [Path(folder) / name for name in names if name.name != MANIFEST]

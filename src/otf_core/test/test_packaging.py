@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pip installs: all that is imported, all that requirements/core.txt names, the command."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import otf_core
+
+PACKAGE = Path(otf_core.__file__).parent
+ROOT = Path(__file__).resolve().parents[3]
+NAMES = {'yaml': 'pyyaml', 'mpl_toolkits': 'matplotlib'}
+"""Distributions that are called otherwise than what is imported from them."""
+
+
+def argument(name):
+    """Value of an argument of setup() in setup.py."""
+    tree = ast.parse((ROOT / 'src/otf_core/setup.py').read_text())
+    call = next(
+        n for n in ast.walk(tree) if getattr(getattr(n, 'func', None), 'id', '') == 'setup'
+    )
+    return ast.literal_eval(next(k.value for k in call.keywords if k.arg == name))
+
+
+def required():
+    return {re.match(r'[\w.-]+', line)[0].lower() for line in argument('install_requires')}
+
+
+def imported():
+    for file in PACKAGE.rglob('*.py'):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                yield from (alias.name.partition('.')[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                yield node.module.partition('.')[0]
+
+
+def test_all_that_is_imported_is_required_and_nothing_else():
+    foreign = set(imported()) - set(sys.stdlib_module_names) - {'otf_core', '__future__'}
+    assert {NAMES.get(name, name) for name in foreign} == required()
+
+
+def test_what_the_offline_commands_are_set_up_with_is_what_pip_brings():
+    lines = (ROOT / 'requirements/core.txt').read_text().splitlines()
+    listed = {line.split()[0].lower() for line in lines if not line.startswith('#')}
+    assert required() - listed == {'zstandard'}  # comes with mcap
+    assert listed <= required()
+
+
+def test_the_command_is_that_of_the_offline_verbs():
+    (script,) = argument('entry_points')['console_scripts']
+    name, module, function = re.fullmatch(r'(\w+) = ([\w.]+):(\w+)', script).groups()
+    assert name == 'otf'
+    code = (
+        f'import sys; sys.argv = ["otf", "--version"]; from {module} import {function} as f; f()'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout == f'otf {otf_core.__version__}\n'
+
+
+def test_every_room_is_a_package_that_is_found():
+    folders = {file.parent for file in PACKAGE.rglob('*.py')}
+    assert all((folder / '__init__.py').exists() for folder in folders)
+
+
+def test_pages_of_the_public_names_are_made_without_a_warning(tmp_path):
+    # the command of the README
+    readme = (ROOT / 'README.md').read_text(encoding='utf-8')
+    words = re.search(r'python -m (pdoc .*) -o \S+ otf_core\n', readme)[1].split()
+    command = [sys.executable, '-W', 'error', '-m', *words, '-o', str(tmp_path), 'otf_core']
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    page = (tmp_path / 'otf_core.html').read_text(encoding='utf-8')
+    assert all(f'<section id="{name}">' in page for name in otf_core.__all__)
