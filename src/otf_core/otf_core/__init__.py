@@ -22,7 +22,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from otf_core.api.files import read_bag, summary, write_bag, write_calibration, write_plan
+    from otf_core.api.files import (
+        read_bag,
+        summary,
+        write_bag,
+        write_calibration,
+        write_diagnosis,
+        write_plan,
+    )
     from otf_core.api.measuring import calibrate, diagnose, predict
     from otf_core.api.simulating import Simulation, plan, simulate
     from otf_core.calibration.result import CalibrationResult
@@ -47,7 +54,14 @@ if TYPE_CHECKING:
 __version__ = '0.1.0'
 
 _HOMES = {
-    'api.files': ('read_bag', 'summary', 'write_bag', 'write_calibration', 'write_plan'),
+    'api.files': (
+        'read_bag',
+        'summary',
+        'write_bag',
+        'write_calibration',
+        'write_diagnosis',
+        'write_plan',
+    ),
     'api.measuring': ('calibrate', 'diagnose', 'predict'),
     'api.simulating': ('Simulation', 'plan', 'simulate'),
     'calibration.result': ('CalibrationResult',),
@@ -99,6 +113,7 @@ __all__ = [
     'without_rigid_motion',
     'write_bag',
     'write_calibration',
+    'write_diagnosis',
     'write_plan',
 ]
 

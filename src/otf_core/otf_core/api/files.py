@@ -8,7 +8,7 @@ from pathlib import Path
 
 from otf_core.bags import bag
 from otf_core.calibration.result import CalibrationResult
-from otf_core.diagnosis.result import Diagnosis, format_diagnosis
+from otf_core.diagnosis.result import Diagnosis
 from otf_core.errors import ConfigError
 from otf_core.files.manifest import MANIFEST
 from otf_core.files.output import OutputFolder
@@ -17,6 +17,7 @@ from otf_core.pieces.runs import Recording
 from otf_core.planning.judged import PlanReport
 from otf_core.planning.nc import DIALECTS
 from otf_core.reports import calibration, plan
+from otf_core.reports import diagnosis as reports
 
 Name = str | Path
 
@@ -114,6 +115,36 @@ def write_calibration(
     )
 
 
+def write_diagnosis(diagnosis: Diagnosis, folder: Name, *, overwrite: bool = False) -> list[Path]:
+    """Write gap.json, report.html, and with causes what they do to the tables; all or nothing.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    folder : str or Path
+    overwrite : bool
+        As in `write_calibration`.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds anything else or cannot be written.
+
+    Examples
+    --------
+    >>> files = otf_core.write_diagnosis(diagnosis, 'diagnosis')
+    >>> [file.name for file in files]
+    ['report.html', 'gap.json']
+    """
+    return _written(
+        folder, overwrite, 'diagnose', lambda place: reports.write_diagnosis(diagnosis, place)
+    )
+
+
 def write_plan(
     report: PlanReport, folder: Name, *, dialect: str | None = None, overwrite: bool = False
 ) -> list[Path]:
@@ -124,7 +155,7 @@ def write_plan(
     report : PlanReport
     folder : str or Path
     dialect : str, optional
-        'sinumerik', 'fanuc', 'heidenhain' or 'linuxcnc'; there is no program for all.
+        Name of a dialect such as 'sinumerik' or 'linuxcnc'; there is no program for all.
     overwrite : bool
         As in `write_calibration`.
 
@@ -170,7 +201,7 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     if isinstance(of, CalibrationResult):
         return calibration.format_result(of)
     if isinstance(of, Diagnosis):
-        return format_diagnosis(of)
+        return reports.format_diagnosis(of)
     if isinstance(of, PlanReport):
         return plan.format_report(of)
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')

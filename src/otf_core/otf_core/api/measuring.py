@@ -14,7 +14,7 @@ from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
-from otf_core.diagnosis.complete import diagnose as diagnose_runs
+from otf_core.diagnosis.diagnose import diagnose as diagnose_runs
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects import REGISTRY
 from otf_core.errors import ConfigError, ShapeError
@@ -129,9 +129,7 @@ def diagnose(
     unknown = [name for name in exclude if name not in REGISTRY]
     if unknown:
         raise ConfigError(f'exclude: {unknown[0]!r}: no effect; known: {", ".join(REGISTRY)}')
-    names = [run.name or f'run {k}' for k, run in enumerate(runs, start=1)]
-    diagnosis, _ = diagnose_runs(runs, names, twin_recording, exclude, config, progress)
-    return diagnosis
+    return diagnose_runs(runs, twin_recording, exclude, config, progress)
 
 
 def predict(
