@@ -2,6 +2,7 @@
 """Blind trial: drawing, sealing, scoring."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +14,15 @@ from otf_core.blind.outcome import NOISE, outcome
 from otf_core.blind.recovery import parameter_deviations
 from otf_core.blind.score import calibration
 from otf_core.blind.seal import KEY, SEAL, open_key, orders
-from otf_core.blind.trace import sample_state
+from otf_core.blind.sight import see
+from otf_core.blind.trace import make_ruler, sample_state
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS, since_reversal
+from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.errors import InputError
+from otf_core.model.kinematics import exact_position
 from otf_core.model.plan import check_inside
+from otf_core.sim.cell import simulate
 
 
 def part(effect, size_um=2.0, snr=50.0, raw_um=4.0):
@@ -44,6 +49,11 @@ def trial():
 @pytest.fixture(scope='module')
 def state(trial):
     return sample_state(trial, 0, trial.runs()[0])
+
+
+@pytest.fixture(scope='module')
+def ruler(trial):
+    return make_ruler(trial)
 
 
 def test_same_seed_draws_the_same_cell(trial):
@@ -82,6 +92,80 @@ def test_effects_are_drawn_and_scaled_in_proportion(name, trial, state):
 def test_unknown_effects_are_not_in_the_registry():
     assert not set(UNKNOWN_EFFECTS) & set(REGISTRY)
     assert not {type(e) for e in UNKNOWN_EFFECTS.values()} & {type(e) for e in REGISTRY.values()}
+
+
+def left_by(decoys, state, moved, values):
+    """Least share of a displacement that a decoy leaves, its shape being one of the values."""
+    shares = []
+    for decoy in decoys:
+        for value in values:
+            columns = decoy.terms(state, {decoy.shape_names[0]: value}).columns
+            flat = columns.reshape(-1, columns.shape[2])
+            rest = moved - flat @ np.linalg.lstsq(flat, moved, rcond=None)[0]
+            shares.append(np.linalg.norm(rest) / np.linalg.norm(moved))
+    return min(shares)
+
+
+@pytest.mark.parametrize('name', UNKNOWN_EFFECTS)
+def test_unknown_effects_say_whether_a_decoy_has_their_formula(name, trial, state):
+    drawn = draw_effect(name, trial.machine, trial.plan.duration, np.random.default_rng(2))
+    rows = np.linspace(0, len(state) - 1, 1500).astype(int)
+    moved = drawn.effect.displacement(state, drawn.parameters)[rows].ravel()
+    at = state.part(rows)
+    shapes = [v for k, v in drawn.parameters.items() if k in drawn.effect.shape_names]
+    exactly = left_by(DECOYS, at, moved, shapes) < 1e-9 if shapes else False
+    assert exactly == drawn.effect.has_decoy
+    if not exactly:  # no shape that the diagnosis tries comes near either
+        tried = [left_by([d], at, moved, [next(iter(s.values())) for s in d.shapes(state)])
+                 for d in DECOYS]  # fmt: skip
+        assert min(tried) > 0.3
+
+
+def test_ringing_starts_anew_at_every_start_and_stop(state):
+    ringing = AppliedEffect(
+        UNKNOWN_EFFECTS['unknown_ringing'], {'f': 2.0, 'tau': 0.4, 'A_Y': 1e-6}
+    )
+    moved = ringing.effect.displacement(state, ringing.parameters)[:, 1]
+    starts = np.flatnonzero(np.diff(state.speed > 0)) + 1
+    assert np.abs(moved[: starts[0]]).max() < 1e-20
+    assert not moved[starts].any()
+    assert np.all(moved[starts[:-1] + 10] > 0.7e-6)  # a fifth of a turn later
+
+
+def test_tables_and_poses_that_can_follow_leave_nothing(trial, ruler):
+    other = trial.tables.scaled(1.1)
+    moved = [exact_position(other, s.q) - exact_position(trial.tables, s.q) for s in ruler.states]
+    assert ruler.raw(moved) > 1e-6
+    assert ruler.size(moved) < 1e-3 * ruler.raw(moved)
+    turned = [np.array([1e-6, 0, 2e-6]) + 1e-6 * s.beam[:, [2, 0, 1]] * [1, 0, 0]
+              - 1e-6 * s.beam[:, [0, 1, 0]] * [0, 0, 1] for s in ruler.states]  # fmt: skip
+    assert ruler.size(turned) < 1e-3 * ruler.raw(turned)
+
+
+def test_of_what_jumps_from_piece_to_piece_only_the_degrees_of_freedom_are_lost(ruler):
+    rng, moved = np.random.default_rng(8), []
+    for sight in ruler.observer.sights:
+        jumps = np.zeros_like(sight.state.q)
+        jumps[sight.use] = 1e-6 * rng.standard_normal((len(sight.first), 3))[sight.piece]
+        moved.append(jumps)
+    rows, unknowns = ruler.observer.columns.shape
+    assert ruler.size(moved) == pytest.approx(1e-6 * np.sqrt(2 * (1 - unknowns / rows)), rel=0.03)
+
+
+def test_noise_of_the_simulated_tracker_is_freed_to_unit_variance(trial, ruler):
+    other = [replace(c, seed=c.seed + 1) for c in trial.configs]
+    runs = [simulate(trial.machine, trial.plan, c, trial.tables) for c in other]
+    for sight, run, first in zip(ruler.observer.sights, runs, ruler.runs, strict=True):
+        points = run.samples.xyz @ run.rotation + run.place
+        assert not np.allclose(run.place, first.place)
+        noise = points - exact_position(trial.tables, sight.state.q)
+        turned = replace(sight.state, beam=sight.state.q - run.place)
+        white = see(turned, sight.config)
+        values = white.white_samples(white.seen(noise))
+        assert np.mean(values**2) == pytest.approx(1.0, abs=0.03)
+        means = white.white_pieces(white.mean(white.seen(noise))[:, :, None])
+        assert np.mean(means**2) == pytest.approx(1.0, abs=0.05)
+        assert abs(np.mean(means[1:] * means[:-1])) < 0.05
 
 
 def test_travel_since_reversal_is_remembered_across_a_stop():

@@ -157,6 +157,10 @@ def _unknown_shape(name: str, rng: Rng, duration: float) -> Parameters:
         'unknown_local_bump': {k: rng.uniform(0.2, 0.8) for k in 'xyz'}
         | {'width': rng.uniform(0.04, 0.12)},
         'unknown_stick_slip': {'period': rng.uniform(0.03, 0.12)},
+        'unknown_ringing': {'f': rng.uniform(1.0, 4.0), 'tau': rng.uniform(0.3, 1.0)},
+        'unknown_ball_passage': {'p': rng.uniform(0.004, 0.02)},
+        'unknown_heat_plume': {k: rng.uniform(0.2, 0.8) for k in 'xyz'}
+        | {'width': rng.uniform(0.05, 0.15)},
     }
     return {k: float(v) for k, v in shapes.get(name, {}).items()}
 
