@@ -11,10 +11,12 @@ from otf_core.blind.cases import KINDS, kinds_of
 from otf_core.blind.draw import draw_trial, nodal
 from otf_core.blind.draw_effects import draw_effect, scaled
 from otf_core.blind.outcome import NOISE, outcome
+from otf_core.blind.publish import Measured, fragment
 from otf_core.blind.recovery import parameter_deviations
-from otf_core.blind.score import calibration
+from otf_core.blind.score import calibration, summary
 from otf_core.blind.seal import KEY, SEAL, open_key, orders
 from otf_core.blind.sight import see
+from otf_core.blind.table import criteria
 from otf_core.blind.trace import make_ruler, sample_state
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS, since_reversal
 from otf_core.diagnosis.engine.decoys import DECOYS
@@ -29,8 +31,14 @@ def part(effect, size_um=2.0, snr=50.0, raw_um=4.0):
     return {'effect': effect, 'parameters': {}, 'size_um': size_um, 'raw_um': raw_um, 'snr': snr}
 
 
-def entry(*parts, kind='one', bends_um=0.0):
-    return {'cell': '000', 'kind': kind, 'parts': list(parts), 'bends_um': bends_um}
+def entry(*parts, kind='one', bends_um=0.0, heavy_tails=False):
+    return {
+        'cell': '000',
+        'kind': kind,
+        'parts': list(parts),
+        'bends_um': bends_um,
+        'heavy_tails': heavy_tails,
+    }
 
 
 def answer(*causes, verdict='explained', not_visible=()):
@@ -192,11 +200,14 @@ def test_step_is_zero_before_its_moment(state):
     ('hidden', 'said', 'result'),
     [
         ([], answer(verdict='none'), 'quiet'),
-        ([], answer(('tracker_noise', ())), 'quiet'),
+        ([], answer(('tracker_noise', ())), 'false_alarm'),
         ([], answer(('backlash', ())), 'false_alarm'),
         ([], answer(verdict='unknown'), 'false_alarm'),
         ([part('backlash')], answer(('backlash', ())), 'right'),
-        ([part('backlash')], answer(('tracker_noise', ()), ('backlash', ())), 'right'),
+        ([part('backlash')], answer(('backlash', ()), ('tracker_noise', ())), 'right'),
+        ([part('backlash')], answer(('tracker_noise', ()), ('backlash', ())), 'second'),
+        ([part('backlash')], answer(('tracker_noise', ())), 'wrong'),
+        ([part('tracker_noise')], answer(('tracker_noise', ())), 'right'),
         ([part('backlash')], answer(('servo_mismatch', ('backlash',))), 'listed'),
         ([part('backlash')], answer(('servo_mismatch', ('backlash', *'abcd'))), 'wrong'),
         ([part('backlash')], answer(('vibration', ()), ('backlash', ())), 'second'),
@@ -208,6 +219,7 @@ def test_step_is_zero_before_its_moment(state):
         ([part('table_tilt', 0.01, 1.0)], answer(('backlash', ())), 'wrong'),
         ([part('unknown_machine_step')], answer(verdict='unknown'), 'unknown'),
         ([part('unknown_machine_step')], answer(('backlash', ())), 'forced'),
+        ([part('unknown_machine_step')], answer(('tracker_noise', ())), 'forced'),
         ([part('backlash'), part('vibration')], answer(('vibration', ())), 'half'),
     ],
 )
@@ -224,6 +236,41 @@ def test_effect_taken_out_of_the_catalogue_must_not_be_blamed_on_another():
 def test_bends_of_smooth_tables_may_be_named():
     smooth = entry(bends_um=0.5)
     assert outcome(smooth, answer(('table_resolution', ()))).result == 'quiet'
+
+
+def test_noise_that_is_not_there_is_a_needless_cause_and_counts_over_all_cells():
+    said = answer(('backlash', ()), ('tracker_noise', ()))
+    false = outcome(entry(part('backlash')), said)
+    heavy = outcome(entry(part('backlash'), heavy_tails=True), said)
+    there = outcome(entry(part('backlash'), part('tracker_noise'), kind='two'), said)
+    assert [o.extra for o in (false, heavy, there)] == [('tracker_noise',), (), ()]
+    row = next(r for r in summary([false, heavy, there]) if r.name.startswith('noise as spec'))
+    assert (row.hits, row.of) == (1, 1)
+
+
+def test_unknown_effects_are_counted_apart_by_whether_a_decoy_exists():
+    hidden = ['unknown_machine_step'] * 2 + ['unknown_axis_brake'] * 3
+    said = [answer(verdict='unknown')] * 3 + [answer(('backlash', ())), answer(verdict='none')]
+    cells = [outcome(entry(part(h), kind='unknown'), a) for h, a in zip(hidden, said, strict=True)]
+    cells.append(outcome(entry(part('unknown_ringing', 0.0, 0.0), kind='unknown'), said[3]))
+    rows = {r.name: r for r in summary(cells)}
+    assert rows['not in the catalogue, a decoy exists: called unknown'][1:] == (2, 2)
+    assert rows['not in the catalogue, no decoy: called unknown'][1:] == (1, 3)
+    assert rows['not in the catalogue, no trace: given a name'][1:] == (1, 1)
+
+
+def test_published_tables_are_the_rows_of_the_score(tmp_path):
+    cells = [outcome(entry(), answer(verdict='none')) for _ in range(3)]
+    cells = [replace(c, kind='none') for c in cells]
+    (tmp_path / SEAL).write_text('0123456789abcdef0123\n')
+    (tmp_path / 'answers' / '000').mkdir(parents=True)
+    (tmp_path / 'answers' / '000' / 'seconds.txt').write_text('12.3\n')
+    measured = Measured.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
+    text = fragment(measured, criteria(cells, []))
+    assert './otf blind --trials 3 --seed 7 --out blind\n' in text
+    assert '| nothing: false alarms | 0 of 3 (0 %) |' in text
+    assert '`0123456789abcdef...`' in text
+    assert 'took 12 s' in text
 
 
 def test_parameters_are_compared_where_shapes_agree():
@@ -251,5 +298,4 @@ def test_stated_confidence_is_compared_with_what_is_there():
     }
     scored = outcome(entry(part('backlash'), part('servo_mismatch'), kind='two'), given)
     assert scored.confidence == (0.995, 0.95, 0.999)
-    lines = calibration([scored])
-    assert [line.split('  ')[-1].strip() for line in lines] == ['1 of 1 (100 %)', '1 of 2 (50 %)']
+    assert [row.share for row in calibration([scored])] == ['1 of 1 (100 %)', '1 of 2 (50 %)']

@@ -2,8 +2,9 @@
 """What an answer is worth once the key is open, cell by cell.
 
 Right is: the true effect is the first cause, or named as indistinguishable from it in a short
-list; tracker_noise may be named besides. An effect that leaves next to nothing in the residual is
-answered rightly by listing it as not visible and blaming no other.
+list. tracker_noise is a cause like any other; it may be named besides where the noise has heavy
+tails. An effect that leaves next to nothing in the residual is answered rightly by listing it as
+not visible and blaming no other.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
 
 NOISE = 'tracker_noise'
 SHORT_LIST = 4
@@ -39,7 +42,7 @@ class Outcome:
         What each leaves in the residual.
     visible : tuple of bool
     named : tuple of str
-        Causes of the answer but ``tracker_noise``, first the first.
+        Causes of the answer that could be wrong, first the first.
     verdict : str
     result : str
         right, listed (in the short list of the first cause), second (named, but not first),
@@ -52,6 +55,10 @@ class Outcome:
         Named, but neither hidden nor indistinguishable from what is.
     confidence : tuple of float
         Of the causes in ``named``.
+    has_decoy : bool
+        Whether a decoy of the diagnosis has the formula of the hidden effect.
+    noise_as_specified : bool
+        Whether naming ``tracker_noise`` is false.
     """
 
     cell: str
@@ -65,6 +72,8 @@ class Outcome:
     found: tuple[bool, ...]
     extra: tuple[str, ...]
     confidence: tuple[float, ...] = ()
+    has_decoy: bool = False
+    noise_as_specified: bool = True
 
     @property
     def is_right(self) -> bool:
@@ -152,11 +161,11 @@ def outcome(
     """
     parts = entry['first_place_only' if first_place else 'parts']
     truth = tuple(p['effect'] for p in parts)
-    kept = {NOISE} - set(truth)
-    causes = [c for c in answer.get('causes', ()) if c['effect'] not in kept]
+    besides = {NOISE} if entry['heavy_tails'] else set()
+    if entry['bends_um'] > BENDS_UM:
+        besides.add('table_resolution')
+    causes = [c for c in answer.get('causes', ()) if c['effect'] not in besides - set(truth)]
     allowed = set(truth)
-    if entry['bends_um'] > BENDS_UM and 'table_resolution' not in truth:
-        causes = [c for c in causes if c['effect'] != 'table_resolution']
     everything = {n for c in causes for n in known_names(c)}
     extra = tuple(c['effect'] for c in causes if not allowed & set(known_names(c)))
     failed = 'failed' in answer
@@ -172,4 +181,6 @@ def outcome(
         found=tuple(t in everything for t in truth),
         extra=() if failed else extra,
         confidence=tuple(float(c.get('confidence', 0.0)) for c in causes),
+        has_decoy=any(t in UNKNOWN_EFFECTS and UNKNOWN_EFFECTS[t].has_decoy for t in truth),
+        noise_as_specified=not entry['heavy_tails'] and NOISE not in truth,
     )
