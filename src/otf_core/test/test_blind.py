@@ -2,6 +2,7 @@
 """Blind trial: drawing, sealing, scoring."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,22 +11,34 @@ from otf_core.blind.cases import KINDS, kinds_of
 from otf_core.blind.draw import draw_trial, nodal
 from otf_core.blind.draw_effects import draw_effect, scaled
 from otf_core.blind.outcome import NOISE, outcome
+from otf_core.blind.publish import Measured, fragment
 from otf_core.blind.recovery import parameter_deviations
-from otf_core.blind.score import calibration
+from otf_core.blind.score import calibration, summary
 from otf_core.blind.seal import KEY, SEAL, open_key, orders
-from otf_core.blind.trace import sample_state
+from otf_core.blind.sight import see
+from otf_core.blind.table import criteria
+from otf_core.blind.trace import make_ruler, sample_state
 from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS, since_reversal
+from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.errors import InputError
+from otf_core.model.kinematics import exact_position
 from otf_core.model.plan import check_inside
+from otf_core.sim.cell import simulate
 
 
 def part(effect, size_um=2.0, snr=50.0, raw_um=4.0):
     return {'effect': effect, 'parameters': {}, 'size_um': size_um, 'raw_um': raw_um, 'snr': snr}
 
 
-def entry(*parts, kind='one', bends_um=0.0):
-    return {'cell': '000', 'kind': kind, 'parts': list(parts), 'bends_um': bends_um}
+def entry(*parts, kind='one', bends_um=0.0, heavy_tails=False):
+    return {
+        'cell': '000',
+        'kind': kind,
+        'parts': list(parts),
+        'bends_um': bends_um,
+        'heavy_tails': heavy_tails,
+    }
 
 
 def answer(*causes, verdict='explained', not_visible=()):
@@ -44,6 +57,11 @@ def trial():
 @pytest.fixture(scope='module')
 def state(trial):
     return sample_state(trial, 0, trial.runs()[0])
+
+
+@pytest.fixture(scope='module')
+def ruler(trial):
+    return make_ruler(trial)
 
 
 def test_same_seed_draws_the_same_cell(trial):
@@ -84,6 +102,80 @@ def test_unknown_effects_are_not_in_the_registry():
     assert not {type(e) for e in UNKNOWN_EFFECTS.values()} & {type(e) for e in REGISTRY.values()}
 
 
+def left_by(decoys, state, moved, values):
+    """Least share of a displacement that a decoy leaves, its shape being one of the values."""
+    shares = []
+    for decoy in decoys:
+        for value in values:
+            columns = decoy.terms(state, {decoy.shape_names[0]: value}).columns
+            flat = columns.reshape(-1, columns.shape[2])
+            rest = moved - flat @ np.linalg.lstsq(flat, moved, rcond=None)[0]
+            shares.append(np.linalg.norm(rest) / np.linalg.norm(moved))
+    return min(shares)
+
+
+@pytest.mark.parametrize('name', UNKNOWN_EFFECTS)
+def test_unknown_effects_say_whether_a_decoy_has_their_formula(name, trial, state):
+    drawn = draw_effect(name, trial.machine, trial.plan.duration, np.random.default_rng(2))
+    rows = np.linspace(0, len(state) - 1, 1500).astype(int)
+    moved = drawn.effect.displacement(state, drawn.parameters)[rows].ravel()
+    at = state.part(rows)
+    shapes = [v for k, v in drawn.parameters.items() if k in drawn.effect.shape_names]
+    exactly = left_by(DECOYS, at, moved, shapes) < 1e-9 if shapes else False
+    assert exactly == drawn.effect.has_decoy
+    if not exactly:  # no shape that the diagnosis tries comes near either
+        tried = [left_by([d], at, moved, [next(iter(s.values())) for s in d.shapes(state)])
+                 for d in DECOYS]  # fmt: skip
+        assert min(tried) > 0.3
+
+
+def test_ringing_starts_anew_at_every_start_and_stop(state):
+    ringing = AppliedEffect(
+        UNKNOWN_EFFECTS['unknown_ringing'], {'f': 2.0, 'tau': 0.4, 'A_Y': 1e-6}
+    )
+    moved = ringing.effect.displacement(state, ringing.parameters)[:, 1]
+    starts = np.flatnonzero(np.diff(state.speed > 0)) + 1
+    assert np.abs(moved[: starts[0]]).max() < 1e-20
+    assert not moved[starts].any()
+    assert np.all(moved[starts[:-1] + 10] > 0.7e-6)  # a fifth of a turn later
+
+
+def test_tables_and_poses_that_can_follow_leave_nothing(trial, ruler):
+    other = trial.tables.scaled(1.1)
+    moved = [exact_position(other, s.q) - exact_position(trial.tables, s.q) for s in ruler.states]
+    assert ruler.raw(moved) > 1e-6
+    assert ruler.size(moved) < 1e-3 * ruler.raw(moved)
+    turned = [np.array([1e-6, 0, 2e-6]) + 1e-6 * s.beam[:, [2, 0, 1]] * [1, 0, 0]
+              - 1e-6 * s.beam[:, [0, 1, 0]] * [0, 0, 1] for s in ruler.states]  # fmt: skip
+    assert ruler.size(turned) < 1e-3 * ruler.raw(turned)
+
+
+def test_of_what_jumps_from_piece_to_piece_only_the_degrees_of_freedom_are_lost(ruler):
+    rng, moved = np.random.default_rng(8), []
+    for sight in ruler.observer.sights:
+        jumps = np.zeros_like(sight.state.q)
+        jumps[sight.use] = 1e-6 * rng.standard_normal((len(sight.first), 3))[sight.piece]
+        moved.append(jumps)
+    rows, unknowns = ruler.observer.columns.shape
+    assert ruler.size(moved) == pytest.approx(1e-6 * np.sqrt(2 * (1 - unknowns / rows)), rel=0.03)
+
+
+def test_noise_of_the_simulated_tracker_is_freed_to_unit_variance(trial, ruler):
+    other = [replace(c, seed=c.seed + 1) for c in trial.configs]
+    runs = [simulate(trial.machine, trial.plan, c, trial.tables) for c in other]
+    for sight, run, first in zip(ruler.observer.sights, runs, ruler.runs, strict=True):
+        points = run.samples.xyz @ run.rotation + run.place
+        assert not np.allclose(run.place, first.place)
+        noise = points - exact_position(trial.tables, sight.state.q)
+        turned = replace(sight.state, beam=sight.state.q - run.place)
+        white = see(turned, sight.config)
+        values = white.white_samples(white.seen(noise))
+        assert np.mean(values**2) == pytest.approx(1.0, abs=0.03)
+        means = white.white_pieces(white.mean(white.seen(noise))[:, :, None])
+        assert np.mean(means**2) == pytest.approx(1.0, abs=0.05)
+        assert abs(np.mean(means[1:] * means[:-1])) < 0.05
+
+
 def test_travel_since_reversal_is_remembered_across_a_stop():
     q = np.array([0.0, 1.0, 2.0, 2.0, 3.0, 2.0, 1.5])
     sign, travel = since_reversal(q)
@@ -108,11 +200,14 @@ def test_step_is_zero_before_its_moment(state):
     ('hidden', 'said', 'result'),
     [
         ([], answer(verdict='none'), 'quiet'),
-        ([], answer(('tracker_noise', ())), 'quiet'),
+        ([], answer(('tracker_noise', ())), 'false_alarm'),
         ([], answer(('backlash', ())), 'false_alarm'),
         ([], answer(verdict='unknown'), 'false_alarm'),
         ([part('backlash')], answer(('backlash', ())), 'right'),
-        ([part('backlash')], answer(('tracker_noise', ()), ('backlash', ())), 'right'),
+        ([part('backlash')], answer(('backlash', ()), ('tracker_noise', ())), 'right'),
+        ([part('backlash')], answer(('tracker_noise', ()), ('backlash', ())), 'second'),
+        ([part('backlash')], answer(('tracker_noise', ())), 'wrong'),
+        ([part('tracker_noise')], answer(('tracker_noise', ())), 'right'),
         ([part('backlash')], answer(('servo_mismatch', ('backlash',))), 'listed'),
         ([part('backlash')], answer(('servo_mismatch', ('backlash', *'abcd'))), 'wrong'),
         ([part('backlash')], answer(('vibration', ()), ('backlash', ())), 'second'),
@@ -124,6 +219,7 @@ def test_step_is_zero_before_its_moment(state):
         ([part('table_tilt', 0.01, 1.0)], answer(('backlash', ())), 'wrong'),
         ([part('unknown_machine_step')], answer(verdict='unknown'), 'unknown'),
         ([part('unknown_machine_step')], answer(('backlash', ())), 'forced'),
+        ([part('unknown_machine_step')], answer(('tracker_noise', ())), 'forced'),
         ([part('backlash'), part('vibration')], answer(('vibration', ())), 'half'),
     ],
 )
@@ -140,6 +236,41 @@ def test_effect_taken_out_of_the_catalogue_must_not_be_blamed_on_another():
 def test_bends_of_smooth_tables_may_be_named():
     smooth = entry(bends_um=0.5)
     assert outcome(smooth, answer(('table_resolution', ()))).result == 'quiet'
+
+
+def test_noise_that_is_not_there_is_a_needless_cause_and_counts_over_all_cells():
+    said = answer(('backlash', ()), ('tracker_noise', ()))
+    false = outcome(entry(part('backlash')), said)
+    heavy = outcome(entry(part('backlash'), heavy_tails=True), said)
+    there = outcome(entry(part('backlash'), part('tracker_noise'), kind='two'), said)
+    assert [o.extra for o in (false, heavy, there)] == [('tracker_noise',), (), ()]
+    row = next(r for r in summary([false, heavy, there]) if r.name.startswith('noise as spec'))
+    assert (row.hits, row.of) == (1, 1)
+
+
+def test_unknown_effects_are_counted_apart_by_whether_a_decoy_exists():
+    hidden = ['unknown_machine_step'] * 2 + ['unknown_axis_brake'] * 3
+    said = [answer(verdict='unknown')] * 3 + [answer(('backlash', ())), answer(verdict='none')]
+    cells = [outcome(entry(part(h), kind='unknown'), a) for h, a in zip(hidden, said, strict=True)]
+    cells.append(outcome(entry(part('unknown_ringing', 0.0, 0.0), kind='unknown'), said[3]))
+    rows = {r.name: r for r in summary(cells)}
+    assert rows['not in the catalogue, a decoy exists: called unknown'][1:] == (2, 2)
+    assert rows['not in the catalogue, no decoy: called unknown'][1:] == (1, 3)
+    assert rows['not in the catalogue, no trace: given a name'][1:] == (1, 1)
+
+
+def test_published_tables_are_the_rows_of_the_score(tmp_path):
+    cells = [outcome(entry(), answer(verdict='none')) for _ in range(3)]
+    cells = [replace(c, kind='none') for c in cells]
+    (tmp_path / SEAL).write_text('0123456789abcdef0123\n')
+    (tmp_path / 'answers' / '000').mkdir(parents=True)
+    (tmp_path / 'answers' / '000' / 'seconds.txt').write_text('12.3\n')
+    measured = Measured.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
+    text = fragment(measured, criteria(cells, []))
+    assert './otf blind --trials 3 --seed 7 --out blind\n' in text
+    assert '| nothing: false alarms | 0 of 3 (0 %) |' in text
+    assert '`0123456789abcdef...`' in text
+    assert 'took 12 s' in text
 
 
 def test_parameters_are_compared_where_shapes_agree():
@@ -167,5 +298,4 @@ def test_stated_confidence_is_compared_with_what_is_there():
     }
     scored = outcome(entry(part('backlash'), part('servo_mismatch'), kind='two'), given)
     assert scored.confidence == (0.995, 0.95, 0.999)
-    lines = calibration([scored])
-    assert [line.split('  ')[-1].strip() for line in lines] == ['1 of 1 (100 %)', '1 of 2 (50 %)']
+    assert [row.share for row in calibration([scored])] == ['1 of 1 (100 %)', '1 of 2 (50 %)']

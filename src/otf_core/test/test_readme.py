@@ -28,6 +28,18 @@ def test_parameter_tables_are_those_of_the_software(parameter_table):
     assert parameter_table.with_tables(text) == text, 'run python3 tools/parameter_table.py'
 
 
+def test_tables_of_a_blind_trial_find_their_marks(monkeypatch):
+    monkeypatch.setattr(sys, 'path', [*sys.path, str(ROOT / 'tools')])
+    import blind_table
+
+    for page in blind_table.PAGES:
+        text = page.read_text(encoding='utf-8')
+        for name in blind_table.MARKS:
+            text = blind_table.with_table(text, name, f'| {name} |\n')
+        assert all(text.count(f'\n\n| {name} |\n\n') == 1 for name in blind_table.MARKS)
+        assert blind_table.with_table(text, name, f'| {name} |') == text
+
+
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)
 def test_links_lead_somewhere(page):
     text = page.read_text(encoding='utf-8')

@@ -39,6 +39,10 @@ NEVER = [
     ('reports', 'sim'),
     ('reports', 'blind'),
     ('validation', 'diagnosis'),
+    ('blind', 'diagnosis'),
+    ('blind', 'calibration'),
+    ('blind', 'solving'),
+    ('blind', 'pieces'),
     ('diagnosis.engine', 'diagnosis.place'),
     ('diagnosis.place', 'diagnosis.engine'),
 ]

@@ -17,6 +17,9 @@ from otf_core.files.writing import ensure_folder, write_text
 
 Answer = dict[str, Any]
 
+LIMIT = 1200.0
+"""s; a diagnosis that takes longer has failed: half a minute is usual."""
+
 
 @dataclass(frozen=True)
 class Question:
@@ -56,7 +59,12 @@ def ask(question: Question, folder: Path) -> Answer:
         for name in question.exclude:
             command += ['--exclude', name]
         start = time.monotonic()
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, check=False, timeout=LIMIT
+            )
+        except subprocess.TimeoutExpired:
+            return {'failed': f'took longer than {LIMIT:.0f} s'}
         if done.returncode not in (0, 4) or not (out / 'gap.json').exists():
             return {'failed': done.stderr.strip()[-500:] or f'exit code {done.returncode}'}
         write_text(ensure_folder(out) / 'seconds.txt', f'{time.monotonic() - start:.1f}\n')

@@ -2,8 +2,9 @@
 """What an answer is worth once the key is open, cell by cell.
 
 Right is: the true effect is the first cause, or named as indistinguishable from it in a short
-list; noise may be named besides. An effect that leaves next to nothing in the residual is
-answered rightly by listing it as not visible and blaming no other.
+list. tracker_noise is a cause like any other; it may be named besides where the noise has heavy
+tails. An effect that leaves next to nothing in the residual is answered rightly by listing it as
+not visible and blaming no other.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
 from otf_core.effects import REGISTRY, BelongsTo, names_of
 
 NOISE = names_of(BelongsTo.NOISE)
@@ -42,7 +44,7 @@ class Outcome:
         What each leaves in the residual.
     visible : tuple of bool
     named : tuple of str
-        Causes of the answer but noise, first the first.
+        Causes of the answer that could be wrong, first the first.
     verdict : str
     result : str
         right, listed (in the short list of the first cause), second (named, but not first),
@@ -55,6 +57,10 @@ class Outcome:
         Named, but neither hidden nor indistinguishable from what is.
     confidence : tuple of float
         Of the causes in ``named``.
+    has_decoy : bool
+        Whether a decoy of the diagnosis has the formula of the hidden effect.
+    noise_as_specified : bool
+        Whether naming ``tracker_noise`` is false.
     """
 
     cell: str
@@ -68,6 +74,8 @@ class Outcome:
     found: tuple[bool, ...]
     extra: tuple[str, ...]
     confidence: tuple[float, ...] = ()
+    has_decoy: bool = False
+    noise_as_specified: bool = True
 
     @property
     def is_right(self) -> bool:
@@ -156,11 +164,11 @@ def outcome(
     """
     parts = entry['first_place_only' if first_place else 'parts']
     truth = tuple(p['effect'] for p in parts)
-    kept = NOISE - set(truth)
-    causes = [c for c in answer.get('causes', ()) if c['effect'] not in kept]
+    besides = set(NOISE) if entry['heavy_tails'] else set()
+    if entry['bends_um'] > BENDS_UM:
+        besides |= BENDS
+    causes = [c for c in answer.get('causes', ()) if c['effect'] not in besides - set(truth)]
     allowed = set(truth)
-    if entry['bends_um'] > BENDS_UM and not BENDS & set(truth):
-        causes = [c for c in causes if c['effect'] not in BENDS]
     everything = {n for c in causes for n in known_names(c)}
     extra = tuple(c['effect'] for c in causes if not allowed & set(known_names(c)))
     failed = 'failed' in answer
@@ -176,4 +184,6 @@ def outcome(
         found=tuple(t in everything for t in truth),
         extra=() if failed else extra,
         confidence=tuple(float(c.get('confidence', 0.0)) for c in causes),
+        has_decoy=any(t in UNKNOWN_EFFECTS and UNKNOWN_EFFECTS[t].has_decoy for t in truth),
+        noise_as_specified=not entry['heavy_tails'] and not NOISE & set(truth),
     )

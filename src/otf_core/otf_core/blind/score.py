@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of a blind trial: who was named for whom, at what size, and how well sizes hold."""
+"""Criteria of a blind trial: who was named for whom, at what size, and how well sizes hold."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,107 @@ CONFIDENCE = ((0.0, 0.9), (0.9, 0.99), (0.99, 1.01))
 """Classes of the confidence stated."""
 
 
-def _share(hits: int, of: int) -> str:
-    return f'{hits} of {of}' + (f' ({100 * hits / of:.0f} %)' if of else '')
+class Row(NamedTuple):
+    """One criterion: in how many cells, causes or sizes of how many.
+
+    Attributes
+    ----------
+    name : str
+        Begins with a comma if it is about the cells of a row before.
+    hits, of : int
+    """
+
+    name: str
+    hits: int
+    of: int
+
+    @property
+    def share(self) -> str:
+        """As words, in percent too."""
+        percent = f' ({100 * self.hits / self.of:.0f} %)' if self.of else ''
+        return f'{self.hits} of {self.of}{percent}'
+
+
+def _results(name: str, outcomes: Sequence[Outcome], *results: str) -> Row:
+    return Row(name, sum(o.result in results for o in outcomes), len(outcomes))
+
+
+def _right(name: str, outcomes: Sequence[Outcome]) -> Row:
+    return Row(name, sum(o.is_right for o in outcomes), len(outcomes))
+
+
+def _needless(outcomes: Sequence[Outcome]) -> Row:
+    return Row(', a needless cause besides', sum(bool(o.extra) for o in outcomes), len(outcomes))
+
+
+def _unknown(words: str, outcomes: Sequence[Outcome]) -> list[Row]:
+    return [
+        _results(f'{words}: called unknown', outcomes, 'unknown'),
+        _results(', given a name', outcomes, 'forced'),
+        _results(', nothing said', outcomes, 'unseen'),
+    ]
+
+
+def summary(outcomes: Sequence[Outcome]) -> list[Row]:
+    """The criteria of a trial."""
+    names = ('none', 'one', 'two', 'unknown', 'places')
+    kinds = {k: [o for o in outcomes if o.kind == k] for k in names}
+    single = [o for o in (*kinds['one'], *kinds['places']) if o.visible[0]]
+    hidden = [o for o in (*kinds['one'], *kinds['places']) if not o.visible[0]]
+    places = [o for o in kinds['places'] if o.visible[0]]
+    unknown = [o for o in kinds['unknown'] if all(o.visible)]
+    traceless = [o for o in kinds['unknown'] if not all(o.visible)]
+    quiet = [o for o in outcomes if o.noise_as_specified]
+    found = [
+        f for o in kinds['two'] for f, v in zip(o.found, o.visible, strict=True) if v
+    ]  # fmt: skip
+    return [
+        _results('command failed', outcomes, 'failed'),
+        _results('nothing: false alarms', kinds['none'], 'false_alarm'),
+        Row(f'noise as specified: {", ".join(NOISE)} named',
+            sum(bool(NOISE & set(o.extra)) for o in quiet), len(quiet)),
+        _right('one effect: named rightly', single),
+        _results(', of these in the short list of the first cause', single, 'listed'),
+        _results(', another named first', single, 'wrong', 'second'),
+        _results(', nothing named', single, 'unseen'),
+        _results(', called unknown', single, 'called_unknown'),
+        _needless([o for o in single if o.is_right]),
+        _right('one effect, two tracker places: named rightly', places),
+        Row('two effects: visible parts named', sum(found), len(found)),
+        _needless(kinds['two']),
+        *_unknown(
+            'not in the catalogue, a decoy exists', [o for o in unknown if o.has_decoy]
+        ),
+        *_unknown('not in the catalogue, no decoy', [o for o in unknown if not o.has_decoy]),
+        Row('not in the catalogue, no trace: given a name',
+            sum(bool(o.named) for o in traceless), len(traceless)),
+        _results('no trace: listed as not visible', hidden, 'not_visible', 'right', 'listed'),
+        _results(', blamed on another', hidden, 'wrong', 'second'),
+    ]  # fmt: skip
+
+
+def first_place(alone: Sequence[Outcome]) -> list[Row]:
+    """What the first tracker place alone says of cells measured from two."""
+    hidden = [o for o in alone if not o.visible[0]]
+    return [
+        _right('named rightly', [o for o in alone if o.visible[0]]),
+        _results('no trace from there: listed as not visible', hidden, 'not_visible'),
+        _results(', blamed on another', hidden, 'wrong', 'second'),
+    ]
+
+
+def by_size(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Share named rightly in classes of size, for single visible effects."""
+    kept = [
+        o for o in outcomes
+        if o.kind in ('one', 'places') and len(o.truth) == 1 and o.visible[0]
+        and o.truth[0] not in NOISE
+    ]  # fmt: skip
+    rows = [
+        _right(f'{low:.1f} um to {high:.1f} um', [o for o in kept if low <= o.size_um[0] < high])
+        for low, high in SIZES
+    ]
+    return [r for r in rows if r.of]
 
 
 def _label(outcome: Outcome) -> str:
@@ -39,8 +138,8 @@ def _label(outcome: Outcome) -> str:
     return {'unknown': '(unknown)', 'none': '(none)'}.get(outcome.verdict, '(noise)')
 
 
-def confusion(outcomes: Sequence[Outcome]) -> list[str]:
-    """Confusion matrix as lines of text: hidden effect, answers with their numbers."""
+def confusion(outcomes: Sequence[Outcome]) -> list[tuple[Row, str]]:
+    """Hidden effects, how often answered rightly, and what was answered how often."""
     single = [o for o in outcomes if len(o.truth) < 2]
     lines = []
     for hidden in sorted({o.truth for o in single}):
@@ -49,183 +148,59 @@ def confusion(outcomes: Sequence[Outcome]) -> list[str]:
             if not rows or (not hidden and not seen):
                 continue
             answers = Counter(_label(o) for o in rows)
-            words = ', '.join(f'{n} {name}' for name, n in answers.most_common())
-            name = hidden[0] if hidden else 'none'
-            name += '' if seen else ' (invisible)'
-            hits = sum(o.is_right for o in rows)
-            lines.append(f'{name:38s} {_share(hits, len(rows)):16s} {words}')
+            name = (hidden[0] if hidden else 'nothing') + ('' if seen else ' (no trace)')
+            words = ', '.join(f'{n} {label}' for label, n in answers.most_common())
+            lines.append((_right(name, rows), words))
     return lines
 
 
-def by_size(outcomes: Sequence[Outcome]) -> list[str]:
-    """Share named rightly in classes of size, for single visible effects."""
-    lines = []
-    for low, high in SIZES:
-        rows = [
-            o
-            for o in outcomes
-            if len(o.truth) == 1 and o.visible[0] and o.kind in ('one', 'places')
-            and o.truth[0] not in NOISE and low <= o.size_um[0] < high
-        ]  # fmt: skip
-        if rows:
-            share = _share(sum(o.is_right for o in rows), len(rows))
-            lines.append(f'{low:4.1f} um to {high:4.1f} um   {share}')
-    return lines
-
-
-def _count(outcomes: Iterable[Outcome], *results: str) -> int:
-    return sum(o.result in results for o in outcomes)
-
-
-def _line(name: str, hits: int, of: int) -> str:
-    return f'{name:35s}{_share(hits, of)}'
-
-
-def _counted(name: str, outcomes: Sequence[Outcome], *results: str) -> str:
-    return _line(name, _count(outcomes, *results), len(outcomes))
-
-
-def _right(name: str, outcomes: Sequence[Outcome]) -> str:
-    return _line(name, sum(o.is_right for o in outcomes), len(outcomes))
-
-
-def _needless(outcomes: Sequence[Outcome]) -> str:
-    hits = sum(bool(o.extra) for o in outcomes)
-    return _line('  with a needless cause besides', hits, len(outcomes))
-
-
-def summary(outcomes: Sequence[Outcome]) -> list[str]:
-    """The criteria, one line each."""
-    names = ('none', 'one', 'two', 'unknown', 'places')
-    kinds = {k: [o for o in outcomes if o.kind == k] for k in names}
-    single = [o for o in (*kinds['one'], *kinds['places']) if o.visible[0]]
-    hidden = [o for o in kinds['one'] if not o.visible[0]]
-    places = [o for o in kinds['places'] if o.visible[0]]
-    unknown = [o for o in kinds['unknown'] if all(o.visible)]
-    parts = [(f, v) for o in kinds['two'] for f, v in zip(o.found, o.visible, strict=True)]
-    found = [f for f, v in parts if v]
-    return [
-        _counted('failed', outcomes, 'failed'),
-        _counted('no effect: false alarms', kinds['none'], 'false_alarm'),
-        _right('one effect: named rightly', single),
-        _counted('  of these in the list of another', single, 'listed'),
-        _counted('  wrongly named', single, 'wrong', 'second'),
-        _counted('  missed', single, 'unseen'),
-        _counted('  called unknown', single, 'called_unknown'),
-        _needless([o for o in single if o.is_right]),
-        _line('two effects: visible parts found', sum(found), len(found)),
-        _needless(kinds['two']),
-        _counted('unknown effects: called unknown', unknown, 'unknown'),
-        _counted('  given a name', unknown, 'forced'),
-        _counted('invisible: listed as not visible', hidden, 'not_visible', 'right', 'listed'),
-        _counted('  blamed on another', hidden, 'wrong', 'second'),
-        _right('two places: effect named rightly', places),
-    ]
-
-
-def sizes(recovered: Sequence[Recovery]) -> list[str]:
-    """How well gaps, parameters and intervals hold."""
-    deviations = np.abs([d for r in recovered for d in r.deviations])
-    large = [r for r in recovered if r.true_gap_um > SMALL_GAP_UM]
-    near = sum(abs(r.gap_um / r.true_gap_um - 1.0) <= GAP_TOLERANCE for r in large)
-    lines = [_line(f'gap within {100 * GAP_TOLERANCE:.0f} % of the truth', near, len(large))]
-    for k in CLOSE:
-        hits = int(np.sum(deviations < k))
-        lines.append(_line(f'parameters within {k:.0f} u', hits, len(deviations)))
-    named = [r for r in large if r.shrink_percent > 0]
-    covered = sum(r.covered for r in named)
-    lines.append(_line('shrink interval holds the truth', covered, len(named)))
-    if named:
-        difference = np.array([r.shrink_percent - r.achieved_percent for r in named])
-        lines.append(
-            f'predicted less achieved shrink   median {np.median(difference):+.0f} points, '
-            f'95 % within {np.percentile(np.abs(difference), 95):.0f} points'
-        )
-    return lines
-
-
-def details(outcomes: Sequence[Outcome]) -> list[str]:
-    """Every cell that was not answered rightly."""
-    lines = []
-    for o in outcomes:
-        if o.is_right and not o.extra:
-            continue
-        truth = ' + '.join(f'{t} {s:.2f} um' for t, s in zip(o.truth, o.size_um, strict=True))
-        named = ', '.join(o.named) or '-'
-        lines.append(f'{o.cell} {o.result:12s} {truth or "none":44s} -> {o.verdict}: {named}')
-    return lines
-
-
-def calibration(outcomes: Sequence[Outcome]) -> list[str]:
+def calibration(outcomes: Sequence[Outcome]) -> list[Row]:
     """Share of the named causes that are hidden in the cell, by the confidence stated."""
     named = [
         (c, n not in o.extra) for o in outcomes for n, c in zip(o.named, o.confidence, strict=True)
     ]
-    lines = []
+    rows = []
     for low, high in CONFIDENCE:
-        hits = [right for c, right in named if low <= c < high]
+        hits = [there for c, there in named if low <= c < high]
         if hits:
-            stated = f'{low:.2f} to {min(high, 1.0):.2f}'
-            lines.append(_line(stated, sum(hits), len(hits)))
-    return lines
+            rows.append(Row(f'{low:.2f} to {min(high, 1.0):.2f}', sum(hits), len(hits)))
+    return rows
 
 
-def first_place(alone: Sequence[Outcome]) -> list[str]:
-    """What the first tracker place alone says of cells measured from two."""
-    hidden = [o for o in alone if not o.visible[0]]
-    seen = [o for o in alone if o.visible[0]]
+def sizes(recovered: Sequence[Recovery]) -> list[Row]:
+    """How well gaps, parameters and intervals hold."""
+    deviations = np.abs([d for r in recovered for d in r.deviations])
+    large = [r for r in recovered if r.true_gap_um > SMALL_GAP_UM]
+    near = sum(abs(r.gap_um / r.true_gap_um - 1.0) <= GAP_TOLERANCE for r in large)
+    named = [r for r in large if r.shrink_percent > 0]
     return [
-        _counted('invisible: listed as not visible', hidden, 'not_visible'),
-        _counted('  blamed on another', hidden, 'wrong', 'second'),
-        _right('visible: named rightly', seen),
-    ]
+        Row(f'gap within {100 * GAP_TOLERANCE:.0f} % of the truth', near, len(large)),
+        *(Row(f'parameters within {k:.0f} u', int(np.sum(deviations < k)), len(deviations))
+          for k in CLOSE),
+        Row('95 % interval of the shrink holds the truth',
+            sum(r.covered for r in named), len(named)),
+    ]  # fmt: skip
 
 
-def report(
-    outcomes: Sequence[Outcome],
-    recovered: Sequence[Recovery],
-    title: str,
-    alone: Sequence[Outcome] = (),
-) -> str:
-    """The whole table as text."""
-    parts: list[tuple[str, list[str]]] = [
-        (title, summary(outcomes)),
-        ('of two places only the first', first_place(alone) if alone else []),
-        ('named rightly, by size in the residual', by_size(outcomes)),
-        ('hidden effect, answered rightly, answers', confusion(outcomes)),
-        ('causes named that are there, by stated confidence', calibration(outcomes)),
-        ('sizes', sizes(recovered)),
-        ('cells not answered rightly, or with a needless cause', details([*outcomes, *alone])),
-    ]
-    texts = ('\n'.join([head, *(f'  {x}' for x in lines)]) for head, lines in parts if lines)
-    return '\n\n'.join(texts)
-
-
-def leave_one_out_report(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]) -> str:
-    """The table of a trial in which every effect was taken out of the catalogue.
+def leave_one_out(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]) -> list[Row]:
+    """Criteria where every effect was taken out of the catalogue.
 
     A cause that leaves the trace of the hidden effect to within ``TOLD_APART`` is truly
     indistinguishable from it in these data.
     """
-    lines, wrong, alike = [], 0, 0
     seen = [o for o in outcomes if all(o.visible)]
-    for o in outcomes:
-        pairs = list(zip(o.named, o.confidence, strict=True))
-        words = ', '.join(f'{n} ({c:.2f})' for n, c in pairs) or '-'
-        mark = '' if all(o.visible) else ' (invisible)'
-        if all(o.visible) and any(c >= CONFIDENT for _, c in pairs):
-            apart = recovered[o.cell].left_snr if o.cell in recovered else np.inf
-            words += f'; told apart by {apart:.0f} standard deviations at best'
-            wrong += apart > TOLD_APART
-            alike += apart <= TOLD_APART
-        truth = f'{o.truth[0]} {o.size_um[0]:.2f} um{mark}'
-        lines.append(f'{o.cell} {truth:52s} -> {o.verdict}: {words}')
-    head = [
-        _line('blamed on another with confidence', wrong, len(seen)),
-        _line('the same, indistinguishable', alike, len(seen)),
-        _counted('called unknown', seen, 'unknown'),
+    sure = [o for o in seen if any(c >= CONFIDENT for c in o.confidence)]
+    apart = sum(told_apart(o, recovered) > TOLD_APART for o in sure)
+    return [
+        Row('blamed with confidence on another that can be told apart', apart, len(seen)),
+        Row(', on one of the same trace', len(sure) - apart, len(seen)),
+        _results(', called unknown', seen, 'unknown'),
     ]
-    return '\n'.join([*head, '', *lines])
+
+
+def told_apart(outcome: Outcome, recovered: Mapping[str, Recovery]) -> float:
+    """Standard deviations at which a perfect observer tells the answer from the truth."""
+    return recovered[outcome.cell].left_snr if outcome.cell in recovered else float(np.inf)
 
 
 def score_to_dict(

@@ -4,15 +4,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from otf_core.blind.answers import Answer, Question, ask_all
 from otf_core.blind.outcome import NOISE, Outcome, outcome
+from otf_core.blind.publish import PARTICULARS, README, Measured, fragment
 from otf_core.blind.recovery import Recovery, recover, ruler_of
-from otf_core.blind.score import leave_one_out_report, report, score_to_dict
+from otf_core.blind.score import score_to_dict
 from otf_core.blind.seal import KEY, SEAL, Entry, Order, open_key, orders, seal
+from otf_core.blind.table import (
+    Table,
+    as_text,
+    criteria,
+    misses,
+    particulars,
+    shrink_words,
+    without_itself,
+)
 from otf_core.errors import ConfigError
 from otf_core.files.manifest import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import ensure_folder, write_text
@@ -56,10 +67,26 @@ def _score(
     with ProcessPoolExecutor(jobs) as pool:
         results = pool.map(_recover, sized, [answers[WHOLE, e['cell']] for e in sized])
         recovered = [r for r in results if r is not None]
-    data = score_to_dict(outcomes, recovered, alone)
-    data |= {'provenance': provenance('blind', files={'key': folder / KEY})}
-    write_text(folder / 'score.json', json.dumps(data, indent=1))
-    return report(outcomes, recovered, f'{len(outcomes)} cells', alone)
+    main, rest = criteria(outcomes, recovered, alone), particulars(outcomes)
+    _publish(folder, score_to_dict(outcomes, recovered, alone), main, rest)
+    every = [*main, *rest, misses([*outcomes, *alone])]
+    return '\n\n'.join([f'{len(outcomes)} cells', *map(as_text, every), shrink_words(recovered)])
+
+
+def _publish(
+    folder: Path,
+    data: Mapping[str, Any],
+    main: Sequence[Table],
+    rest: Sequence[Table],
+    *,
+    leave_one_out: bool = False,
+) -> None:
+    """Write score.json, and the tables as README and docs hold them."""
+    block = provenance('blind', files={'key': folder / KEY})
+    write_text(folder / 'score.json', json.dumps({**data, 'provenance': block}, indent=1))
+    measured = Measured.of(folder, open_key(folder), block['written'][:10], leave_one_out)
+    write_text(folder / README, fragment(measured, main))
+    write_text(folder / PARTICULARS, fragment(measured, rest))
 
 
 def _draw(wanted: Sequence[Order], folder: Path, jobs: int, progress: Progress) -> None:
@@ -75,7 +102,8 @@ def _draw(wanted: Sequence[Order], folder: Path, jobs: int, progress: Progress) 
 
 def list_files(folder: Path) -> None:
     """Write the manifest of a trial, whole or interrupted: of what it writes, nothing else."""
-    parts = ('cells', WHOLE, FIRST, WITHOUT, KEY, SEAL, 'score.json', 'score.txt')
+    parts = ('cells', WHOLE, FIRST, WITHOUT, KEY, SEAL, README, PARTICULARS, 'score.json',
+             'score.txt')  # fmt: skip
     files = [f for f in written_files(folder) if f.relative_to(folder).parts[0] in parts]
     if files:
         write_manifest(folder / MANIFEST, files, 'blind')
@@ -138,6 +166,9 @@ def run_leave_one_out(
         if outcomes[-1].named:
             found = _recover(entry, answer)
             recovered |= {entry['cell']: found} if found else {}
-    text = leave_one_out_report(outcomes, recovered)
+    main, *rest = without_itself(outcomes, recovered)
+    data = score_to_dict(outcomes, list(recovered.values()))
+    _publish(folder, data, [main], rest, leave_one_out=True)
+    text = '\n\n'.join(map(as_text, [main, *rest]))
     write_text(folder / 'score.txt', text + '\n')
     return text

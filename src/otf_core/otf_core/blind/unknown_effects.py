@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that the catalogue does not hold: the right answer to them is 'unknown'.
 
-None of them is registered, so no diagnosis can find them by name. They depend on what happened
-before, so they are evaluated on all samples of a run at once.
+None of them is registered, so no diagnosis can find them by name. Some have the very shape of a
+decoy, which the diagnosis tries so as not to force a gap into the catalogue: these are easier, and
+scored apart. They depend on what happened before, so they are evaluated on all samples of a run
+at once.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ class UnknownEffect(Effect):
     """Of the vector that is drawn, before the trial scales it."""
     trial: ClassVar[Trial] = Trial(())
     """How its shape is drawn."""
+    has_decoy: ClassVar[bool] = False
+    """True if a decoy of the diagnosis has the same formula."""
 
     @abstractmethod
     def factor(self, state: State, shape: Shape) -> Array:
@@ -53,6 +57,7 @@ class MachineStep(UnknownEffect):
     """The target jumps against the table: a bolt gives way, somebody touches the target."""
 
     name: ClassVar[str] = 'unknown_machine_step'
+    has_decoy: ClassVar[bool] = True
     cause: ClassVar[str] = 'something moves by a jolt'
     equation: ClassVar[str] = 'A [t > t0]'
     shape_names: ClassVar[tuple[str, ...]] = ('t0',)
@@ -68,6 +73,7 @@ class TrackerStep(UnknownEffect):
     """The tracker turns by a jolt; A is the shift of a point 1 m away."""
 
     name: ClassVar[str] = 'unknown_tracker_step'
+    has_decoy: ClassVar[bool] = True
     cause: ClassVar[str] = 'somebody knocks against the tracker'
     equation: ClassVar[str] = '(A / 1 m) x r [t > t0]'
     shape_names: ClassVar[tuple[str, ...]] = ('t0',)
@@ -90,6 +96,7 @@ class SlowSwing(UnknownEffect):
     """The structure swings slowly: an air conditioner or a chiller that switches."""
 
     name: ClassVar[str] = 'unknown_slow_swing'
+    has_decoy: ClassVar[bool] = True
     cause: ClassVar[str] = 'air conditioning, chiller'
     equation: ClassVar[str] = 'A sin(2 pi (t - t0) / period)'
     shape_names: ClassVar[tuple[str, ...]] = ('period', 't0')
@@ -217,6 +224,88 @@ class DirectionPair(UnknownEffect):
         return np.asarray(sign[:, 0] * sign[:, 1])
 
 
+class Ringing(UnknownEffect):
+    """The column rings after every start and stop, and calms down within a second."""
+
+    name: ClassVar[str] = 'unknown_ringing'
+    cause: ClassVar[str] = 'a soft foundation, excited by the drives'
+    equation: ClassVar[str] = 'A exp(-t_s / tau) sin(2 pi f t_s), t_s time since start or stop'
+    shape_names: ClassVar[tuple[str, ...]] = ('f', 'tau')
+    shape_units: ClassVar[tuple[str, ...]] = ('Hz', 's')
+    trial: ClassVar[Trial] = Trial(
+        (Number('f', Uniform(1.0, 4.0)), Number('tau', Uniform(0.3, 1.0)))
+    )
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Decaying sine since the last start or stop."""
+        moves = state.speed > 0
+        fresh = np.flatnonzero(np.diff(moves, prepend=moves[:1]))
+        number = np.searchsorted(fresh, np.arange(len(moves)), side='right')
+        since = state.time - np.concatenate([[-np.inf], state.time[fresh]])[number]
+        rest = np.minimum(since, 50.0 * shape['tau'])
+        wave = np.exp(-rest / shape['tau']) * np.sin(2.0 * np.pi * shape['f'] * rest)
+        return np.asarray(wave)
+
+
+class BallPassage(UnknownEffect):
+    """A slide lifts by a little whenever a ball of its guide enters the load zone."""
+
+    name: ClassVar[str] = 'unknown_ball_passage'
+    cause: ClassVar[str] = 'recirculating balls of a linear guide'
+    equation: ClassVar[str] = 'A_a |sin(pi q_a / p)| e_b, b the axis after a'
+    shape_names: ClassVar[tuple[str, ...]] = ('p',)
+    shape_units: ClassVar[tuple[str, ...]] = ('m',)
+    trial: ClassVar[Trial] = Trial((Number('p', Uniform(0.004, 0.02)),))
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Lift of every slide."""
+        return np.asarray(np.abs(np.sin(np.pi * state.q / shape['p'])))
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return A_X, A_Y, A_Z: lifts of the slides of X, Y, Z along Y, Z, X."""
+        columns = self.factor(state, shape)[:, None, :] * np.roll(np.eye(3), 1, axis=0)
+        return Terms(self.vector, ('m',) * 3, AXES, columns)
+
+
+class AxisBrake(UnknownEffect):
+    """An axis that stands is clamped, and the clamp shifts its slide."""
+
+    name: ClassVar[str] = 'unknown_axis_brake'
+    cause: ClassVar[str] = 'a brake or a clamp that closes while its axis stands'
+    equation: ClassVar[str] = 'A_a [axis a stands] e_a'
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """One for every axis that stands."""
+        stands = (np.abs(state.direction) < 1e-6) | (state.speed == 0)[:, None]
+        return np.asarray(stands.astype(float))
+
+
+class HeatPlume(UnknownEffect):
+    """The beam is bent where it passes through warm air that rises from a motor."""
+
+    name: ClassVar[str] = 'unknown_heat_plume'
+    cause: ClassVar[str] = 'a hot motor beside the beam'
+    equation: ClassVar[str] = 'A r / 1 m exp(-angle(r, r0)^2 / (2 w^2)), r the beam'
+    shape_names: ClassVar[tuple[str, ...]] = ('x', 'y', 'z', 'width')
+    shape_units: ClassVar[tuple[str, ...]] = ('', '', '', 'rad')
+    trial: ClassVar[Trial] = Trial(
+        (
+            *(Number(k, Uniform(0.2, 0.8)) for k in 'xyz'),
+            Number('width', Uniform(0.05, 0.15)),
+        )
+    )
+
+    def factor(self, state: State, shape: Shape) -> Array:
+        """Bell curve about the beam to a place given in shares of the ranges, times range."""
+        low, high = state.machine.lower, state.machine.upper
+        place = low + np.array([shape[k] for k in 'xyz']) * (high - low)
+        middle = place - (state.q - state.beam)
+        length, reach = (np.linalg.norm(v, axis=1) for v in (state.beam, middle))
+        cosine = np.einsum('ij,ij->i', state.beam, middle) / (length * reach)
+        angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return np.asarray(length * np.exp(-0.5 * (angle / shape['width']) ** 2))
+
+
 UNKNOWN_EFFECTS: dict[str, UnknownEffect] = {
     effect.name: effect
     for effect in (
@@ -229,5 +318,9 @@ UNKNOWN_EFFECTS: dict[str, UnknownEffect] = {
         FeedOffset(),
         InertiaNod(),
         DirectionPair(),
+        Ringing(),
+        BallPassage(),
+        AxisBrake(),
+        HeatPlume(),
     )
 }
