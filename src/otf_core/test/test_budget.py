@@ -14,13 +14,13 @@ from otf_core.budget.budget import NAMES, Budget, Source, make_budget
 from otf_core.budget.freedom import coverage_factor, welch_satterthwaite
 from otf_core.budget.noise import noise_parts, slow_amplitudes
 from otf_core.calibration.calibrate import calibrate
-from otf_core.config import CalibrationConfig, SimulationConfig
+from otf_core.config import CalibrationConfig
 from otf_core.effects import REGISTRY
 from otf_core.errors import ConfigError
 from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.machine import load_machine, machine_from_dict
 from otf_core.model.tables import MOTIONS
-from otf_core.noise.model import MISFIT_TIME
+from otf_core.noise.model import MISFIT_TIME, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.budget import budget_lines, budget_to_dict, correlations, expanded
 from otf_core.reports.calibration import format_result, result_to_dict
@@ -65,7 +65,7 @@ def solved(cell):
     recording = Recording(samples, cell.path, cell.machine)
     config = CalibrationConfig(piece_length=0.02)
     (run,), nodes = prepare_runs([recording], config)
-    logs = [0.0, 0.0, np.log(run.noise.correlation_time), *(2 * np.log(m) for m in MISFIT)]
+    logs = [0.0, 0.0, 0.0, *(2 * np.log(m) for m in MISFIT)]
     run = replace(run, fitted=np.array(logs))
     unknowns = layout(linear_bases(nodes))
     done = solve_jointly([run], unknowns, config, lambda stage, fraction: None)
@@ -191,7 +191,7 @@ def test_noise_across_corners_is_that_of_all_pairs_of_legs(solved):
     half = 0.5 * run.pieces.duration / MISFIT_TIME
     shared = done.runs[0].system.axes * (MISFIT[1] * np.sinh(half) / half)[:, None]
     for amplitudes, time, part in (
-        (slow_amplitudes(run, done.runs[0], solved.state), run.noise.correlation_time,
+        (slow_amplitudes(run, done.runs[0], solved.state), run.noise.range.correlation_time,
          found.corners),
         (shared, MISFIT_TIME, found.misfit_corners),
     ):  # fmt: skip
@@ -289,11 +289,11 @@ def test_scatter_over_draws_of_coloured_noise_agrees_with_the_linear_u(cell, sol
 
     The truth stays, so that the bias of the prior does not scatter: noise alone does.
     """
-    config = SimulationConfig(rate=100.0)  # its colour is the one assumed without standstill
+    spec = NoiseModel.from_spec(cell.machine.tracker)
     run, values = solved.run, []
     xyz, order = run.recording.samples.xyz, nodes_of(solved.done)
     for draw in range(8):
-        noise = measure(xyz, cell.machine, config, np.random.default_rng([5, draw])) - xyz
+        noise = measure(xyz, spec, 100.0, np.random.default_rng([5, draw])) - xyz
         moved = run.pieces.xyz + run.pieces.mean_of(noise[run.pieces.samples])
         values.append(solve_again(solved, moved).solution.value[order])
     stated = np.diag(_source(solved, 'noise'))[order]

@@ -50,14 +50,11 @@ class NoiseParts:
 def slow_amplitudes(run: Run, solved: SolvedRun, state: State) -> Array:
     """Slow noise of range and two angles in every row, shape (c, p, 3), m."""
     noise, beam = run.noise_and_misfit[0], beam_of(state)
-    level = np.sqrt([
-        noise.u_range**2 * (1.0 - noise.white_range),
-        *[noise.u_angle**2 * (1.0 - noise.white_angle)] * 2,
-    ])  # fmt: skip
+    level = np.array([c.slow for c in noise])
     reach = beam.distance[:, None]
     directions = np.stack([beam.e_r, beam.e_h * reach, beam.e_v * reach], axis=2)
     rows = np.einsum('cij,ijk->cik', solved.system.axes, directions)
-    return np.asarray(rows * level * _smoothed(run.pieces.duration, noise.correlation_time))
+    return np.asarray(rows * level * _smoothed(run.pieces.duration, noise.range.correlation_time))
 
 
 def _smoothed(duration: Array, time: float) -> Array:
@@ -111,7 +108,7 @@ def noise_parts(runs: Sequence[Run], done: JointSolution, states: Sequence[State
         noise, misfit = run.noise_and_misfit
         slow = slow_amplitudes(run, solved, state)
         shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, MISFIT_TIME)
-        chains = _Chain(size, noise.correlation_time), _Chain(size, MISFIT_TIME)
+        chains = _Chain(size, noise.range.correlation_time), _Chain(size, MISFIT_TIME)
         for leg, (low, high) in enumerate(solved.whitener.bounds):
             rows = np.zeros((len(solved.system.axes), high - low, size))
             for component, factor in enumerate(solved.whitener.factors[leg]):

@@ -106,14 +106,11 @@ def _mean_variance(white: float, time: float, duration: Array, count: Array) -> 
 def _sigma(run: Run, along: Array, across: Array) -> Array:
     pieces, noise = run.pieces, run.noise
     variance = np.full(along.shape, FLOOR**2)
-    for level, white, share in (
-        (noise.u_range, noise.white_range, along),
-        (noise.u_angle, noise.white_angle, across),
-    ):
+    for part, share in ((noise.range, along), (noise.horizontal, across)):
         mean = _mean_variance(
-            white, noise.correlation_time, pieces.duration, pieces.count.astype(float)
+            part.white_share, part.correlation_time, pieces.duration, pieces.count.astype(float)
         )
-        variance += (level * share) ** 2 * mean
+        variance += (part.level * share) ** 2 * mean
     return np.asarray(np.sqrt(variance))
 
 

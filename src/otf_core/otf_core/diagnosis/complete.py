@@ -27,17 +27,12 @@ Array = NDArray[np.float64]
 def _conditions(findings: Findings) -> dict[str, str]:
     rows = findings.rows
     first = rows.runs[0]
-    noise = first.noise
     return {
         'machine': first.machine.name,
         'chain': str(first.machine.chain),
         'samples': ', '.join(str(len(r.recording.samples)) for r in rows.runs),
         'path pieces': ', '.join(str(len(r.pieces)) for r in rows.runs),
-        'tracker noise, as measured in standstills': (
-            f'{1e6 * noise.u_range:.2f} um along the beam, {1e6 * noise.u_angle:.2f} urad across, '
-            f'{100 * noise.white_angle:.0f} % white, correlated over '
-            f'{noise.correlation_time:.2f} s'
-        ),
+        'tracker noise, as measured in standstills': str(first.noise),
     }
 
 

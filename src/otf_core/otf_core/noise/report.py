@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
-from otf_core.noise.colour import Variogram, longest_time, variogram
+from otf_core.noise.colour import Variogram, fit_colour, longest_time, variogram
 from otf_core.noise.events import Drift, Lost, Step, find_drift, find_steps, lost_samples
+from otf_core.noise.model import NoiseModel
 from otf_core.noise.rest import at_rest
 from otf_core.noise.spectrum import Peak, Spectrum, expected_density, find_peaks, spectrum
 from otf_core.noise.standstill import (
     MIN_DURATION,
-    StandstillNoise,
+    MeasuredNoise,
     find_standstills,
     noise_of_windows,
     quiet_windows,
 )
-from otf_core.noise.tails import Tails, tails
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,6 @@ SLOW = 0.95
 """Share of the longest correlation time looked for, from which on it may be longer."""
 FASTEST = 1e-4
 """s; no laser tracker measures at shorter intervals, so the stamps are of something else."""
-QUANTITIES = ('range', 'horizontal angle', 'vertical angle')
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class NoiseReport:
 
     Attributes
     ----------
-    noise : StandstillNoise
+    measured : MeasuredNoise
     u_total, u_white : ndarray, shape (3,), m, rad, rad
         Standard uncertainties of the levels by leaving out part of the windows; nan if there is
         too little to leave out.
@@ -66,7 +65,6 @@ class NoiseReport:
         Hz.
     distance : float
         m, mean length of the beam in the standstills.
-    tails : tuple of Tails
     peaks : tuple of Peak
     lost : Lost
         Of the whole recording.
@@ -78,7 +76,7 @@ class NoiseReport:
     warnings : tuple of str
     """
 
-    noise: StandstillNoise
+    measured: MeasuredNoise
     u_total: Array
     u_white: Array
     u_correlation_time: float
@@ -86,7 +84,6 @@ class NoiseReport:
     duration: float
     rate: float
     distance: float
-    tails: tuple[Tails, ...]
     peaks: tuple[Peak, ...]
     lost: Lost
     steps: tuple[Step, ...]
@@ -107,8 +104,8 @@ def _jackknife(windows: list[Array], step: float) -> tuple[Array, Array, float]:
     rows = []
     for g in range(groups):
         kept = [w for k, w in enumerate(windows) if k % groups != g]
-        noise = noise_of_windows(kept, step)
-        rows.append(np.concatenate([noise.total, noise.white, [noise.correlation_time]]))
+        noise = NoiseModel(*fit_colour(kept, step))
+        rows.append(np.array([*noise.level, *noise.white, noise.range.correlation_time]))
     u = np.std(rows, axis=0) * np.sqrt(groups - 1.0)
     return u[:3], u[3:6], float(u[6])
 
@@ -136,7 +133,7 @@ def _coarse(windows: list[Array]) -> str | None:
 
 
 def _warnings(
-    noise: StandstillNoise, windows: list[Array], duration: float, lost: Lost, count: int
+    measured: MeasuredNoise, windows: list[Array], duration: float, lost: Lost, count: int
 ) -> tuple[str, ...]:
     coarse = _coarse(windows)
     found = [coarse] if coarse else []
@@ -151,17 +148,18 @@ def _warnings(
             f'only {duration:.1f} s of standstill: levels and colour are rough; {ENOUGH:g} s or '
             f'more in stops of a second or more tell them'
         )
-    if noise.left_out > noise.standstills:
+    if measured.left_out > measured.windows:
         found.append(
-            f'in {noise.left_out} of {noise.left_out + noise.standstills} windows the target '
+            f'in {measured.left_out} of {measured.left_out + measured.windows} windows the target '
             f'itself seems to have moved; left out'
         )
-    if noise.correlation_time > SLOW * longest_time(windows, duration / noise.samples):
+    time = measured.noise.range.correlation_time
+    if time > SLOW * longest_time(windows, duration / measured.samples):
         found.append(
             f'the slow part is slower than the standstills tell: its correlation time is '
-            f'{noise.correlation_time:.1f} s or more, and its level a lower bound'
+            f'{time:.1f} s or more, and its level a lower bound'
         )
-    if noise.total.max() > LOUDEST:
+    if measured.noise.level.max() > LOUDEST:
         found.append(
             'louder than laser trackers are: the target itself seems to move; fasten it and '
             'record again'
@@ -197,15 +195,14 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
             f'{duration:.1f} s of standstill in stops of {MIN_DURATION:g} s or more; at least '
             f'{MIN_TOTAL:g} s are needed: record while the target stands still for some seconds'
         )
-    noise = noise_of_windows(windows, step, left_out)
+    measured = noise_of_windows(windows, step, left_out)
     u_total, u_white, u_time = _jackknife(windows, step)
     seen = spectrum(windows, step)
-    slow = noise.total**2 - noise.white**2
-    shape = expected_density(seen.frequency, noise.white**2, slow, noise.correlation_time)
+    shape = expected_density(seen.frequency, measured.noise)
     still = np.concatenate([np.arange(a, b) for a, b in runs])
     lost = lost_samples(samples.stamp_ns)
     return NoiseReport(
-        noise=noise,
+        measured=measured,
         u_total=u_total,
         u_white=u_white,
         u_correlation_time=u_time,
@@ -213,12 +210,11 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
         duration=duration,
         rate=1.0 / step,
         distance=float(np.linalg.norm(samples.xyz[still], axis=1).mean()),
-        tails=tails(windows, step),
         peaks=find_peaks(seen, shape),
         lost=lost,
         steps=find_steps(samples, runs),
         drift=find_drift(samples, at_rest(samples, runs)),
         variogram=variogram(windows),
         spectrum=seen,
-        warnings=_warnings(noise, windows, duration, lost, len(samples)),
+        warnings=_warnings(measured, windows, duration, lost, len(samples)),
     )

@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.config import SimulationConfig
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import exact_position
 from otf_core.model.observation import Samples
 from otf_core.model.path import along_legs
 from otf_core.model.tables import ErrorTables
+from otf_core.noise.model import NoiseModel
 from otf_core.pieces.runs import Recording, Run
 from otf_core.sim.tracker import measure
 from otf_core.tracking.matching import OFF_PATH
@@ -50,11 +50,8 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
     q = corners[leg[on]] + along[:, None] * place.unit
     true_points = (exact_position(tables, q) - pose.translation) @ pose.rotation
     seconds = max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
-    config = SimulationConfig(
-        seed=seed,
-        rate=float(np.clip(1.0 / seconds, 1.0, 5000.0)),
-        correlated_share=1.0 - run.noise.white_angle,
-        correlation_time=max(run.noise.correlation_time, 1e-3),
-    )
-    xyz = measure(true_points, run.machine, config, np.random.default_rng([seed, 7]))
+    seen = run.noise.horizontal
+    noise = NoiseModel.from_spec(run.machine.tracker, seen.white_share, seen.correlation_time)
+    rate = float(np.clip(1.0 / seconds, 1.0, 5000.0))
+    xyz = measure(true_points, noise, rate, np.random.default_rng([seed, 7]))
     return replace(run.recording, samples=Samples(samples.stamp_ns[on], xyz))

@@ -67,19 +67,20 @@ def check_noise(rows: Rows, speed: float, exclude: Sequence[str] = ()) -> NoiseF
     for run in rows.runs:
         samples, spec = run.recording.samples, run.machine.tracker
         seen = standstill_noise(samples, find_standstills(samples, speed))
-        if seen is None or seen.standstills < ENOUGH:
+        if seen is None or seen.windows < ENOUGH:
             continue
         levels = {
-            'level_range': float(seen.total[0]) / spec.u_range,
-            'level_angle': float(np.sqrt(np.mean(seen.total[1:] ** 2))) / spec.u_angle,
+            'level_range': float(seen.noise.level[0]) / spec.u_range,
+            'level_angle': float(np.sqrt(np.mean(seen.noise.level[1:] ** 2))) / spec.u_angle,
         }
         for key, level in levels.items():
             if level > LEVEL:
                 found[key] = level
                 words.append(f'{key[6:]} noise {level:.2f} times as specified')
-        if seen.correlation_time > SLOW:
-            found['correlation_time'] = seen.correlation_time
-            words.append(f'correlated over {seen.correlation_time:.1f} s')
+        time = seen.noise.range.correlation_time
+        if time > SLOW:
+            found['correlation_time'] = time
+            words.append(f'correlated over {time:.1f} s')
         freedom = _freedom(run, speed)
         if freedom is not None and freedom < HEAVY:
             found['dof'] = max(freedom, 2.2)
