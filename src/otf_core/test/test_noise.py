@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from core_cells import some_machine
 
+from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import TrackerSpec
 from otf_core.noise.model import (
     NoiseComponent,
@@ -23,7 +24,8 @@ def unit(vectors):
 
 
 def variances(noise, distance, beam, a2, a3):
-    return sample_variance(noise, *beam_shares(distance, beam, np.stack([a2, a3])))[:, 0]
+    pose = RigidTransform(np.eye(3), np.zeros(3))
+    return sample_variance(noise, beam_shares(distance * beam, pose, np.stack([a2, a3])))[:, 0]
 
 
 def frames():

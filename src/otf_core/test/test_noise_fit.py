@@ -193,18 +193,21 @@ def test_factors_act_on_white_and_slow_variance_each_for_itself():
 def test_parts_of_the_covariance_are_averages_of_the_processes_over_the_pieces():
     """Against sums over samples: white, Gauss-Markov of the tracker, and of 3 s."""
     time, duration, count = np.array([0.1, 0.35]), np.array([0.2, 0.3]), np.array([200, 300])
-    shares = np.array([0.6, 0.5]), np.array([0.8, 0.9])
-    found = covariance_parts(NOISE, Misfit(1e-7, 3e-7), shares, (time, duration, count))
+    shares = np.array([[0.6, 0.5], [0.8, 0.9], [-0.3, 0.2]])
     t = [c + d * ((np.arange(n) + 0.5) / n - 0.5)
          for c, d, n in zip(time, duration, count, strict=True)]  # fmt: skip
 
     def mean(tau):
         return np.array([[np.exp(-np.abs(a[:, None] - b) / tau).mean() for b in t] for a in t])
 
-    own = 1e-6 * shares[0], 2e-6 * shares[1]
-    white = (0.5 * own[0] ** 2 + 0.4 * own[1] ** 2) / count
-    slow = 0.5 * np.outer(own[0], own[0]) + 0.6 * np.outer(own[1], own[1])
+    vertical = NoiseComponent(3e-6, 3e-6 * np.sqrt(0.1), 0.8)
+    noise = NoiseModel(RANGE, ANGLE, vertical)
+    found = covariance_parts(noise, Misfit(1e-7, 3e-7), shares, (time, duration, count))
+    own = np.array([[1e-6], [2e-6], [3e-6]]) * shares
+    white = (0.5 * own[0] ** 2 + 0.4 * own[1] ** 2 + 0.1 * own[2] ** 2) / count
+    fast = 0.5 * np.outer(own[0], own[0]) + 0.6 * np.outer(own[1], own[1])
+    slow = fast * mean(0.3) + 0.9 * np.outer(own[2], own[2]) * mean(0.8)
     np.testing.assert_allclose(found[0], np.diag(white))
-    np.testing.assert_allclose(found[1], slow * mean(0.3), rtol=1e-4)
+    np.testing.assert_allclose(found[1], slow, rtol=1e-4)
     np.testing.assert_allclose(found[2], 1e-14 * np.eye(2))
     np.testing.assert_allclose(found[3], 9e-14 * mean(3.0), rtol=1e-4)

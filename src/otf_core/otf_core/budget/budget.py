@@ -20,7 +20,6 @@ from otf_core.budget.noise import noise_parts
 from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
 from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
 from otf_core.pieces.runs import Run
-from otf_core.solving.columns import piece_state
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.residual_check import ResidualCheck, check_residuals
 from otf_core.solving.unknowns import free_values
@@ -150,17 +149,13 @@ def make_budget(
         Of the unknowns themselves; ``rows`` are to be set to those of the tables.
     """
     own = done.solution.covariance
-    states = [
-        piece_state(r, s, done.unknowns.knots, tables)
-        for r, s in zip(runs, done.runs, strict=True)
-    ]
     check = whole_check(runs, done, [s.residual for s in done.runs])
-    parts = noise_parts(runs, done, states)
+    parts = noise_parts(runs, done)
     gauge = done.unknowns.gauge
     smooth = _prior_part(done)
     drawn = gauge @ done.roughness.drawn
     misfit = own @ parts.misfit @ own
-    noise = own - misfit - smooth + own @ parts.corners @ own
+    noise = own - misfit - smooth + own @ (parts.corners + parts.between) @ own
     misfit += own @ parts.misfit_corners @ own + (check.inflation - 1.0) * (own - smooth)
     dof = residual_freedom(done, check.correlation_factor) + standstill_freedom(runs, speed)
     found = [(NOISE, noise, dof), (MISFIT, misfit, dof)]

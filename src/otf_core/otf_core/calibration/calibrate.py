@@ -172,9 +172,7 @@ def calibrate_prepared(
 
 def _run_result(run: Run, solved: SolvedRun, unknowns: Unknowns) -> RunResult:
     before = build_system(run.machine, run.pieces, run.pose, unknowns)
-    specified = sample_variance(
-        NoiseModel.from_spec(run.machine.tracker), solved.system.along, solved.system.across
-    )
+    specified = sample_variance(NoiseModel.from_spec(run.machine.tracker), solved.system.shares)
     return RunResult(
         name=Path(run.recording.name).name,
         target_offset=run.machine.target_offset,

@@ -56,7 +56,7 @@ def noise_from_fields(data: Mapping[str, Any]) -> NoiseModel:
     if not np.all((white >= 0) & (white <= level)):
         raise ValueError('the white part lies between 0 and the level')
     if not np.all((time > 0) | ((time == 0) & (white == level))):
-        raise ValueError('correlation_time must be above 0 where not all of the noise is white')
+        raise ValueError('correlation_time is 0 beside a slow part')
     freedom = [data.get('tails', {}).get(name, {}).get(FREEDOM) for name in QUANTITIES]
     dof = [None if f is None else float(f) for f in freedom]
     if any(f is not None and not f > 2 for f in dof):

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracker noise: from range and angle noise of samples to the covariance of path pieces.
 
-Along the beam u_range, across it u_angle * range (paper Eq. 8-10, derived anew in
-docs/formulation.md since Eq. 4 prints the path direction where the beam direction belongs).
+Along the beam noise of the range, across it noise of two angles times range (paper Eq. 8-10,
+derived anew in docs/formulation.md since Eq. 4 prints the path direction where the beam direction
+belongs).
 Samples are not independent: each of range and two angles has a white part and a part that is
 correlated in time (first-order Gauss-Markov). ``NoiseModel`` is what specification, standstills,
 noise.json, simulator and weights share; how noise averages out is known here alone.
@@ -12,11 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.beam_frame import beam_frame
+from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import TrackerSpec
 
 Array = NDArray[np.float64]
@@ -73,6 +76,11 @@ class NoiseComponent:
             math.sqrt(own + rest), math.sqrt(own), self.correlation_time * time, self.dof
         )
 
+    def at_most(self, level: float) -> NoiseComponent:
+        """Return the same noise, no louder than a level."""
+        factor = min(1.0, level / self.level) if self.level > 0 else 1.0
+        return replace(self, level=self.level * factor, white=self.white * factor)
+
 
 @dataclass(frozen=True)
 class NoiseModel:
@@ -103,6 +111,11 @@ class NoiseModel:
             for u in (spec.u_range, spec.u_angle)
         ]
         return cls(parts[0], parts[1], parts[1])
+
+    def at_most(self, spec: TrackerSpec) -> NoiseModel:
+        """Return the same with levels no higher than specified; colour and tails stay."""
+        limits = (spec.u_range, spec.u_angle, spec.u_angle)
+        return NoiseModel(*(c.at_most(u) for c, u in zip(self, limits, strict=True)))
 
     def __iter__(self) -> Iterator[NoiseComponent]:
         """Range, horizontal angle, vertical angle."""
@@ -189,49 +202,72 @@ def path_frame(direction: Array, beam: Array) -> tuple[Array, Array]:
     return a2, np.cross(direction, a2)
 
 
-def beam_shares(distance: Array, beam: Array, axes: Array) -> tuple[Array, Array]:
-    """How range and angle noise enter the two perpendicular components.
+def beam_shares(xyz: Array, pose: RigidTransform, axes: Array) -> Array:
+    """How the noise of range and two angles enters the rows of pieces.
 
     Parameters
     ----------
-    distance : ndarray, shape (p,), m
-    beam : ndarray, shape (p, 3)
-        Unit vectors.
-    axes : ndarray, shape (2, p, 3)
-        a2 and a3.
+    xyz : ndarray, shape (p, 3), m
+        Points in the tracker frame.
+    pose : RigidTransform
+        Tracker to machine.
+    axes : ndarray, shape (c, p, 3)
+        Directions of the rows in the machine frame.
 
     Returns
     -------
-    along : ndarray, shape (2, p)
-        Component per m of range noise (paper Eq. 4 with the beam direction).
-    across : ndarray, shape (2, p), m
-        Component per rad of angle noise. a3 is perpendicular to the beam, so the noise of the
-        two components is not correlated.
+    ndarray, shape (3, c, p)
+        Row per m of range noise (paper Eq. 4 with the beam direction), and in m per rad of
+        horizontal and of vertical angle noise.
     """
-    along = np.einsum('kij,ij->ki', axes, beam)
-    return along, distance * np.sqrt(np.maximum(1.0 - along**2, 0.0))
+    distance, along, horizontal, vertical = beam_frame(xyz)
+    reach = distance[:, None]
+    directions = np.stack([along, horizontal * reach, vertical * reach])
+    return np.asarray(np.einsum('cpi,kpi->kcp', axes, pose.rotate(directions)))
 
 
-def sample_variance(noise: NoiseModel, along: Array, across: Array) -> Array:
-    """Variance of single samples, shape (2, p), m^2, for the shares of ``beam_shares``."""
-    return (noise.range.level * along) ** 2 + (_angle(noise).level * across) ** 2
+def sample_variance(noise: NoiseModel, shares: Array) -> Array:
+    """Variance of single samples, shape (c, p), m^2, for the shares of ``beam_shares``."""
+    return np.asarray(np.einsum('k,kcp->cp', noise.level**2, shares**2))
 
 
-def _angle(noise: NoiseModel) -> NoiseComponent:
-    white, level = (float(np.sqrt(np.mean(v[1:] ** 2))) for v in (noise.white, noise.level))
-    return NoiseComponent(level, white, noise.horizontal.correlation_time)
+def noise_covariance(
+    noise: NoiseModel, shares: Array, other: Array, windows: Windows
+) -> tuple[Array, Array]:
+    """Covariance of tracker noise between two rows of the pieces of a line.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+    shares, other : ndarray, shape (3, m)
+        Of the one and of the other row, see ``beam_shares``.
+    windows : tuple of time, duration (s) and count, each of shape (m,)
+        See ``mean_covariance``.
+
+    Returns
+    -------
+    white, slow : ndarray, shape (m, m), m^2
+    """
+    time, duration, count = windows
+    white = np.einsum('k,km,km->m', noise.white**2, shares, other) / count
+    slow = np.zeros((len(time), len(time)))
+    for tau in sorted({c.correlation_time for c in noise if c.slow}):
+        level = np.array([c.slow if c.correlation_time == tau else 0.0 for c in noise])[:, None]
+        amplitude = (level * shares).T @ (level * other)
+        slow += amplitude * mean_covariance(0.0, tau, time, duration, count)
+    return np.diag(white), slow
 
 
 def covariance_parts(
-    noise: NoiseModel, misfit: Misfit, shares: tuple[Array, Array], windows: Windows
+    noise: NoiseModel, misfit: Misfit, shares: Array, windows: Windows
 ) -> tuple[Array, Array, Array, Array]:
-    """Covariance of the pieces of a line in one component, part by part.
+    """Covariance of the pieces of a line in one row, part by part.
 
     Parameters
     ----------
     noise : NoiseModel
     misfit : Misfit
-    shares : two ndarrays, shape (m,)
+    shares : ndarray, shape (3, m)
         Of range and angle noise, see ``beam_shares``.
     windows : tuple of time, duration (s) and count, each of shape (m,)
         See ``mean_covariance``.
@@ -244,15 +280,12 @@ def covariance_parts(
         The parts of the misfit.
     """
     time, duration, count = windows
-    parts = (noise.range, _angle(noise))
-    white = sum((c.white * g) ** 2 for c, g in zip(parts, shares, strict=True)) / count
-    slow = mean_covariance(0.0, noise.range.correlation_time, time, duration, count)
-    slow *= sum(c.slow**2 * np.outer(g, g) for c, g in zip(parts, shares, strict=True))
+    white, slow = noise_covariance(noise, shares, shares, windows)
     lasting = np.zeros_like(slow)
     if misfit.slow:
         lasting = misfit.slow**2 * mean_covariance(0.0, MISFIT_TIME, time, duration, count)
     independent = misfit.independent**2 * np.eye(len(time))
-    return np.diag(white), slow, independent, lasting
+    return white, slow, independent, lasting
 
 
 def mean_covariance(

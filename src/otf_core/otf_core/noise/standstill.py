@@ -192,14 +192,25 @@ def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> Me
 def _near(samples: Samples, seen: MeasuredNoise) -> tuple[float, float]:
     """Measured over specified levels that do not contradict.
 
-    T seconds hold T / (2 tau) independent values of noise correlated over tau, so the logarithm
-    of its level over two angles has the standard deviation sqrt(tau / (2 T)); twice that counts.
+    T seconds hold T / tau independent squares of noise correlated over tau, so the logarithm of
+    its level has the standard deviation sqrt(tau / (2 T)); twice that counts.
     A stop of length w may show as little of its variance as 1 - exp(-w / tau).
     """
     duration = seen.samples * float(np.median(np.diff(samples.stamp_ns))) * 1e-9
     scatter = np.exp(2.0 * np.sqrt(0.5 * SLOWEST / duration))
     shown = np.sqrt(-np.expm1(-duration / seen.windows / SLOWEST))
     return min(NEAR[0], 1.0 / scatter, shown), max(NEAR[1], scatter)
+
+
+def _stretch(seen: NoiseModel, level: Array, near: NDArray[np.bool_]) -> float:
+    """Factor on the correlation time where levels near the specified ones are taken as these.
+
+    Short stops fix the fast part, and of the slow part only variance over time: the time goes
+    with the variance. It was fitted to all three components, and is stretched for all three.
+    """
+    slow, taken = seen.level**2 - seen.white**2, level**2 - seen.white**2
+    shown = float(np.sum((slow / level**2)[near]))
+    return min(max(float(np.sum((taken / level**2)[near])) / shown, 0.2), 5.0) if shown else 1.0
 
 
 def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel:
@@ -221,23 +232,12 @@ def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel
     seen = standstill_noise(samples, find_standstills(samples, speed))
     if seen is None:
         return NoiseModel.from_spec(spec)
-    specified = np.array([spec.u_range, spec.u_angle])
-    measured = seen.noise
-    total = np.array([measured.level[0], np.sqrt(np.mean(measured.level[1:] ** 2))])
-    white = np.array([measured.white[0], np.sqrt(np.mean(measured.white[1:] ** 2))])
-    slow = np.maximum(total**2 - white**2, 0.0)
-    # short stops fix the fast part, and of the slow part only variance over time constant: a
-    # level near the specified one is taken as specified, and the time constant goes with it
+    specified, noise = np.array([spec.u_range, spec.u_angle, spec.u_angle]), seen.noise
     low, high = _near(samples, seen)
-    near = (total > low * specified) & (total < high * specified) & (white < specified)
-    level = np.where(near, specified, np.maximum(total, specified / 3))
-    ratio = np.where(near, (level**2 - white**2) / np.maximum(slow, 1e-300), 1.0)
-    stretch = float(np.clip(ratio[1], 0.2, 5.0)) if slow[1] > 0 else 1.0
-    share = np.clip(white**2 / level**2, 0.05, 1.0)
-    time = measured.range.correlation_time
-    time = time * stretch if time else TYPICAL_CORRELATION_TIME
-    along, across = (
-        NoiseComponent(float(u), float(u * np.sqrt(s)), float(time))
-        for u, s in zip(level, share, strict=True)
-    )
-    return NoiseModel(along, across, across)
+    near = (noise.level > low * specified) & (noise.level < high * specified)
+    near &= noise.white < specified
+    level = np.where(near, specified, np.maximum(noise.level, specified / 3))
+    time = noise.range.correlation_time * _stretch(noise, level, near) or TYPICAL_CORRELATION_TIME
+    white = np.clip(noise.white / level, np.sqrt(0.05), 1.0) * level
+    parts = zip(level.tolist(), white.tolist(), noise, strict=True)
+    return NoiseModel(*(NoiseComponent(u, w, time, c.dof) for u, w, c in parts))

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from otf_core.config import SimulationConfig
+from otf_core.model.beam_frame import beam_frame
 from otf_core.model.machine import Machine
 from otf_core.noise.model import NoiseComponent, NoiseModel
 
@@ -57,35 +58,15 @@ def drawn(noise: NoiseComponent, rng: np.random.Generator, n: int, rate: float) 
     return np.asarray(noise.white * _white(rng, n, noise.dof) + noise.slow * slow)
 
 
-def beam_frame(xyz: Array) -> tuple[Array, Array, Array]:
-    """Range and the two unit vectors across the beam.
-
-    Parameters
-    ----------
-    xyz : ndarray, shape (n, 3), m
-        Points in the tracker frame.
-
-    Returns
-    -------
-    distance : ndarray, shape (n,), m
-    along_azimuth, along_elevation : ndarray, shape (n, 3)
-    """
-    distance = np.linalg.norm(xyz, axis=1)
-    level = np.hypot(xyz[:, 0], xyz[:, 1])
-    zero = np.zeros_like(level)
-    along_azimuth = np.stack([-xyz[:, 1], xyz[:, 0], zero], axis=1) / level[:, None]
-    return distance, along_azimuth, np.cross(xyz / distance[:, None], along_azimuth)
-
-
 def measure(xyz: Array, noise: NoiseModel, rate: float, rng: np.random.Generator) -> Array:
     """Return noisy points for true points ``xyz`` (n, 3) in the tracker frame, m."""
-    distance, along_azimuth, along_elevation = beam_frame(xyz)
-    along, azimuth, elevation = (drawn(c, rng, len(xyz), rate) for c in noise)
+    distance, along, horizontal, vertical = beam_frame(xyz)
+    off_range, off_azimuth, off_elevation = (drawn(c, rng, len(xyz), rate) for c in noise)
     return np.asarray(
         xyz
-        + xyz / distance[:, None] * along[:, None]
-        + along_azimuth * (azimuth * distance)[:, None]
-        + along_elevation * (elevation * distance)[:, None]
+        + along * off_range[:, None]
+        + horizontal * (off_azimuth * distance)[:, None]
+        + vertical * (off_elevation * distance)[:, None]
     )
 
 

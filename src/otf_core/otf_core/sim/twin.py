@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin of a real run: the same path, timing, tracker place and tables, noise as specified.
+"""The twin of a real run: the same path, timing, tracker place, tables and noise.
 
 What the same pipeline leaves on it is what the real run would leave if nothing were unmodelled.
+The noise is that of the run's own standstills, each component with its level, colour and tails,
+but no louder than specified: what is beyond is part of the gap, and its cause tracker_noise.
 """
 
 from __future__ import annotations
@@ -16,7 +18,6 @@ from otf_core.model.kinematics import exact_position
 from otf_core.model.observation import Samples
 from otf_core.model.path import along_legs
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.model import NoiseModel
 from otf_core.pieces.runs import Recording, Run
 from otf_core.sim.tracker import measure
 from otf_core.tracking.matching import OFF_PATH
@@ -50,8 +51,7 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
     q = corners[leg[on]] + along[:, None] * place.unit
     true_points = (exact_position(tables, q) - pose.translation) @ pose.rotation
     seconds = max(float(np.median(np.diff(samples.stamp_ns))) * 1e-9, 1e-9)
-    seen = run.noise.horizontal
-    noise = NoiseModel.from_spec(run.machine.tracker, seen.white_share, seen.correlation_time)
+    noise = run.noise.at_most(run.machine.tracker)
     rate = float(np.clip(1.0 / seconds, 1.0, 5000.0))
     xyz = measure(true_points, noise, rate, np.random.default_rng([seed, 7]))
     return replace(run.recording, samples=Samples(samples.stamp_ns[on], xyz))

@@ -10,7 +10,7 @@ import numpy as np
 
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.effects import REGISTRY
-from otf_core.noise.model import NoiseModel, sample_variance
+from otf_core.noise.model import sample_variance
 from otf_core.noise.rest import spherical_deviations
 from otf_core.noise.standstill import find_standstills, standstill_noise
 from otf_core.noise.tails import student_freedom
@@ -93,8 +93,8 @@ def check_noise(rows: Rows, speed: float, exclude: Sequence[str] = ()) -> NoiseF
 def _variance_ratio(rows: Rows) -> float:
     measured, specified = 0.0, 0.0
     for run, solved in zip(rows.runs, rows.done.runs, strict=True):
-        along, across = solved.system.along, solved.system.across
-        measured += float(sample_variance(run.noise, along, across).sum())
-        spec = NoiseModel.from_spec(run.machine.tracker)
-        specified += float(sample_variance(spec, along, across).sum())
+        shares = solved.system.shares
+        measured += float(sample_variance(run.noise, shares).sum())
+        spec = run.noise.at_most(run.machine.tracker)
+        specified += float(sample_variance(spec, shares).sum())
     return measured / specified
