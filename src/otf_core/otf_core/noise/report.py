@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
-from otf_core.noise.colour import Variogram, fit_colour, longest_time, variogram
+from otf_core.noise.colour import Variogram, longest_time, variogram
 from otf_core.noise.events import Drift, Lost, Step, find_drift, find_steps, lost_samples
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.jackknife import jackknife_u, left_out_fits
 from otf_core.noise.rest import at_rest
 from otf_core.noise.spectrum import Peak, Spectrum, expected_density, find_peaks, spectrum
 from otf_core.noise.standstill import (
@@ -29,10 +29,6 @@ MIN_TOTAL = 1.0
 """s; with less standstill there is nothing to report."""
 ENOUGH = 5.0
 """s; with less, level and colour are rough."""
-JACKKNIFE = 10
-"""Groups of windows, each left out once, that tell how well level and colour are known."""
-SHORTEST_PART = 0.2
-"""s; fewer windows than groups are cut, but not shorter than this."""
 REPEATED = 0.2
 """Share of successive samples without any change beyond which the recording is coarse."""
 LOST = 0.01
@@ -93,20 +89,11 @@ class NoiseReport:
     warnings: tuple[str, ...]
 
 
-def _jackknife(windows: list[Array], step: float) -> tuple[Array, Array, float]:
+def _known_to(windows: list[Array], step: float) -> tuple[Array, Array, float]:
     """Standard uncertainties of total, white and correlation time."""
-    parts = -(-JACKKNIFE // len(windows))
-    cut = [p for w in windows for p in np.array_split(w, parts) if len(p) * step > SHORTEST_PART]
-    windows = cut if parts > 1 else windows
-    groups = min(JACKKNIFE, len(windows))
-    if groups < 2:
-        return np.full(3, np.nan), np.full(3, np.nan), float('nan')
-    rows = []
-    for g in range(groups):
-        kept = [w for k, w in enumerate(windows) if k % groups != g]
-        noise = NoiseModel(*fit_colour(kept, step))
-        rows.append(np.array([*noise.level, *noise.white, noise.range.correlation_time]))
-    u = np.std(rows, axis=0) * np.sqrt(groups - 1.0)
+    fits = left_out_fits(windows, step)
+    rows = [np.array([*f.level, *f.white, f.range.correlation_time]) for f in fits]
+    u = jackknife_u(np.reshape(rows, (-1, 7)))
     return u[:3], u[3:6], float(u[6])
 
 
@@ -196,7 +183,7 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
             f'{MIN_TOTAL:g} s are needed: record while the target stands still for some seconds'
         )
     measured = noise_of_windows(windows, step, left_out)
-    u_total, u_white, u_time = _jackknife(windows, step)
+    u_total, u_white, u_time = _known_to(windows, step)
     seen = spectrum(windows, step)
     shape = expected_density(seen.frequency, measured.noise)
     still = np.concatenate([np.arange(a, b) for a, b in runs])
