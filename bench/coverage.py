@@ -39,7 +39,7 @@ from otf_core.planning.forecast import free_rows
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.reports.budget import budget_lines, expanded
 from otf_core.sim.cell import random_tables, simulate
-from otf_core.sim.tracker import measure
+from otf_core.sim.tracker import measure, specified_noise
 from otf_core.solving.unknowns import layout
 
 Array = NDArray[np.float64]
@@ -187,10 +187,11 @@ def same_machine(draws: int, seed: int) -> None:
     plan = plan_path(machine, PlannerConfig(levels=2))
     quiet = replace(machine, tracker=TrackerSpec(1e-15, 1e-15))
     clean = simulate(quiet, plan, config, truth).samples
+    noise = specified_noise(machine, config)
     values, stated = defaultdict(list), defaultdict(list)
     start = time.perf_counter()
     for draw in range(draws):
-        xyz = measure(clean.xyz, machine, config, np.random.default_rng([seed, draw]))
+        xyz = measure(clean.xyz, noise, config.rate, np.random.default_rng([seed, draw]))
         result = calibrate(replace(clean, xyz=xyz), plan.path, machine)
         tables, grid = result.tables, lattice(machine, GRID)
         field, u = displacement(tables, grid), grid_rows(result, grid)[1]

@@ -269,7 +269,7 @@ def tables_of(machine, unknowns, solution):
 
 def white(machine):
     """Noise as specified, independent from sample to sample."""
-    return NoiseModel(machine.tracker.u_range, machine.tracker.u_angle, 1.0, 1.0)
+    return NoiseModel.from_spec(machine.tracker, 1.0)
 
 
 def fit_pieces(machine, pieces, pose, iterations=3, limit=1e-4, ranges=None):

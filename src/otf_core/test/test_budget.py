@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 import yaml
 from core_cells import some_machine
+from nature_tracker import beam_frame
 
 from otf_core.budget.budget import NAMES, Budget, Source, make_budget
 from otf_core.budget.freedom import coverage_factor, welch_satterthwaite
 from otf_core.budget.noise import noise_parts, slow_amplitudes
 from otf_core.calibration.calibrate import calibrate
-from otf_core.config import CalibrationConfig, SimulationConfig
+from otf_core.config import CalibrationConfig
 from otf_core.effects import REGISTRY
 from otf_core.errors import ConfigError
 from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.machine import load_machine, machine_from_dict
 from otf_core.model.tables import MOTIONS
-from otf_core.noise.model import MISFIT_TIME
+from otf_core.noise.model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.budget import budget_lines, budget_to_dict, correlations, expanded
 from otf_core.reports.calibration import format_result, result_to_dict
@@ -65,7 +66,7 @@ def solved(cell):
     recording = Recording(samples, cell.path, cell.machine)
     config = CalibrationConfig(piece_length=0.02)
     (run,), nodes = prepare_runs([recording], config)
-    logs = [0.0, 0.0, np.log(run.noise.correlation_time), *(2 * np.log(m) for m in MISFIT)]
+    logs = [0.0, 0.0, 0.0, *(2 * np.log(m) for m in MISFIT)]
     run = replace(run, fitted=np.array(logs))
     unknowns = layout(linear_bases(nodes))
     done = solve_jointly([run], unknowns, config, lambda stage, fraction: None)
@@ -187,16 +188,46 @@ def _weighed_design(solved):
 def test_noise_across_corners_is_that_of_all_pairs_of_legs(solved):
     run, done = solved.run, solved.done
     weighed = _weighed_design(solved)
-    found = noise_parts([run], done, [solved.state])
+    found = noise_parts([run], done)
     half = 0.5 * run.pieces.duration / MISFIT_TIME
     shared = done.runs[0].system.axes * (MISFIT[1] * np.sinh(half) / half)[:, None]
     for amplitudes, time, part in (
-        (slow_amplitudes(run, done.runs[0], solved.state), run.noise.correlation_time,
+        (slow_amplitudes(run, done.runs[0]), run.noise.range.correlation_time,
          found.corners),
         (shared, MISFIT_TIME, found.misfit_corners),
     ):  # fmt: skip
         expected = weighed.T @ _between(run, amplitudes, time) @ weighed
         np.testing.assert_allclose(part, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_rows_of_a_line_share_what_unequal_angles_bring(solved):
+    """All pairs of rows written out: white at one time, slow by the time between."""
+    parts = [(1e-6, 0.5e-6, 0.3), (1e-6, 0.7e-6, 0.2), (4e-6, 2e-6, 0.5)]
+    noise = NoiseModel(*(NoiseComponent(*p) for p in parts))
+    run, done = replace(solved.run, noise=noise, fitted=None), solved.done.runs[0]
+    c, p = done.system.deviation.shape
+    pieces = run.pieces
+    directions = beam_frame(pieces.xyz) @ done.pose.rotation.T
+    directions[1:] *= np.linalg.norm(pieces.xyz, axis=1)[:, None]
+    rows = np.einsum('cpi,kpi->kcp', done.system.axes, directions).reshape(3, -1)
+    gap = np.abs(pieces.time[:, None] - pieces.time)
+    covariance = np.zeros((c * p, c * p))
+    for row, (level, white, tau) in zip(rows, parts, strict=True):
+        x = pieces.duration / tau
+        half = 2 * np.sinh(0.5 * x) / x
+        shape = np.exp(-gap / tau) * np.outer(half, half)
+        np.fill_diagonal(shape, 2 * (x - 1 + np.exp(-x)) / x**2)
+        one = white**2 * np.diag(1 / pieces.count) + (level**2 - white**2) * shape
+        covariance += np.outer(row, row) * np.tile(one, (c, c))
+    component, leg = np.repeat(np.arange(c), p), np.tile(pieces.leg, c)
+    covariance *= (component[:, None] != component) & (leg[:, None] == leg)
+    weighed = _weighed_design(solved)
+    expected = weighed.T @ covariance @ weighed
+    found = noise_parts([run], solved.done).between
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    alike = replace(run, noise=NoiseModel(noise.range, noise.vertical, noise.vertical))
+    rest = noise_parts([alike], solved.done).between
+    assert np.abs(rest).max() < 0.2 * np.abs(found).max()
 
 
 def _source(solved, name):
@@ -210,10 +241,10 @@ def _drawn(solved):
 
 
 def _crossing(solved):
-    """C A'W S W A C for the noise that lines share across corners."""
+    """C A'W S W A C for the noise that lines share across corners, and rows within a line."""
     own = solved.done.solution.covariance
-    parts = noise_parts([solved.run], solved.done, [solved.state])
-    return own @ (parts.corners + parts.misfit_corners) @ own
+    parts = noise_parts([solved.run], solved.done)
+    return own @ (parts.between + parts.corners + parts.misfit_corners) @ own
 
 
 def test_noise_misfit_and_smoothness_add_up_to_the_posterior_covariance(solved):
@@ -265,7 +296,7 @@ def test_misfit_is_its_part_of_the_weights_alone(solved):
     one = MISFIT[0] ** 2 * np.eye(p) + MISFIT[1] ** 2 * lasting
     weighed = _weighed_design(solved).reshape(c, p, -1)
     within = own @ sum(part.T @ one @ part for part in weighed) @ own
-    parts = noise_parts([run], solved.done, [solved.state])
+    parts = noise_parts([run], solved.done)
     expected = within + own @ parts.misfit_corners @ own
     found = _source(solved, 'misfit')
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
@@ -289,11 +320,11 @@ def test_scatter_over_draws_of_coloured_noise_agrees_with_the_linear_u(cell, sol
 
     The truth stays, so that the bias of the prior does not scatter: noise alone does.
     """
-    config = SimulationConfig(rate=100.0)  # its colour is the one assumed without standstill
+    spec = NoiseModel.from_spec(cell.machine.tracker)
     run, values = solved.run, []
     xyz, order = run.recording.samples.xyz, nodes_of(solved.done)
     for draw in range(8):
-        noise = measure(xyz, cell.machine, config, np.random.default_rng([5, draw])) - xyz
+        noise = measure(xyz, spec, 100.0, np.random.default_rng([5, draw])) - xyz
         moved = run.pieces.xyz + run.pieces.mean_of(noise[run.pieces.samples])
         values.append(solve_again(solved, moved).solution.value[order])
     stated = np.diag(_source(solved, 'noise'))[order]

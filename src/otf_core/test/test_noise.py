@@ -5,16 +5,18 @@ import numpy as np
 import pytest
 from core_cells import some_machine
 
-from otf_core.config import SimulationConfig
+from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import TrackerSpec
 from otf_core.noise.model import (
+    NoiseComponent,
     NoiseModel,
     beam_shares,
     mean_covariance,
     path_frame,
     sample_variance,
 )
-from otf_core.sim.tracker import coloured_noise, measure
+from otf_core.sim.tracker import drawn as drawn_noise
+from otf_core.sim.tracker import measure
 
 
 def unit(vectors):
@@ -22,7 +24,8 @@ def unit(vectors):
 
 
 def variances(noise, distance, beam, a2, a3):
-    return sample_variance(noise, *beam_shares(distance, beam, np.stack([a2, a3])))[:, 0]
+    pose = RigidTransform(np.eye(3), np.zeros(3))
+    return sample_variance(noise, beam_shares(distance * beam, pose, np.stack([a2, a3])))[:, 0]
 
 
 def frames():
@@ -106,12 +109,10 @@ def test_noise_slower_than_a_window_does_not_average_out():
 )
 def test_covariance_of_means_is_that_of_the_simulated_noise(white_share, correlation_time):
     rate, size, windows = 1000.0, 32, 6
-    config = SimulationConfig(
-        rate=rate, correlated_share=1 - white_share, correlation_time=correlation_time
-    )
+    noise = NoiseComponent(1.0, np.sqrt(white_share), correlation_time)
     rng = np.random.default_rng(0)
     drawn = np.array([
-        coloured_noise(rng, size * windows, config).reshape(windows, size).mean(axis=1)
+        drawn_noise(noise, rng, size * windows, rate).reshape(windows, size).mean(axis=1)
         for _ in range(6000)
     ])  # fmt: skip
     time = size / rate * np.arange(windows)
@@ -124,10 +125,10 @@ def test_covariance_of_means_is_that_of_the_simulated_noise(white_share, correla
 
 def test_simulated_tracker_has_the_noise_of_its_specification():
     machine = some_machine()
-    config = SimulationConfig(correlated_share=0.0)
+    noise = NoiseModel.from_spec(machine.tracker, 1.0)
     point = np.array([[0.5, -0.8, 0.3]])
     n = 20_000
-    off = measure(np.tile(point, (n, 1)), machine, config, np.random.default_rng(0)) - point
+    off = measure(np.tile(point, (n, 1)), noise, 500.0, np.random.default_rng(0)) - point
     beam = unit(point[0])
     across = unit(np.cross(beam, [0.3, 0.2, 0.9]))
     distance = np.linalg.norm(point)
@@ -137,8 +138,8 @@ def test_simulated_tracker_has_the_noise_of_its_specification():
 
 
 def test_simulated_noise_has_unit_variance_and_the_stated_correlation():
-    config = SimulationConfig(rate=100.0, correlated_share=0.6, correlation_time=0.1)
-    noise = coloured_noise(np.random.default_rng(1), 200_000, config)
+    component = NoiseComponent(1.0, np.sqrt(0.4), 0.1)
+    noise = drawn_noise(component, np.random.default_rng(1), 200_000, 100.0)
     # some 10 000 independent values: 1 % for a variance or a correlation, 4 of them
     assert np.var(noise) == pytest.approx(1.0, abs=0.06)
     lag = 10  # 0.1 s

@@ -17,6 +17,7 @@ from otf_core.noise.model import (
     TIME,
     WHITE,
     Misfit,
+    NoiseComponent,
     NoiseModel,
     covariance_parts,
     misfit_of,
@@ -28,8 +29,10 @@ from otf_core.solving.normal import Whitener, leg_parts
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import layout
 
-NOISE = NoiseModel(1e-6, 2e-6, 0.5, 0.4, 0.3)
-START = np.array([0.0, 0.0, np.log(0.3), 2 * np.log(5e-8), 2 * np.log(5e-8)])
+RANGE = NoiseComponent(1e-6, 1e-6 * np.sqrt(0.5), 0.3)
+ANGLE = NoiseComponent(2e-6, 2e-6 * np.sqrt(0.4), 0.3)
+NOISE = NoiseModel(RANGE, ANGLE, ANGLE)
+START = np.array([0.0, 0.0, 0.0, 2 * np.log(5e-8), 2 * np.log(5e-8)])
 ZIGZAG = [(0, 0, 0), (1, 1, 0.2), (0.1, 0.9, 1), (0.9, 0, 1), (0, 0.5, 0.5)]
 
 
@@ -157,12 +160,12 @@ def test_estimates_that_took_up_noise_are_allowed_for():
 
 
 def test_the_prior_holds_what_residuals_do_not_show(short):
-    white = replace(NOISE, white_range=1.0, white_angle=1.0)
+    white = NoiseModel(*(replace(c, white=c.level) for c in NOISE))
     nothing = np.zeros((short.unknowns.full,) * 2)
     residual = 3e-6 * np.random.default_rng(3).standard_normal((2, len(short.pieces)))
     found = fit_noise(short.system, short.pieces, residual, white, nothing).logs
     assert found[SLOW] == 0.0
-    assert found[TIME] == pytest.approx(np.log(0.3))
+    assert found[TIME] == pytest.approx(0.0, abs=1e-12)
     few = rows_of(ZIGZAG[:2], 0.2)
     zero = np.zeros((few.unknowns.full,) * 2)
     alone = fit_noise(few.system, few.pieces, drawn(few, START, 4), NOISE, zero).logs
@@ -182,31 +185,31 @@ def test_sizes_stay_in_their_bounds(short, size):
 
 def test_factors_act_on_white_and_slow_variance_each_for_itself():
     found = scaled(NOISE, np.array([np.log(3.0), np.log(0.5), np.log(0.8), 0.0, 0.0]))
-    assert found.correlation_time == pytest.approx(0.8)
-    for u, share, old, before in (
-        (found.u_range, found.white_range, 1e-6, 0.5),
-        (found.u_angle, found.white_angle, 2e-6, 0.4),
-    ):
-        assert u**2 * share == pytest.approx(3.0 * old**2 * before)
-        assert u**2 * (1 - share) == pytest.approx(0.5 * old**2 * (1 - before))
+    for part, old, before in zip(found, (1e-6, 2e-6, 2e-6), (0.5, 0.4, 0.4), strict=True):
+        assert part.correlation_time == pytest.approx(0.8 * 0.3)
+        assert part.white**2 == pytest.approx(3.0 * old**2 * before)
+        assert part.slow**2 == pytest.approx(0.5 * old**2 * (1 - before))
 
 
 def test_parts_of_the_covariance_are_averages_of_the_processes_over_the_pieces():
     """Against sums over samples: white, Gauss-Markov of the tracker, and of 3 s."""
     time, duration, count = np.array([0.1, 0.35]), np.array([0.2, 0.3]), np.array([200, 300])
-    shares = np.array([0.6, 0.5]), np.array([0.8, 0.9])
-    found = covariance_parts(NOISE, Misfit(1e-7, 3e-7), shares, (time, duration, count))
+    shares = np.array([[0.6, 0.5], [0.8, 0.9], [-0.3, 0.2]])
     t = [c + d * ((np.arange(n) + 0.5) / n - 0.5)
          for c, d, n in zip(time, duration, count, strict=True)]  # fmt: skip
 
     def mean(tau):
         return np.array([[np.exp(-np.abs(a[:, None] - b) / tau).mean() for b in t] for a in t])
 
-    own = 1e-6 * shares[0], 2e-6 * shares[1]
-    white = (0.5 * own[0] ** 2 + 0.4 * own[1] ** 2) / count
-    slow = 0.5 * np.outer(own[0], own[0]) + 0.6 * np.outer(own[1], own[1])
+    vertical = NoiseComponent(3e-6, 3e-6 * np.sqrt(0.1), 0.8)
+    noise = NoiseModel(RANGE, ANGLE, vertical)
+    found = covariance_parts(noise, Misfit(1e-7, 3e-7), shares, (time, duration, count))
+    own = np.array([[1e-6], [2e-6], [3e-6]]) * shares
+    white = (0.5 * own[0] ** 2 + 0.4 * own[1] ** 2 + 0.1 * own[2] ** 2) / count
+    fast = 0.5 * np.outer(own[0], own[0]) + 0.6 * np.outer(own[1], own[1])
+    slow = fast * mean(0.3) + 0.9 * np.outer(own[2], own[2]) * mean(0.8)
     np.testing.assert_allclose(found[0], np.diag(white))
-    np.testing.assert_allclose(found[1], slow * mean(0.3), rtol=1e-4)
+    np.testing.assert_allclose(found[1], slow, rtol=1e-4)
     np.testing.assert_allclose(found[2], 1e-14 * np.eye(2))
     np.testing.assert_allclose(found[3], 9e-14 * mean(3.0), rtol=1e-4)
 

@@ -9,10 +9,10 @@ from core_cells import START_NS, some_machine
 
 from otf_core import cli
 from otf_core.bags.bag_writer import write_recording
-from otf_core.config import SimulationConfig
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.noise.model import NoiseModel
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
 from otf_core.reports.noise import format_noise, noise_to_dict
@@ -35,8 +35,8 @@ def stops(places, seconds, seed=0, rate=RATE, share=0.5, correlation_time=0.3, a
         if k < places - 1:
             rows.append(still[-1] + np.linspace(0, 0.1, int(0.3 * rate))[:, None] * [1, 0, 0])
     true = np.concatenate(rows)
-    config = SimulationConfig(rate=rate, correlated_share=share, correlation_time=correlation_time)
-    xyz = measure(true, some_machine(), config, rng)
+    noise = NoiseModel.from_spec(some_machine().tracker, 1.0 - share, correlation_time)
+    xyz = measure(true, noise, rate, rng)
     return Samples(START_NS + np.rint(np.arange(len(true)) / rate * 1e9).astype(np.int64), xyz)
 
 
@@ -44,7 +44,7 @@ def relative(noise):
     """Total and white part over what the machine of the tests specifies."""
     spec = some_machine().tracker
     size = np.array([spec.u_range, spec.u_angle, spec.u_angle])
-    return noise.total / size, noise.white / size
+    return noise.level / size, noise.white / size
 
 
 @pytest.mark.parametrize(
@@ -62,17 +62,17 @@ def test_level_and_colour_are_those_of_the_simulation(
     places, seconds, share, correlation_time, tolerance
 ):
     samples = stops(places, seconds, share=share, correlation_time=correlation_time)
-    noise = standstill_noise(samples, find_standstills(samples, SPEED), min_total=1.0)
+    noise = standstill_noise(samples, find_standstills(samples, SPEED), min_total=1.0).noise
     total, white = relative(noise)
     np.testing.assert_allclose(total, 1.0, atol=tolerance)
     np.testing.assert_allclose(white, np.sqrt(1 - share), atol=0.05)
-    assert 0.4 < noise.correlation_time / correlation_time < 2.5
+    assert 0.4 < noise.range.correlation_time / correlation_time < 2.5
 
 
 def test_white_noise_has_no_correlation_time():
     samples = stops(5, 4.0, share=0.0)
-    noise = standstill_noise(samples, find_standstills(samples, SPEED))
-    assert noise.correlation_time == 0.0
+    noise = standstill_noise(samples, find_standstills(samples, SPEED)).noise
+    assert [c.correlation_time for c in noise] == [0.0] * 3
     np.testing.assert_allclose(relative(noise)[0], 1.0, atol=0.05)
     assert 'the noise is white' in format_noise(noise_report(samples, SPEED))
 
@@ -83,8 +83,8 @@ def test_standstills_in_which_the_target_creeps_are_left_out():
 
     samples = stops(20, 2.0, add=creep)
     report = noise_report(samples, SPEED)
-    assert report.noise.left_out >= 8
-    np.testing.assert_allclose(relative(report.noise)[0], 1.0, atol=0.3)
+    assert report.measured.left_out >= 8
+    np.testing.assert_allclose(relative(report.measured.noise)[0], 1.0, atol=0.3)
 
 
 def test_settling_and_the_next_start_are_no_noise():
@@ -94,8 +94,12 @@ def test_settling_and_the_next_start_are_no_noise():
         return move[:, None] * [1.0, -0.5, 0.3]
 
     quiet, settled = (noise_report(stops(12, 3.0, add=a), SPEED) for a in (None, settling))
-    np.testing.assert_allclose(relative(settled.noise)[0], relative(quiet.noise)[0], rtol=0.15)
-    np.testing.assert_allclose(relative(settled.noise)[1], relative(quiet.noise)[1], rtol=0.05)
+    np.testing.assert_allclose(
+        relative(settled.measured.noise)[0], relative(quiet.measured.noise)[0], rtol=0.15
+    )
+    np.testing.assert_allclose(
+        relative(settled.measured.noise)[1], relative(quiet.measured.noise)[1], rtol=0.05
+    )
     assert settled.duration > 0.6 * quiet.duration
 
 
@@ -107,7 +111,7 @@ def test_a_step_is_told_and_is_no_noise():
     assert len(report.steps) == 1
     assert report.steps[0].size[0] == pytest.approx(15e-6, rel=0.1)
     assert report.steps[0].time == pytest.approx(2 * 4.3 + 1.5, abs=0.2)
-    np.testing.assert_allclose(relative(report.noise)[0], 1.0, atol=0.3)
+    np.testing.assert_allclose(relative(report.measured.noise)[0], 1.0, atol=0.3)
     assert '1 steps within standstills, the largest at 10.' in format_noise(report)
     assert not noise_report(stops(6, 4.0), SPEED).steps
 
@@ -119,7 +123,9 @@ def test_slow_drift_is_told_and_is_no_noise():
     steady, drifting = (noise_report(stops(1, 20.0, add=a), SPEED) for a in (None, drift))
     rates = [r.drift.change[0] / r.drift.duration for r in (steady, drifting)]
     assert rates[1] - rates[0] == pytest.approx(2e-6, rel=0.05)
-    np.testing.assert_allclose(drifting.noise.total, steady.noise.total, rtol=0.05)
+    np.testing.assert_allclose(
+        drifting.measured.noise.level, steady.measured.noise.level, rtol=0.05
+    )
 
 
 def test_lost_samples_leave_level_and_colour():
@@ -128,18 +134,19 @@ def test_lost_samples_leave_level_and_colour():
     kept = rng.random(len(samples)) > 0.1
     report = noise_report(Samples(samples.stamp_ns[kept], samples.xyz[kept]), SPEED)
     assert report.lost.samples == pytest.approx(np.sum(~kept), abs=3)
-    np.testing.assert_allclose(relative(report.noise)[0], 1.0, atol=0.2)
-    assert 0.5 < report.noise.correlation_time / 0.3 < 2.0
+    np.testing.assert_allclose(relative(report.measured.noise)[0], 1.0, atol=0.2)
+    assert 0.5 < report.measured.noise.range.correlation_time / 0.3 < 2.0
     assert '(10 %)' in format_noise(report)
 
 
 def test_rounding_to_a_micrometre_changes_levels_by_its_own_noise():
     samples = stops(10, 4.0, rate=100.0)
-    exact = noise_report(samples, SPEED).noise
-    rounded = noise_report(Samples(samples.stamp_ns, samples.xyz.round(6)), SPEED).noise
+    exact = noise_report(samples, SPEED).measured.noise
+    coarse = Samples(samples.stamp_ns, samples.xyz.round(6))
+    rounded = noise_report(coarse, SPEED).measured.noise
     own = 1e-6 / np.sqrt(12) / np.array([1.0, 1.3, 1.3])
     np.testing.assert_allclose(rounded.white**2, exact.white**2 + own**2, rtol=0.1)
-    np.testing.assert_allclose(rounded.total**2, exact.total**2 + own**2, rtol=0.1)
+    np.testing.assert_allclose(rounded.level**2, exact.level**2 + own**2, rtol=0.1)
 
 
 def test_held_points_are_told_from_rounded_ones():
@@ -164,7 +171,7 @@ def test_short_stops_give_a_noise_model_without_bias():
     for seed in range(12):
         samples = stops(100, 0.4, seed=seed, rate=100.0)
         noise = noise_model(samples, spec, SPEED)
-        slow = noise.u_angle**2 * (1 - noise.white_angle) * noise.correlation_time
+        slow = noise.vertical.slow**2 * noise.vertical.correlation_time
         ratio.append(slow / (spec.u_angle**2 * 0.5 * 0.3))
     # what a mean over a long leg keeps of the noise: variance of the slow part times its time
     assert abs(np.median(ratio) - 1.0) < 0.1
@@ -177,20 +184,20 @@ def test_little_standstill_does_not_contradict_the_specified_level():
         noise_model(stops(2, 3.0, seed=s, share=0.93, correlation_time=1.0), spec, SPEED)
         for s in range(10)
     ]
-    assert sum(m.u_angle == spec.u_angle for m in models) >= 9
+    assert sum(m.vertical.level == spec.u_angle for m in models) >= 9
 
 
 def test_a_held_point_is_no_quiet_standstill():
     samples = stops(8, 3.0)
     samples.xyz[:1600] = samples.xyz[0]  # the first stop
-    noise = standstill_noise(samples, find_standstills(samples, SPEED))
-    assert noise.standstills == 7
-    np.testing.assert_allclose(relative(noise)[0], 1.0, atol=0.3)
+    seen = standstill_noise(samples, find_standstills(samples, SPEED))
+    assert seen.windows == 7
+    np.testing.assert_allclose(relative(seen.noise)[0], 1.0, atol=0.3)
 
 
 def test_recordings_of_one_tracker_agree_within_their_stated_uncertainties():
     reports = [noise_report(stops(1, 15.0, seed=s, rate=250.0), SPEED) for s in range(6)]
-    levels = np.array([r.noise.total for r in reports])
+    levels = np.array([r.measured.noise.level for r in reports])
     stated = np.array([r.u_total for r in reports])
     # jackknife of ten groups: itself known to some 30 %
     assert 0.5 < np.mean(levels.std(axis=0, ddof=1) / stated.mean(axis=0)) < 2.0
@@ -214,13 +221,13 @@ def test_noise_without_vibration_shows_no_peaks():
 def test_heavy_tails_are_told_from_normal_ones():
     rng = np.random.default_rng(0)
     samples = stops(4, 5.0, share=0.0)
-    normal = noise_report(samples, SPEED).tails
+    normal = noise_report(samples, SPEED).measured.tails
     assert all(t.freedom is None and abs(t.excess_kurtosis) < 0.2 for t in normal)
     beam = samples.xyz / np.linalg.norm(samples.xyz, axis=1, keepdims=True)
     heavy = Samples(
         samples.stamp_ns, samples.xyz + 2e-6 * rng.standard_t(4, len(beam))[:, None] * beam
     )
-    tail = noise_report(heavy, SPEED).tails[0]
+    tail = noise_report(heavy, SPEED).measured.tails[0]
     assert tail.excess_kurtosis > 1.0
     assert 3.0 < tail.freedom < 6.0
 

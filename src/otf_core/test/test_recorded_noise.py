@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from core_cells import START_NS, some_machine
 
-from otf_core.config import SimulationConfig
 from otf_core.model.observation import Samples
+from otf_core.noise.model import NoiseModel
 from otf_core.noise.report import noise_report
 from otf_core.reports.noise import format_noise
 from otf_core.sim.tracker import measure
@@ -84,10 +84,10 @@ def test_noise_across_the_beam_grows_with_distance_as_the_simulated_one():
     distance = np.concatenate([s[0] for s in SESSIONS.values()])
     across = np.concatenate([s[2] for s in SESSIONS.values()])
     simulated = []
-    rng = np.random.default_rng(5)
+    rng, noise = np.random.default_rng(5), NoiseModel.from_spec(some_machine().tracker)
     for length in distance:
         true = np.tile([0.6 * length, 0.7 * length, 0.39 * length], (50, 1))
-        noisy = measure(true, some_machine(), SimulationConfig(rate=100.0), rng)
+        noisy = measure(true, noise, 100.0, rng)
         variance = np.linalg.eigvalsh(np.cov(noisy.T))
         simulated.append(1e6 * np.sqrt(0.5 * variance[1:].sum()))
     assert growth(distance, across) == pytest.approx(1.0, abs=0.2)

@@ -125,10 +125,13 @@ def test_positions_lie_on_their_legs_even_with_errors_along_them():
 def test_normal_equations_of_independent_samples_are_the_weighted_sums_of_the_paper():
     machine = some_machine()
     truth = random_tables(machine, 2e-5, np.random.default_rng(4))
-    pieces, unknowns, system = system_of(machine, truth)
+    pose = transform_pose(machine, 0)
+    pieces, unknowns, system = system_of(machine, truth, pose)
     found = normal_equations(system, unknowns, Whitener.of(system, pieces, white(machine)))
     spec = machine.tracker
-    variance = (spec.u_range * system.along) ** 2 + (spec.u_angle * system.across) ** 2
+    reach = np.linalg.norm(pieces.xyz, axis=1)
+    cosine = np.einsum('cpi,pi->cp', system.axes, pose.rotate(pieces.xyz)) / reach
+    variance = (spec.u_range * cosine) ** 2 + (spec.u_angle * reach) ** 2 * (1 - cosine**2)
     weight = 1 / (variance / pieces.count + MODEL_FLOOR**2).reshape(-1)
     rows = system.design.toarray() @ unknowns.gauge.toarray()
     matrix = rows.T @ (weight[:, None] * rows)

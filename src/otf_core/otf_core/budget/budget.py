@@ -21,7 +21,6 @@ from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_
 from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.runs import Run
-from otf_core.solving.columns import piece_state
 from otf_core.solving.folds import leg_numbers
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.residual_check import ResidualCheck, check_residuals
@@ -151,17 +150,13 @@ def make_budget(
         Of the unknowns themselves; ``rows`` are to be set to those of the tables.
     """
     own = done.solution.covariance
-    states = [
-        piece_state(r, s, done.unknowns.knots, tables)
-        for r, s in zip(runs, done.runs, strict=True)
-    ]
     check = whole_check(runs, done, [s.residual for s in done.runs])
-    parts = noise_parts(runs, done, states)
+    parts = noise_parts(runs, done)
     gauge = done.unknowns.gauge
     smooth = _prior_part(done)
     drawn = gauge @ done.roughness.drawn
     misfit = own @ parts.misfit @ own
-    noise = own - misfit - smooth + own @ parts.corners @ own
+    noise = own - misfit - smooth + own @ (parts.corners + parts.between) @ own
     misfit += own @ parts.misfit_corners @ own + (check.inflation - 1.0) * (own - smooth)
     dof = residual_freedom(done, check.correlation_factor) + standstill_freedom(runs, speed)
     found = [(NOISE, noise, dof), (MISFIT, misfit, dof)]

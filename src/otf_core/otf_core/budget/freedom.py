@@ -51,7 +51,8 @@ def standstill_freedom(runs: Sequence[Run], speed: float) -> float:
             continue
         found = find_standstills(samples, speed)
         length = float(np.diff(found, axis=1).sum()) * samples.step
-        total += length / run.noise.correlation_time if length >= MIN_TOTAL else 0.0
+        slowest = max(c.correlation_time for c in run.noise)
+        total += length / slowest if length >= MIN_TOTAL else 0.0
     return total
 
 

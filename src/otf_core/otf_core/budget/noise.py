@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the weights do not say about the noise: its parts, and its correlation across corners.
 
-The weights W take lines as independent and hold, besides the noise of the tracker, the misfit.
-With the covariance C of the estimates and S of any part of the noise, that part makes
+The weights W take lines, and the rows of a line, as independent and hold, besides the noise of the
+tracker, the misfit. With the covariance C of the estimates and S of any part of the noise, that
+part makes
 
     C  A^T W S W A  C
 
@@ -15,13 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.effects import State
-from otf_core.effects.beam import beam_of
-from otf_core.noise.model import MISFIT_TIME
+from otf_core.noise.model import MISFIT_TIME, NoiseModel, noise_covariance
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.solving.normal import fill_rows, leg_parts, weighted
@@ -37,38 +37,41 @@ class NoiseParts:
     ----------
     misfit : ndarray, shape (full, full)
         Of the misfit within lines.
+    between : ndarray, shape (full, full)
+        Of the covariance of tracker noise between the rows of one line.
     corners, misfit_corners : ndarray, shape (full, full)
         Of the covariance between different lines: noise of the tracker, lasting misfit.
     """
 
     misfit: Array
+    between: Array
     corners: Array
     misfit_corners: Array
 
 
-def slow_amplitudes(run: Observed, solved: SolvedRun, state: State) -> Array:
+def slow_amplitudes(run: Observed, solved: SolvedRun) -> Array:
     """Slow noise of range and two angles in every row, shape (c, p, 3), m."""
-    noise, beam = run.noise_and_misfit[0], beam_of(state)
-    level = np.sqrt([
-        noise.u_range**2 * (1.0 - noise.white_range),
-        *[noise.u_angle**2 * (1.0 - noise.white_angle)] * 2,
-    ])  # fmt: skip
-    reach = beam.distance[:, None]
-    directions = np.stack([beam.e_r, beam.e_h * reach, beam.e_v * reach], axis=2)
-    rows = np.einsum('cij,ijk->cik', solved.system.axes, directions)
-    return np.asarray(rows * level * _smoothed(run.pieces.duration, noise.correlation_time))
+    noise = run.noise_and_misfit[0]
+    level = np.array([c.slow for c in noise])
+    smoothed = _smoothed(run.pieces.duration, _times(noise))
+    return np.asarray(np.moveaxis(solved.system.shares, 0, 2) * level * smoothed)
 
 
-def _smoothed(duration: Array, time: float) -> Array:
-    """Weight of slow noise in means over windows (p,), s, in covariances between them."""
-    x = np.maximum(duration / time, 1e-6)
-    return np.asarray(np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x))[:, None]
+def _times(noise: NoiseModel) -> Array:
+    """Correlation times, shape (3,), s; where there is none any will do."""
+    return np.array([c.correlation_time or MISFIT_TIME for c in noise])
+
+
+def _smoothed(duration: Array, time: Array) -> Array:
+    """Weight of slow noise in means over windows (p,), s, in covariances between them, (p, k)."""
+    x = np.maximum(duration[:, None] / time, 1e-6)
+    return np.asarray(np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x))
 
 
 class _Chain:
     """Sum over pairs of lines of tail and head vectors, decaying with the time between."""
 
-    def __init__(self, size: int, correlation_time: float) -> None:
+    def __init__(self, size: int, correlation_time: Array) -> None:
         self._tail = np.zeros((size, 3))
         self._end = -np.inf
         self._tau = correlation_time
@@ -77,12 +80,13 @@ class _Chain:
     def add(self, rows: Array, slow: Array, time: Array) -> None:
         """Add a line: W A (c, m, size), slow amplitudes (c, m, 3), times (m,)."""
         flat = rows.reshape(-1, rows.shape[2]).T
-        early = np.exp((time[0] - time) / self._tau)[:, None]
-        late = np.exp((time - time[-1]) / self._tau)[:, None]
+        early = np.exp((time[0] - time)[:, None] / self._tau)
+        late = np.exp((time - time[-1])[:, None] / self._tau)
         head, tail = flat @ (slow * early).reshape(-1, 3), flat @ (slow * late).reshape(-1, 3)
-        gap = np.exp(min(0.0, (self._end - time[0]) / self._tau))
+        gap = np.exp(np.minimum(0.0, (self._end - time[0]) / self._tau))
         self._pairs.append((gap * self._tail, head))
-        self._tail = self._tail * np.exp(min(0.0, (self._end - time[-1]) / self._tau)) + tail
+        later = np.exp(np.minimum(0.0, (self._end - time[-1]) / self._tau))
+        self._tail = self._tail * later + tail
         self._end = float(time[-1])
 
     @property
@@ -93,37 +97,47 @@ class _Chain:
         return np.asarray(half + half.T)
 
 
-def noise_parts(
-    runs: Sequence[Observed], done: JointSolution, states: Sequence[State]
-) -> NoiseParts:
-    """Sum up the misfit and the covariance between lines.
+def _between(run: Observed, solved: SolvedRun, leg: int, rows: Array) -> Array:
+    """Part of the covariance between the rows of one line, for W A (c, m, size) of it."""
+    low, high = solved.whitener.bounds[leg]
+    part, pieces, noise = slice(low, high), run.pieces, run.noise_and_misfit[0]
+    windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
+    shares = solved.system.shares[:, :, part]
+    half = np.zeros((rows.shape[2],) * 2)
+    for a, b in combinations(range(len(rows)), 2):
+        white, slow = noise_covariance(noise, shares[:, a], shares[:, b], windows)
+        half += rows[a].T @ ((white + slow) @ rows[b])
+    return half + half.T
+
+
+def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
+    """Sum up the misfit and the covariance that the weights leave out.
 
     Parameters
     ----------
     runs : sequence of Observed
     done : JointSolution
         Of the same runs.
-    states : sequence of State
-        Of their pieces.
     """
     size = done.unknowns.full
-    within, corners, lasting = (np.zeros((size, size)) for _ in range(3))
-    for run, solved, state in zip(runs, done.runs, states, strict=True):
+    within, between, corners, lasting = (np.zeros((size, size)) for _ in range(4))
+    for run, solved in zip(runs, done.runs, strict=True):
         noise, misfit = run.noise_and_misfit
-        slow = slow_amplitudes(run, solved, state)
-        shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, MISFIT_TIME)
-        chains = _Chain(size, noise.correlation_time), _Chain(size, MISFIT_TIME)
-        for (low, high), leg in zip(solved.whitener.bounds, solved.whitener.factors, strict=True):
+        slow, lasts = slow_amplitudes(run, solved), np.array([MISFIT_TIME])
+        shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, lasts)
+        chains = _Chain(size, _times(noise)), _Chain(size, lasts)
+        for leg, (low, high) in enumerate(solved.whitener.bounds):
             rows = np.zeros((len(solved.system.axes), high - low, size))
-            for component, factor in enumerate(leg):
+            for component, factor in enumerate(solved.whitener.factors[leg]):
                 fill_rows(rows[component], solved.system.design, component * len(run.pieces) + low)
                 parts = leg_parts(solved.system, run.pieces, noise, misfit, component, low, high)
                 part = weighted(factor, rows[component])
                 within += part.T @ ((parts[2] + parts[3]) @ part)
                 rows[component] = part
+            between += _between(run, solved, leg, rows)
             time = run.pieces.time[low:high]
             chains[0].add(rows, slow[:, low:high], time)
             chains[1].add(rows, shared[:, low:high], time)
         corners += chains[0].total
         lasting += chains[1].total
-    return NoiseParts(within, corners, lasting)
+    return NoiseParts(within, between, corners, lasting)

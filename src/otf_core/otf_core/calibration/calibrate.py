@@ -201,9 +201,7 @@ def _run_result(
 ) -> RunResult:
     rigid = rigid_pose(run.pieces, run.pose, config)  # that of a solution holds its gauge
     before = build_system(run.machine, run.pieces, rigid, unknowns)
-    specified = sample_variance(
-        NoiseModel.from_spec(run.machine.tracker), solved.system.along, solved.system.across
-    )
+    specified = sample_variance(NoiseModel.from_spec(run.machine.tracker), solved.system.shares)
     return RunResult(
         name=Path(run.recording.name).name,
         target_offset=run.machine.target_offset,

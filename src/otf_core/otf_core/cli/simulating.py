@@ -93,7 +93,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
     judged = parameters(ForecastConfig, arguments)
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
-    from otf_core.planning.job import PlanRequest, make_plan, read_noise, read_place
+    from otf_core.noise.fields import read_noise
+    from otf_core.planning.job import PlanRequest, make_plan, read_place
     from otf_core.planning.nc import DIALECTS
     from otf_core.reports.plan import format_report, write_report
 

@@ -128,10 +128,10 @@ def find_step(model: Model, run: int) -> Step | None:
 
 def _level(run: Run) -> float:
     """Noise of a single sample, as specified or as measured if that is more, m."""
-    spec, noise = run.machine.tracker, run.noise
+    spec, measured = run.machine.tracker, run.noise.level
     distance = float(np.median(np.linalg.norm(run.pieces.xyz, axis=1)))
-    u_angle = max(spec.u_angle, noise.u_angle)
-    return float(np.hypot(max(spec.u_range, noise.u_range), u_angle * distance))
+    u_angle = max(spec.u_angle, *measured[1:])
+    return float(np.hypot(max(spec.u_range, measured[0]), u_angle * distance))
 
 
 def _is_peak(profile: Profile, best: int, pieces: int, *, clear: bool) -> bool:

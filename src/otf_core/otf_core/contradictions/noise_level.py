@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.model import Model
@@ -11,6 +12,8 @@ from otf_core.model.observation import Samples
 from otf_core.noise.standstill import find_standstills, standstill_noise
 from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.runs import Run
+
+Array = NDArray[np.float64]
 
 ABOVE, BELOW = 5.0, 1.0 / 15.0
 """Measured over specified noise that contradicts: trackers are often better than specified."""
@@ -28,25 +31,26 @@ MANY, TOO_MANY = 0.1, 0.3
 """Share of outliers from which on they are named; from which on the result is not relied on."""
 
 
-def measured_noise(samples: Samples, speed: float) -> tuple[float, float, str]:
-    """Level of range and angles: at standstill, else from one sample to the next.
+def measured_noise(samples: Samples, speed: float) -> tuple[Array, str]:
+    """Level of range and two angles: at standstill, else from one sample to the next.
 
     Returns
     -------
-    range, angle : float, m and rad
+    level : ndarray, shape (3,), m, rad, rad
     where : str
         In words.
     """
     seen = standstill_noise(samples, find_standstills(samples, speed))
     if seen is not None:
-        return float(seen.total[0]), float(np.sqrt(np.mean(seen.total[1:] ** 2))), 'at standstill'
+        return seen.noise.level, 'at standstill'
     third = np.diff(samples.xyz, 3, axis=0)
     middle = samples.xyz[1:-2]
     distance = np.linalg.norm(middle, axis=1)
     along = np.einsum('ij,ij->i', third, middle) / distance
     across = np.linalg.norm(np.cross(middle / distance[:, None], third), axis=1) / distance
     u_range = float(np.median(np.abs(along))) / NORMAL_MEDIAN / THIRD
-    return u_range, float(np.median(across)) / 1.1774 / THIRD, 'from sample to sample'
+    u_angle = float(np.median(across)) / 1.1774 / THIRD
+    return np.array([u_range, u_angle, u_angle]), 'from sample to sample'
 
 
 def outlying(samples: Samples) -> tuple[float, float]:
@@ -78,8 +82,8 @@ def check_noise_level(model: Model, config: CalibrationConfig) -> list[Finding]:
 
 def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
     spec = run.machine.tracker
-    u_range, u_angle, where = measured_noise(run.recording.samples, config.standstill_speed)
-    ratios = (u_range / spec.u_range, u_angle / spec.u_angle)
+    level, where = measured_noise(run.recording.samples, config.standstill_speed)
+    ratios = level / np.array([spec.u_range, spec.u_angle, spec.u_angle])
     name = f'{run.recording.name}: ' if run.recording.name else ''
     share, size = outlying(run.recording.samples)
     if max(ratios) > ABOVE and share > MANY:
@@ -95,8 +99,8 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
     else:
         return None
     return Finding('noise', WARNING, (
-        f'{name}noise measured {where} is {1e6 * u_range:.3g} um along the beam and '
-        f'{1e6 * u_angle:.3g} urad across, much {kind} than u_range {1e6 * spec.u_range:.3g} um '
-        f'and u_angle {1e6 * spec.u_angle:.3g} urad of machine.yaml; check the unit there '
-        f'(m and rad), and the tracker'
+        f'{name}noise measured {where} is {1e6 * level[0]:.3g} um along the beam, '
+        f'{1e6 * level[1]:.3g} urad and {1e6 * level[2]:.3g} urad across, much {kind} than '
+        f'u_range {1e6 * spec.u_range:.3g} um and u_angle {1e6 * spec.u_angle:.3g} urad '
+        f'of machine.yaml; check the unit there (m and rad), and the tracker'
     ))  # fmt: skip

@@ -103,17 +103,14 @@ def _mean_variance(white: float, time: float, duration: Array, count: Array) -> 
     return np.asarray(white / count + (1.0 - white) * slow)
 
 
-def _sigma(run: Run, along: Array, across: Array) -> Array:
+def _sigma(run: Run, shares: Array) -> Array:
     pieces, noise = run.pieces, run.noise
-    variance = np.full(along.shape, FLOOR**2)
-    for level, white, share in (
-        (noise.u_range, noise.white_range, along),
-        (noise.u_angle, noise.white_angle, across),
-    ):
+    variance = np.full(shares.shape[1:], FLOOR**2)
+    for part, share in zip(noise, shares, strict=True):
         mean = _mean_variance(
-            white, noise.correlation_time, pieces.duration, pieces.count.astype(float)
+            part.white_share, part.correlation_time, pieces.duration, pieces.count.astype(float)
         )
-        variance += (level * share) ** 2 * mean
+        variance += (part.level * share) ** 2 * mean
     return np.asarray(np.sqrt(variance))
 
 
@@ -128,7 +125,6 @@ def _of_run(run: Run, number: int) -> dict[str, Array]:
         along = np.einsum('ij,ij->i', points - pieces.origin, pieces.direction)
         q = pieces.origin + along[:, None] * pieces.direction
         axes = np.stack(path_frame(pieces.direction, beam))
-    shares = beam_shares(distance, beam, axes)
     return {
         'run': np.full(len(pieces), number),
         'time': pieces.time,
@@ -140,7 +136,7 @@ def _of_run(run: Run, number: int) -> dict[str, Array]:
         'offset': np.tile(run.machine.target_offset, (len(pieces), 1)),
         'axes': axes,
         'deviation': np.einsum('cpi,pi->cp', axes, points - q),
-        'sigma': _sigma(run, *shares),
+        'sigma': _sigma(run, beam_shares(pieces.xyz, run.pose, axes)),
     }
 
 

@@ -66,7 +66,8 @@ def sample_noise(runs: Sequence[Run]) -> float:
     found = []
     for run in runs:
         distance = np.linalg.norm(run.pieces.xyz, axis=1)
-        found.append(float(np.hypot(run.noise.u_range, run.noise.u_angle * distance.max())))
+        level = run.noise.level
+        found.append(float(np.hypot(level[0], level[1:].max() * distance.max())))
     return max(found)
 
 

@@ -91,7 +91,7 @@ def _noise_cause(noise: NoiseFinding, before_um: float, after_um: float) -> Name
         before_um=before_um,
         after_um=after_um,
         shrink_percent=shrink_percent(before_um, after_um),
-        confidence=0.95,
+        confidence=noise.confidence,
         indistinguishable_from=(),
     )
 

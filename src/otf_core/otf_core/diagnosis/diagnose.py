@@ -210,16 +210,11 @@ def _table_change_um(calibration: EffectsCalibration) -> float:
 
 def _conditions(solved: SolvedRecordings, plain: CalibrationResult) -> dict[str, str]:
     first = solved.runs[0]
-    noise = first.noise
     return {
         'machine': first.machine.name,
         'chain': str(first.machine.chain),
         'samples': ', '.join(str(r.samples) for r in plain.runs),
         'path pieces': ', '.join(str(len(r.pieces)) for r in plain.runs),
         'reversal in the calibration': plain.reversal.model,
-        'tracker noise, as measured in standstills': (
-            f'{1e6 * noise.u_range:.2f} um along the beam, {1e6 * noise.u_angle:.2f} urad across, '
-            f'{100 * noise.white_angle:.0f} % white, correlated over '
-            f'{noise.correlation_time:.2f} s'
-        ),
+        'tracker noise, as measured in standstills': str(first.noise),
     }

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.noise.model import NoiseComponent
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -26,25 +28,10 @@ TYPICAL_TIME, SPREAD = 0.3, 10.0
 (docs/noise.md). Decides only where the recording does not."""
 PASSES = 5
 """Of the fit; each weighs with the model of the one before."""
+NO_COLOUR = 0.02
+"""Share of the variance below which a slow part is not told from none."""
 SHORTEST_TIME, LONGEST_TIME = 0.01, 2.0
 """s; correlation times looked for, further limited by the interval and length of the windows."""
-
-
-@dataclass(frozen=True)
-class Colour:
-    """Variances of the white and the slow part of each of several quantities.
-
-    Attributes
-    ----------
-    white, slow : ndarray, shape (c,)
-        Variances.
-    correlation_time : float
-        s, common to all quantities.
-    """
-
-    white: Array
-    slow: Array
-    correlation_time: float
 
 
 @dataclass(frozen=True)
@@ -118,8 +105,10 @@ def longest_time(windows: Sequence[Array], step: float) -> float:
     return max(longest, 2 * step)
 
 
-def fit_colour(windows: Sequence[Array], step: float) -> Colour:
-    """Fit white and slow noise.
+def fit_colour(windows: Sequence[Array], step: float) -> tuple[NoiseComponent, ...]:
+    """Fit white and slow noise, with one correlation time for all quantities.
+
+    Short windows tell the time too badly to ask each quantity for its own.
 
     Parameters
     ----------
@@ -130,7 +119,9 @@ def fit_colour(windows: Sequence[Array], step: float) -> Colour:
 
     Returns
     -------
-    Colour
+    tuple of NoiseComponent
+        One for each of the c quantities. Where the slow part of all is next to nothing, none
+        has a correlation time.
     """
     seen = variogram(windows)
 
@@ -139,5 +130,9 @@ def fit_colour(windows: Sequence[Array], step: float) -> Colour:
         best = int(np.argmin(_fits(seen, step, times)[0]))
         centre = times[best]
         times = np.geomspace(times[max(best - 1, 0)], times[min(best + 1, len(times) - 1)], 13)
-    _, white, slow = _fits(seen, step, np.array([centre]))
-    return Colour(white[0], slow[0], float(centre))
+    _, (white,), (slow,) = _fits(seen, step, np.array([centre]))
+    total, time = white + slow, float(centre)
+    if not np.any(slow > NO_COLOUR * total):
+        white, time = total, 0.0
+    levels = zip(np.sqrt(total), np.sqrt(white), strict=True)
+    return tuple(NoiseComponent(float(u), float(w), time) for u, w in levels)

@@ -1,25 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracker noise: from range and angle noise of samples to the covariance of path pieces.
 
-Along the beam u_range, across it u_angle * range (paper Eq. 8-10, derived anew in
-docs/formulation.md since Eq. 4 prints the path direction where the beam direction belongs).
-Samples are not independent: each variance has a white part and a part that is correlated in time
-(first-order Gauss-Markov). ``NoiseModel`` is the one place that knows how noise averages out.
+Along the beam noise of the range, across it noise of two angles times range (paper Eq. 8-10,
+derived anew in docs/formulation.md since Eq. 4 prints the path direction where the beam direction
+belongs).
+Samples are not independent: each of range and two angles has a white part and a part that is
+correlated in time (first-order Gauss-Markov). ``NoiseModel`` is what specification, standstills,
+noise.json, simulator and weights share; how noise averages out is known here alone.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.beam_frame import beam_frame
+from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import TrackerSpec
 
 Array = NDArray[np.float64]
 Windows = tuple[Array, Array, NDArray[np.int64]]
 """Mean time, duration (s) and number of samples of pieces."""
 
+QUANTITIES = ('range', 'horizontal angle', 'vertical angle')
 TYPICAL_WHITE_SHARE = 0.5
 TYPICAL_CORRELATION_TIME = 0.3
 """Taken where a run has too little standstill to tell: real trackers show 0.1 s to 0.5 s."""
@@ -32,31 +39,106 @@ MISFIT_TIME = 3.0
 
 
 @dataclass(frozen=True)
-class NoiseModel:
-    """Noise of single samples.
+class NoiseComponent:
+    """Noise of the range or of one angle, in single samples.
 
     Attributes
     ----------
-    u_range : float
-        m, total standard deviation along the beam.
-    u_angle : float
-        rad, total standard deviation of each angle.
-    white_range, white_angle : float
-        Shares of these variances that are independent from sample to sample.
+    level : float
+        m or rad, total standard deviation over a second or more.
+    white : float
+        m or rad, standard deviation of the part that is independent from sample to sample.
     correlation_time : float
-        s, of the rest.
+        s, of the rest; zero where there is none.
+    dof : float, optional
+        Degrees of freedom of Student's t that the white part follows; None: normal.
     """
 
-    u_range: float
-    u_angle: float
-    white_range: float = TYPICAL_WHITE_SHARE
-    white_angle: float = TYPICAL_WHITE_SHARE
+    level: float
+    white: float
     correlation_time: float = TYPICAL_CORRELATION_TIME
+    dof: float | None = None
+
+    @property
+    def white_share(self) -> float:
+        """Share of the variance that is independent from sample to sample."""
+        return (self.white / self.level) ** 2 if self.level > 0 else 1.0
+
+    @property
+    def slow(self) -> float:
+        """Standard deviation of the part that is correlated in time, m or rad."""
+        return math.sqrt(max(self.level**2 - self.white**2, 0.0))
+
+    def times(self, white: float, slow: float, time: float) -> NoiseComponent:
+        """Return the noise with factors on both variances and on the correlation time."""
+        own, rest = self.white**2 * white, self.slow**2 * slow
+        return NoiseComponent(
+            math.sqrt(own + rest), math.sqrt(own), self.correlation_time * time, self.dof
+        )
+
+    def at_most(self, level: float) -> NoiseComponent:
+        """Return the same noise, no louder than a level."""
+        factor = min(1.0, level / self.level) if self.level > 0 else 1.0
+        return replace(self, level=self.level * factor, white=self.white * factor)
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise of single samples: range and two angles, independent of each other.
+
+    Attributes
+    ----------
+    range : NoiseComponent
+        m, along the beam.
+    horizontal, vertical : NoiseComponent
+        rad, of the beam itself about the two axes across it (``model.beam_frame``).
+    """
+
+    range: NoiseComponent
+    horizontal: NoiseComponent
+    vertical: NoiseComponent
 
     @classmethod
-    def from_spec(cls, spec: TrackerSpec) -> NoiseModel:
-        """Levels as specified in machine.yaml, colour as typical."""
-        return cls(spec.u_range, spec.u_angle)
+    def from_spec(
+        cls,
+        spec: TrackerSpec,
+        white_share: float = TYPICAL_WHITE_SHARE,
+        correlation_time: float = TYPICAL_CORRELATION_TIME,
+    ) -> NoiseModel:
+        """Levels as specified in machine.yaml, colour as typical if not given, no tails."""
+        parts = [
+            NoiseComponent(u, u * math.sqrt(white_share), correlation_time)
+            for u in (spec.u_range, spec.u_angle)
+        ]
+        return cls(parts[0], parts[1], parts[1])
+
+    def at_most(self, spec: TrackerSpec) -> NoiseModel:
+        """Return the same with levels no higher than specified; colour and tails stay."""
+        limits = (spec.u_range, spec.u_angle, spec.u_angle)
+        return NoiseModel(*(c.at_most(u) for c, u in zip(self, limits, strict=True)))
+
+    def __iter__(self) -> Iterator[NoiseComponent]:
+        """Range, horizontal angle, vertical angle."""
+        return iter((self.range, self.horizontal, self.vertical))
+
+    @property
+    def level(self) -> Array:
+        """Total standard deviations, shape (3,), m, rad, rad."""
+        return np.array([c.level for c in self])
+
+    @property
+    def white(self) -> Array:
+        """Standard deviations of the white parts, shape (3,), m, rad, rad."""
+        return np.array([c.white for c in self])
+
+    def __str__(self) -> str:
+        """Return the components in words."""
+        return '; '.join(
+            f'{name} {1e6 * c.level:.2f} {unit}, {100 * c.white_share:.0f} % white'
+            + (f', rest over {c.correlation_time:.2f} s' if c.slow else '')
+            + (f", tails of Student's t({c.dof:.0f})" if c.dof else '')
+            for name, unit, c in zip(QUANTITIES, ('um', 'urad', 'urad'), self, strict=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -77,20 +159,13 @@ class Misfit:
 
 WHITE, SLOW, TIME, INDEPENDENT, LASTING = range(5)
 """Places of five logarithms: factors on the white and on the slow variance of the tracker's noise,
-its correlation time (s), variances of the misfit (m^2)."""
+its correlation times, variances of the misfit (m^2)."""
 
 
 def scaled(noise: NoiseModel, logs: Array) -> NoiseModel:
-    """Noise with its white and slow variances multiplied and another correlation time."""
-    white, slow = np.exp(logs[WHITE]), np.exp(logs[SLOW])
-
-    def level(u: float, share: float) -> tuple[float, float]:
-        own, rest = u**2 * share * white, u**2 * (1.0 - share) * slow
-        return float(np.sqrt(own + rest)), float(own / max(own + rest, 1e-300))
-
-    u_range, white_range = level(noise.u_range, noise.white_range)
-    u_angle, white_angle = level(noise.u_angle, noise.white_angle)
-    return NoiseModel(u_range, u_angle, white_range, white_angle, float(np.exp(logs[TIME])))
+    """Noise with its white and slow variances and its correlation times multiplied."""
+    white, slow, time = (float(f) for f in np.exp(logs[:INDEPENDENT]))
+    return NoiseModel(*(c.times(white, slow, time) for c in noise))
 
 
 def misfit_of(logs: Array) -> Misfit:
@@ -127,44 +202,72 @@ def path_frame(direction: Array, beam: Array) -> tuple[Array, Array]:
     return a2, np.cross(direction, a2)
 
 
-def beam_shares(distance: Array, beam: Array, axes: Array) -> tuple[Array, Array]:
-    """How range and angle noise enter the two perpendicular components.
+def beam_shares(xyz: Array, pose: RigidTransform, axes: Array) -> Array:
+    """How the noise of range and two angles enters the rows of pieces.
 
     Parameters
     ----------
-    distance : ndarray, shape (p,), m
-    beam : ndarray, shape (p, 3)
-        Unit vectors.
-    axes : ndarray, shape (2, p, 3)
-        a2 and a3.
+    xyz : ndarray, shape (p, 3), m
+        Points in the tracker frame.
+    pose : RigidTransform
+        Tracker to machine.
+    axes : ndarray, shape (c, p, 3)
+        Directions of the rows in the machine frame.
 
     Returns
     -------
-    along : ndarray, shape (2, p)
-        Component per m of range noise (paper Eq. 4 with the beam direction).
-    across : ndarray, shape (2, p), m
-        Component per rad of angle noise. a3 is perpendicular to the beam, so the noise of the
-        two components is not correlated.
+    ndarray, shape (3, c, p)
+        Row per m of range noise (paper Eq. 4 with the beam direction), and in m per rad of
+        horizontal and of vertical angle noise.
     """
-    along = np.einsum('kij,ij->ki', axes, beam)
-    return along, distance * np.sqrt(np.maximum(1.0 - along**2, 0.0))
+    distance, along, horizontal, vertical = beam_frame(xyz)
+    reach = distance[:, None]
+    directions = np.stack([along, horizontal * reach, vertical * reach])
+    return np.asarray(np.einsum('cpi,kpi->kcp', axes, pose.rotate(directions)))
 
 
-def sample_variance(noise: NoiseModel, along: Array, across: Array) -> Array:
-    """Variance of single samples, shape (2, p), m^2, for the shares of ``beam_shares``."""
-    return (noise.u_range * along) ** 2 + (noise.u_angle * across) ** 2
+def sample_variance(noise: NoiseModel, shares: Array) -> Array:
+    """Variance of single samples, shape (c, p), m^2, for the shares of ``beam_shares``."""
+    return np.asarray(np.einsum('k,kcp->cp', noise.level**2, shares**2))
+
+
+def noise_covariance(
+    noise: NoiseModel, shares: Array, other: Array, windows: Windows
+) -> tuple[Array, Array]:
+    """Covariance of tracker noise between two rows of the pieces of a line.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+    shares, other : ndarray, shape (3, m)
+        Of the one and of the other row, see ``beam_shares``.
+    windows : tuple of time, duration (s) and count, each of shape (m,)
+        See ``mean_covariance``.
+
+    Returns
+    -------
+    white, slow : ndarray, shape (m, m), m^2
+    """
+    time, duration, count = windows
+    white = np.einsum('k,km,km->m', noise.white**2, shares, other) / count
+    slow = np.zeros((len(time), len(time)))
+    for tau in sorted({c.correlation_time for c in noise if c.slow}):
+        level = np.array([c.slow if c.correlation_time == tau else 0.0 for c in noise])[:, None]
+        amplitude = (level * shares).T @ (level * other)
+        slow += amplitude * mean_covariance(0.0, tau, time, duration, count)
+    return np.diag(white), slow
 
 
 def covariance_parts(
-    noise: NoiseModel, misfit: Misfit, shares: tuple[Array, Array], windows: Windows
+    noise: NoiseModel, misfit: Misfit, shares: Array, windows: Windows
 ) -> tuple[Array, Array, Array, Array]:
-    """Covariance of the pieces of a line in one component, part by part.
+    """Covariance of the pieces of a line in one row, part by part.
 
     Parameters
     ----------
     noise : NoiseModel
     misfit : Misfit
-    shares : two ndarrays, shape (m,)
+    shares : ndarray, shape (3, m)
         Of range and angle noise, see ``beam_shares``.
     windows : tuple of time, duration (s) and count, each of shape (m,)
         See ``mean_covariance``.
@@ -177,16 +280,12 @@ def covariance_parts(
         The parts of the misfit.
     """
     time, duration, count = windows
-    weights = (noise.u_range * shares[0], noise.u_angle * shares[1])
-    whites = (noise.white_range, noise.white_angle)
-    white = sum(w * g**2 for w, g in zip(whites, weights, strict=True)) / count
-    slow = mean_covariance(0.0, noise.correlation_time, time, duration, count)
-    slow *= sum((1.0 - w) * np.outer(g, g) for w, g in zip(whites, weights, strict=True))
+    white, slow = noise_covariance(noise, shares, shares, windows)
     lasting = np.zeros_like(slow)
     if misfit.slow:
         lasting = misfit.slow**2 * mean_covariance(0.0, MISFIT_TIME, time, duration, count)
     independent = misfit.independent**2 * np.eye(len(time))
-    return np.diag(white), slow, independent, lasting
+    return white, slow, independent, lasting
 
 
 def mean_covariance(

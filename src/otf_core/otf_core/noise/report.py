@@ -12,16 +12,16 @@ from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.noise.colour import Variogram, longest_time, variogram
 from otf_core.noise.events import Drift, Lost, Step, find_drift, find_steps, lost_samples
+from otf_core.noise.jackknife import jackknife_u, left_out_fits
 from otf_core.noise.rest import at_rest
 from otf_core.noise.spectrum import Peak, Spectrum, expected_density, find_peaks, spectrum
 from otf_core.noise.standstill import (
     MIN_DURATION,
-    StandstillNoise,
+    MeasuredNoise,
     find_standstills,
     noise_of_windows,
     quiet_windows,
 )
-from otf_core.noise.tails import Tails, tails
 
 Array = NDArray[np.float64]
 
@@ -29,10 +29,6 @@ MIN_TOTAL = 1.0
 """s; with less standstill there is nothing to report."""
 ENOUGH = 5.0
 """s; with less, level and colour are rough."""
-JACKKNIFE = 10
-"""Groups of windows, each left out once, that tell how well level and colour are known."""
-SHORTEST_PART = 0.2
-"""s; fewer windows than groups are cut, but not shorter than this."""
 REPEATED = 0.2
 """Share of successive samples without any change beyond which the recording is coarse."""
 LOST = 0.01
@@ -43,7 +39,6 @@ SLOW = 0.95
 """Share of the longest correlation time looked for, from which on it may be longer."""
 FASTEST = 1e-4
 """s; no laser tracker measures at shorter intervals, so the stamps are of something else."""
-QUANTITIES = ('range', 'horizontal angle', 'vertical angle')
 
 
 @dataclass(frozen=True)
@@ -52,7 +47,7 @@ class NoiseReport:
 
     Attributes
     ----------
-    noise : StandstillNoise
+    measured : MeasuredNoise
     u_total, u_white : ndarray, shape (3,), m, rad, rad
         Standard uncertainties of the levels by leaving out part of the windows; nan if there is
         too little to leave out.
@@ -66,7 +61,6 @@ class NoiseReport:
         Hz.
     distance : float
         m, mean length of the beam in the standstills.
-    tails : tuple of Tails
     peaks : tuple of Peak
     lost : Lost
         Of the whole recording.
@@ -78,7 +72,7 @@ class NoiseReport:
     warnings : tuple of str
     """
 
-    noise: StandstillNoise
+    measured: MeasuredNoise
     u_total: Array
     u_white: Array
     u_correlation_time: float
@@ -86,7 +80,6 @@ class NoiseReport:
     duration: float
     rate: float
     distance: float
-    tails: tuple[Tails, ...]
     peaks: tuple[Peak, ...]
     lost: Lost
     steps: tuple[Step, ...]
@@ -96,20 +89,11 @@ class NoiseReport:
     warnings: tuple[str, ...]
 
 
-def _jackknife(windows: list[Array], step: float) -> tuple[Array, Array, float]:
+def _known_to(windows: list[Array], step: float) -> tuple[Array, Array, float]:
     """Standard uncertainties of total, white and correlation time."""
-    parts = -(-JACKKNIFE // len(windows))
-    cut = [p for w in windows for p in np.array_split(w, parts) if len(p) * step > SHORTEST_PART]
-    windows = cut if parts > 1 else windows
-    groups = min(JACKKNIFE, len(windows))
-    if groups < 2:
-        return np.full(3, np.nan), np.full(3, np.nan), float('nan')
-    rows = []
-    for g in range(groups):
-        kept = [w for k, w in enumerate(windows) if k % groups != g]
-        noise = noise_of_windows(kept, step)
-        rows.append(np.concatenate([noise.total, noise.white, [noise.correlation_time]]))
-    u = np.std(rows, axis=0) * np.sqrt(groups - 1.0)
+    fits = left_out_fits(windows, step)
+    rows = [np.array([*f.level, *f.white, f.range.correlation_time]) for f in fits]
+    u = jackknife_u(np.reshape(rows, (-1, 7)))
     return u[:3], u[3:6], float(u[6])
 
 
@@ -136,7 +120,7 @@ def _coarse(windows: list[Array]) -> str | None:
 
 
 def _warnings(
-    noise: StandstillNoise, windows: list[Array], duration: float, lost: Lost, count: int
+    measured: MeasuredNoise, windows: list[Array], duration: float, lost: Lost, count: int
 ) -> tuple[str, ...]:
     coarse = _coarse(windows)
     found = [coarse] if coarse else []
@@ -151,17 +135,18 @@ def _warnings(
             f'only {duration:.1f} s of standstill: levels and colour are rough; {ENOUGH:g} s or '
             f'more in stops of a second or more tell them'
         )
-    if noise.left_out > noise.standstills:
+    if measured.left_out > measured.windows:
         found.append(
-            f'in {noise.left_out} of {noise.left_out + noise.standstills} windows the target '
+            f'in {measured.left_out} of {measured.left_out + measured.windows} windows the target '
             f'itself seems to have moved; left out'
         )
-    if noise.correlation_time > SLOW * longest_time(windows, duration / noise.samples):
+    time = measured.noise.range.correlation_time
+    if time > SLOW * longest_time(windows, duration / measured.samples):
         found.append(
             f'the slow part is slower than the standstills tell: its correlation time is '
-            f'{noise.correlation_time:.1f} s or more, and its level a lower bound'
+            f'{time:.1f} s or more, and its level a lower bound'
         )
-    if noise.total.max() > LOUDEST:
+    if measured.noise.level.max() > LOUDEST:
         found.append(
             'louder than laser trackers are: the target itself seems to move; fasten it and '
             'record again'
@@ -197,15 +182,14 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
             f'{duration:.1f} s of standstill in stops of {MIN_DURATION:g} s or more; at least '
             f'{MIN_TOTAL:g} s are needed: record while the target stands still for some seconds'
         )
-    noise = noise_of_windows(windows, step, left_out)
-    u_total, u_white, u_time = _jackknife(windows, step)
+    measured = noise_of_windows(windows, step, left_out)
+    u_total, u_white, u_time = _known_to(windows, step)
     seen = spectrum(windows, step)
-    slow = noise.total**2 - noise.white**2
-    shape = expected_density(seen.frequency, noise.white**2, slow, noise.correlation_time)
+    shape = expected_density(seen.frequency, measured.noise)
     still = np.concatenate([np.arange(a, b) for a, b in runs])
     lost = lost_samples(samples.stamp_ns)
     return NoiseReport(
-        noise=noise,
+        measured=measured,
         u_total=u_total,
         u_white=u_white,
         u_correlation_time=u_time,
@@ -213,12 +197,11 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
         duration=duration,
         rate=1.0 / step,
         distance=float(np.linalg.norm(samples.xyz[still], axis=1).mean()),
-        tails=tails(windows, step),
         peaks=find_peaks(seen, shape),
         lost=lost,
         steps=find_steps(samples, runs),
         drift=find_drift(samples, at_rest(samples, runs)),
         variogram=variogram(windows),
         spectrum=seen,
-        warnings=_warnings(noise, windows, duration, lost, len(samples)),
+        warnings=_warnings(measured, windows, duration, lost, len(samples)),
     )

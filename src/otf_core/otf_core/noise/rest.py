@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.beam_frame import beam_frame
 from otf_core.model.observation import Samples
 
 Array = NDArray[np.float64]
@@ -55,13 +56,7 @@ def spherical_deviations(xyz: Array) -> Array:
         angles of the beam itself.
     """
     mean = xyz.mean(axis=0)
-    distance = float(np.linalg.norm(mean))
-    beam = mean / distance
-    horizontal = np.array([-beam[1], beam[0], 0.0])
-    size = float(np.linalg.norm(horizontal))
-    horizontal = horizontal / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])
-    (bx, by, bz), (hx, hy, _) = beam, horizontal
-    vertical = np.array([-bz * hy, bz * hx, bx * hy - by * hx])
+    (distance,), (beam,), (horizontal,), (vertical,) = beam_frame(mean[None])
     offset = xyz - mean
     return np.stack(
         [offset @ beam, offset @ horizontal / distance, offset @ vertical / distance], axis=1

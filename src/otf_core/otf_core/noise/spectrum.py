@@ -13,6 +13,8 @@ from scipy.signal import welch
 from scipy.stats import chi2
 from scipy.stats import f as f_ratio
 
+from otf_core.noise.model import NoiseModel
+
 Array = NDArray[np.float64]
 
 SEGMENT = 2.0
@@ -66,22 +68,21 @@ def spectrum(windows: Sequence[Array], step: float) -> Spectrum:
     return Spectrum(parts[0][0], np.asarray(density.T), int(sum(number)))
 
 
-def expected_density(frequency: Array, white: Array, slow: Array, time: float) -> Array:
-    """One-sided density of white and slow noise sampled fast, shape (c, m).
+def expected_density(frequency: Array, noise: NoiseModel) -> Array:
+    """One-sided density of range and two angles sampled fast, shape (3, m).
 
     Parameters
     ----------
     frequency : ndarray, shape (m,), Hz
         From zero to half the sampling rate.
-    white, slow : ndarray, shape (c,)
-        Variances.
-    time : float
-        s, correlation time of the slow part; zero if there is none.
+    noise : NoiseModel
     """
-    level = np.outer(white, np.ones_like(frequency)) / frequency[-1]
-    if time:
-        level += np.outer(slow, 4.0 * time / (1.0 + (2.0 * np.pi * frequency * time) ** 2))
-    return np.asarray(level)
+    rows = []
+    for c in noise:
+        turn = 2.0 * np.pi * frequency * c.correlation_time
+        slow = 4.0 * c.slow**2 * c.correlation_time / (1.0 + turn**2)
+        rows.append(c.white**2 / frequency[-1] + slow)
+    return np.array(rows)
 
 
 def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:

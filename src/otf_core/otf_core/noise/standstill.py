@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
 from otf_core.noise.colour import fit_colour
-from otf_core.noise.model import TYPICAL_CORRELATION_TIME, NoiseModel
+from otf_core.noise.model import TYPICAL_CORRELATION_TIME, NoiseComponent, NoiseModel
 from otf_core.noise.rest import at_rest, resolution, spherical_deviations
+from otf_core.noise.tails import Tails, tails
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -41,8 +42,6 @@ LOUD = 4.0
 """Ratio of a long window to quiet ones beyond which the target itself must have moved."""
 HELD = 1e-11
 """m and rad; points that differ by less are one point repeated."""
-NO_COLOUR = 0.02
-"""Share of the variance below which a slow part is not told from none."""
 
 
 def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_DURATION) -> Index:
@@ -79,27 +78,24 @@ def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_D
 
 
 @dataclass(frozen=True)
-class StandstillNoise:
-    """Noise of range and two angles over standstills.
+class MeasuredNoise:
+    """Noise that standstills show.
 
     Attributes
     ----------
-    total : ndarray, shape (3,)
-        Standard deviations (m, rad, rad), the slow part that a short stop hides included.
-    white : ndarray, shape (3,)
-        Standard deviations of the white part.
-    correlation_time : float
-        s; zero if the noise is white.
-    standstills, samples : int
+    noise : NoiseModel
+        Levels with the slow part that a short stop hides.
+    tails : tuple of Tails
+        Of range, horizontal and vertical angle.
+    windows, samples : int
         Windows of standstill and samples in them.
     left_out : int
         Windows in which the target seems to have moved.
     """
 
-    total: Array
-    white: Array
-    correlation_time: float
-    standstills: int
+    noise: NoiseModel
+    tails: tuple[Tails, ...]
+    windows: int
     samples: int
     left_out: int = 0
 
@@ -159,7 +155,7 @@ def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
 
 def standstill_noise(
     samples: Samples, runs: Index, min_total: float = MIN_TOTAL
-) -> StandstillNoise | None:
+) -> MeasuredNoise | None:
     """Split the noise of standstills into a white and a correlated part.
 
     Parameters
@@ -172,7 +168,7 @@ def standstill_noise(
 
     Returns
     -------
-    StandstillNoise or None
+    MeasuredNoise or None
         None if there is less standstill.
     """
     length = np.diff(runs, axis=1).sum() if len(runs) else 0
@@ -184,32 +180,36 @@ def standstill_noise(
     return noise_of_windows(windows, samples.step, left_out)
 
 
-def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> StandstillNoise:
-    """Level and colour of windows (n, 3) of values ``step`` seconds apart."""
-    colour = fit_colour(windows, step)
-    total = colour.white + colour.slow
-    coloured = bool(np.any(colour.slow > NO_COLOUR * total))
-    return StandstillNoise(
-        np.sqrt(total),
-        np.sqrt(colour.white),
-        colour.correlation_time if coloured else 0.0,
-        len(windows),
-        sum(len(w) for w in windows),
-        left_out,
-    )
+def noise_of_windows(windows: list[Array], step: float, left_out: int = 0) -> MeasuredNoise:
+    """Level, colour and tails of windows (n, 3) of values ``step`` seconds apart."""
+    found = tails(windows, step)
+    parts = zip(fit_colour(windows, step), found, strict=True)
+    noise = NoiseModel(*(replace(c, dof=t.freedom) for c, t in parts))
+    return MeasuredNoise(noise, found, len(windows), sum(len(w) for w in windows), left_out)
 
 
-def _near(samples: Samples, seen: StandstillNoise) -> tuple[float, float]:
+def _near(samples: Samples, seen: MeasuredNoise) -> tuple[float, float]:
     """Measured over specified levels that do not contradict.
 
-    T seconds hold T / (2 tau) independent values of noise correlated over tau, so the logarithm
-    of its level over two angles has the standard deviation sqrt(tau / (2 T)); twice that counts.
+    T seconds hold T / tau independent squares of noise correlated over tau, so the logarithm of
+    its level has the standard deviation sqrt(tau / (2 T)); twice that counts.
     A stop of length w may show as little of its variance as 1 - exp(-w / tau).
     """
     duration = seen.samples * samples.step
     scatter = np.exp(2.0 * np.sqrt(0.5 * SLOWEST / duration))
-    shown = np.sqrt(-np.expm1(-duration / seen.standstills / SLOWEST))
+    shown = np.sqrt(-np.expm1(-duration / seen.windows / SLOWEST))
     return min(NEAR[0], 1.0 / scatter, shown), max(NEAR[1], scatter)
+
+
+def _stretch(seen: NoiseModel, level: Array, near: NDArray[np.bool_]) -> float:
+    """Factor on the correlation time where levels near the specified ones are taken as these.
+
+    Short stops fix the fast part, and of the slow part only variance over time: the time goes
+    with the variance. It was fitted to all components, and is stretched alike for all these.
+    """
+    slow, taken = seen.level**2 - seen.white**2, level**2 - seen.white**2
+    shown = float(np.sum((slow / level**2)[near]))
+    return min(max(float(np.sum((taken / level**2)[near])) / shown, 0.2), 5.0) if shown else 1.0
 
 
 def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel:
@@ -231,19 +231,13 @@ def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel
     seen = standstill_noise(samples, find_standstills(samples, speed))
     if seen is None:
         return NoiseModel.from_spec(spec)
-    specified = np.array([spec.u_range, spec.u_angle])
-    total = np.array([seen.total[0], np.sqrt(np.mean(seen.total[1:] ** 2))])
-    white = np.array([seen.white[0], np.sqrt(np.mean(seen.white[1:] ** 2))])
-    slow = np.maximum(total**2 - white**2, 0.0)
-    # short stops fix the fast part, and of the slow part only variance over time constant: a
-    # level near the specified one is taken as specified, and the time constant goes with it
+    specified, noise = np.array([spec.u_range, spec.u_angle, spec.u_angle]), seen.noise
     low, high = _near(samples, seen)
-    near = (total > low * specified) & (total < high * specified) & (white < specified)
-    level = np.where(near, specified, np.maximum(total, specified / 3))
-    ratio = np.where(near, (level**2 - white**2) / np.maximum(slow, 1e-300), 1.0)
-    stretch = float(np.clip(ratio[1], 0.2, 5.0)) if slow[1] > 0 else 1.0
-    share = np.clip(white**2 / level**2, 0.05, 1.0)
-    time = seen.correlation_time * stretch if seen.correlation_time else TYPICAL_CORRELATION_TIME
-    return NoiseModel(
-        float(level[0]), float(level[1]), float(share[0]), float(share[1]), float(time)
-    )
+    near = (noise.level > low * specified) & (noise.level < high * specified)
+    near &= noise.white < specified
+    level = np.where(near, specified, np.maximum(noise.level, specified / 3))
+    measured = noise.range.correlation_time or TYPICAL_CORRELATION_TIME
+    time = measured * np.where(near, _stretch(noise, level, near), 1.0)
+    white = np.clip(noise.white / level, np.sqrt(0.05), 1.0) * level
+    parts = zip(level.tolist(), white.tolist(), time.tolist(), strict=True)
+    return NoiseModel(*(NoiseComponent(*p, c.dof) for p, c in zip(parts, noise, strict=True)))

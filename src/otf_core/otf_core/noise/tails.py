@@ -51,24 +51,33 @@ def _log_likelihood(square: Array, freedom: float) -> float:
     return float(square.size * constant - rest.sum())
 
 
-def student_freedom(values: Array) -> float | None:
-    """Degrees of freedom by maximum likelihood; None if normal fits as well (1 % level)."""
+def student_likelihood(values: Array) -> tuple[Array, float]:
+    """Log-likelihoods of Student's t for each of ``FREEDOMS``, and of the normal distribution."""
     values = values[:: max(1, values.size // MAX_VALUES)]
     square = values**2 / max(float(np.mean(values**2)), 1e-300)
     normal = -0.5 * square.size * (np.log(2 * np.pi) + 1.0)
-    likelihood = np.array([_log_likelihood(square, f) for f in FREEDOMS])
+    return np.array([_log_likelihood(square, f) for f in FREEDOMS]), float(normal)
+
+
+def student_freedom(values: Array) -> float | None:
+    """Degrees of freedom by maximum likelihood; None if normal fits as well (1 % level)."""
+    likelihood, normal = student_likelihood(values)
     best = int(likelihood.argmax())
     return float(FREEDOMS[best]) if likelihood[best] > normal + 3.3 else None
 
 
-def tails(windows: Sequence[Array], step: float) -> tuple[Tails, ...]:
-    """Tails of each quantity over windows (n, c) of values ``step`` seconds apart."""
+def fast_part(windows: Sequence[Array], step: float) -> Array:
+    """Values (n, c) of all windows less slower noise, of unit variance in every window."""
     width = 2 * max(2, round(0.5 * SMOOTHING / step)) + 1
     rest = [w - uniform_filter1d(w, width, axis=0, mode='reflect') for w in windows]
     sized = [r / np.maximum(r.std(axis=0), 1e-300) for r in rest if len(r) > width]
-    values = np.concatenate(sized or rest)
+    return np.concatenate(sized or rest)
+
+
+def tails(windows: Sequence[Array], step: float) -> tuple[Tails, ...]:
+    """Tails of each quantity over windows (n, c) of values ``step`` seconds apart."""
     found = []
-    for column in values.T:
+    for column in fast_part(windows, step).T:
         square = float(np.mean(column**2)) or 1.0
         found.append(
             Tails(

@@ -47,7 +47,8 @@ class Setup:
     ----------
     machine : Machine
     place : ndarray, shape (3,), m
-        Beam origin of the tracker in the machine frame; its orientation does not matter.
+        Beam origin of the tracker in the machine frame; it stands upright, its third axis along
+        Z, which matters where its two angles are not equally good.
     noise : NoiseModel
     config : ForecastConfig
     calibration : CalibrationConfig

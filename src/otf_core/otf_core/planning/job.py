@@ -3,15 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
-from otf_core.files.json_file import read_json
-from otf_core.files.strict_yaml import shown
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.model import NoiseModel
@@ -79,27 +76,6 @@ def read_place(text: str) -> tuple[float, float, float]:
     if not np.all(np.isfinite([x, y, z])) or max(abs(x), abs(y), abs(z)) > 200:
         raise ConfigError(f"tracker_place: '{text}' is no place near a machine; unit is m")
     return x, y, z
-
-
-def read_noise(path: str | Path) -> NoiseModel:
-    """Read a noise.json of ``otf noise``; ConfigError if it is none."""
-    try:
-        data = read_json(path)
-        u_range, u_angle = float(data['u_range']), np.array(data['u_angle'], dtype=float)
-        white_range, white_angle = float(data['white_range']), np.array(data['white_angle'])
-        time = float(data['correlation_time'])
-        level = float(np.sqrt(np.mean(u_angle**2)))
-        share = float(np.mean(white_angle.astype(float) ** 2)) / level**2
-        model = NoiseModel(u_range, level, (white_range / u_range) ** 2, share, time)
-    except (ValueError, TypeError, KeyError, ZeroDivisionError, OverflowError) as error:
-        raise ConfigError(f'{path}: not a noise.json ({shown(error)})') from None
-    if not (u_range > 0 and level > 0 and time > 0):
-        raise ConfigError(f'{path}: levels and correlation_time must be above 0')
-    return replace(
-        model,
-        white_range=min(max(model.white_range, 0.0), 1.0),
-        white_angle=min(max(share, 0.0), 1.0),
-    )
 
 
 def _choose(request: PlanRequest, setup: Setup, config: PlannerConfig) -> tuple[Plan, str]:

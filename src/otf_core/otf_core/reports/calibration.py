@@ -24,6 +24,7 @@ from otf_core.files.csv_points import tidy, write_csv
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.provenance import COVERAGE, provenance
 from otf_core.model.tables import MOTIONS, SQUARENESS, tables_to_dict, unit_of
+from otf_core.noise.fields import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
 from otf_core.reports.budget import budget_lines, budget_to_dict, expanded, format_budget
@@ -92,7 +93,7 @@ def _run_to_dict(run: RunResult) -> dict[str, Any]:
         'samples': run.samples,
         'pieces': len(run.pieces),
         'residual_rms': float(np.sqrt(np.mean(np.sum(run.residual**2, axis=0)))),
-        'noise': asdict(run.noise),
+        'noise': noise_to_fields(run.noise),
         'misfit': asdict(run.misfit),
     }
 

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.provenance import provenance
-from otf_core.noise.report import QUANTITIES, NoiseReport
+from otf_core.noise.fields import noise_to_fields
+from otf_core.noise.model import QUANTITIES
+from otf_core.noise.report import NoiseReport
 from otf_core.reports.plots.noise import draw_noise
 
 Array = NDArray[np.float64]
@@ -27,16 +29,16 @@ def _number(value: float) -> float | None:
 
 def noise_to_dict(report: NoiseReport) -> dict[str, Any]:
     """Return a report as plain data in the layout of noise.json."""
-    noise = report.noise
+    measured = report.measured
+    fields = noise_to_fields(measured.noise)
+    of_tails = fields.pop('tails')
+    for tail, entry in zip(measured.tails, of_tails.values(), strict=True):
+        entry |= {'excess_kurtosis': tail.excess_kurtosis, 'beyond_4_sigma': tail.beyond}
     return {
         'schema': SCHEMA,
-        'u_range': float(noise.total[0]),
-        'u_angle': noise.total[1:].tolist(),
-        'white_range': float(noise.white[0]),
-        'white_angle': noise.white[1:].tolist(),
-        'correlation_time': noise.correlation_time,
+        **fields,
         'standstills': report.standstills,
-        'samples': noise.samples,
+        'samples': measured.samples,
         'uncertainty': {
             'u_range': _number(report.u_total[0]),
             'u_angle': [_number(v) for v in report.u_total[1:]],
@@ -44,19 +46,12 @@ def noise_to_dict(report: NoiseReport) -> dict[str, Any]:
             'white_angle': [_number(v) for v in report.u_white[1:]],
             'correlation_time': _number(report.u_correlation_time),
         },
-        'windows': noise.standstills,
-        'windows_left_out': noise.left_out,
+        'windows': measured.windows,
+        'windows_left_out': measured.left_out,
         'duration': report.duration,
         'rate': report.rate,
         'distance': report.distance,
-        'tails': {
-            name: {
-                'excess_kurtosis': tail.excess_kurtosis,
-                'student_freedom': tail.freedom,
-                'beyond_4_sigma': tail.beyond,
-            }
-            for name, tail in zip(QUANTITIES, report.tails, strict=True)
-        },
+        'tails': of_tails,
         'peaks': [
             {'of': QUANTITIES[p.quantity], 'frequency': p.frequency, 'rms': p.rms}
             for p in report.peaks
@@ -75,13 +70,13 @@ def noise_to_dict(report: NoiseReport) -> dict[str, Any]:
 
 
 def _level_rows(report: NoiseReport) -> list[str]:
-    rows = []
+    rows, noise = [], report.measured.noise
     for k, name in enumerate(QUANTITIES):
-        tail, unit = report.tails[k], 'um' if k == 0 else 'urad'
+        tail, unit = report.measured.tails[k], 'um' if k == 0 else 'urad'
         freedom = 'normal' if tail.freedom is None else f't({tail.freedom:.0f})'
         rows.append(
-            f'{name:<18}{unit:<5}{1e6 * report.noise.total[k]:>8.3f}'
-            f'{1e6 * report.u_total[k]:>8.3f}{1e6 * report.noise.white[k]:>9.3f}'
+            f'{name:<18}{unit:<5}{1e6 * noise.level[k]:>8.3f}'
+            f'{1e6 * report.u_total[k]:>8.3f}{1e6 * noise.white[k]:>9.3f}'
             f'{1e6 * report.u_white[k]:>8.3f}{tail.excess_kurtosis:>11.2f}  {freedom}'
         )
     return rows
@@ -108,18 +103,18 @@ def _event_rows(report: NoiseReport) -> list[str]:
 
 def format_noise(report: NoiseReport) -> str:
     """Return the text for a terminal: warnings first."""
-    noise = report.noise
+    measured = report.measured
+    time = measured.noise.range.correlation_time
     colour = (
-        f'correlation time of the slow part {noise.correlation_time:.2f} s '
-        f'(+/- {report.u_correlation_time:.2f})'
-        if noise.correlation_time
+        f'correlation time of the slow part {time:.2f} s (+/- {report.u_correlation_time:.2f})'
+        if time
         else 'the noise is white'
     )
     lines = [f'WARNING {text}' for text in report.warnings]
     lines += [
-        f'{report.standstills} standstills; used {report.duration:.1f} s, {noise.samples} samples '
-        f'at {report.rate:.0f} Hz in {noise.standstills} windows, {noise.left_out} louder ones '
-        f'left out; beam {report.distance:.2f} m',
+        f'{report.standstills} standstills; used {report.duration:.1f} s, '
+        f'{measured.samples} samples at {report.rate:.0f} Hz in {measured.windows} windows, '
+        f'{measured.left_out} louder ones left out; beam {report.distance:.2f} m',
         '',
         'noise (k = 1)     unit    total     +/-    white     +/-   kurtosis  tails',
         *_level_rows(report),

@@ -21,6 +21,7 @@ from otf_core.files.writing import write_text
 from otf_core.model.machine import AXES
 from otf_core.model.provenance import provenance
 from otf_core.model.tables import MOTIONS, SQUARENESS, unit_of
+from otf_core.noise.fields import noise_to_fields
 from otf_core.planning.forecast import Forecast
 from otf_core.planning.judged import PlanReport
 from otf_core.planning.nc import Dialect, program
@@ -64,7 +65,7 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
         'margin': _margin(report),
         'assumed': {
             'tracker_place': setup.place.tolist(),
-            'noise': asdict(setup.noise),
+            'noise': noise_to_fields(setup.noise),
             'rate': setup.config.rate,
             'acceleration': setup.config.acceleration,
         },
@@ -107,7 +108,6 @@ def format_report(report: PlanReport) -> str:
     gauge = np.linalg.norm(found.grid_u, axis=1)
     feeds = np.unique(np.rint(60e3 * plan.feed)).astype(int)
     x, y, z = setup.place
-    noise = setup.noise
     lines = [
         f'Plan: {report.how}',
         f'{len(plan.path.points)} points, {plan.path.length:.2f} m, {found.duration:.0f} s with '
@@ -115,10 +115,8 @@ def format_report(report: PlanReport) -> str:
         f'feeds {", ".join(map(str, feeds))} mm/min; at least {1e3 * _margin(report):.1f} mm '
         f'inside the axis ranges',
         f'Assumed: tracker at ({x:.3f}, {y:.3f}, {z:.3f}) m in the machine frame, '
-        f'{setup.config.rate:g} samples/s; noise of a sample {1e6 * noise.u_range:.2g} um along '
-        f'the beam,',
-        f'  {1e6 * noise.u_angle:.2g} urad across, {100 * (1 - noise.white_angle):.0f} % of the '
-        f'variance correlated over {noise.correlation_time:.2g} s',
+        f'{setup.config.rate:g} samples/s; noise of a sample:',
+        *(f'  {part}' for part in str(setup.noise).split('; ')),
         '',
         f'Forecast of tracker noise alone, standard uncertainties (k = 1), '
         f'{found.solution.rank} of {found.solution.unknowns} unknowns determined',

@@ -29,7 +29,7 @@ from otf_core.model.tables import (
 )
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, displaced, run_state
-from otf_core.sim.tracker import measure, place_tracker, received
+from otf_core.sim.tracker import measure, place_tracker, received, specified_noise
 
 Array = NDArray[np.float64]
 
@@ -145,8 +145,8 @@ def simulate(
         pose = RigidTransform(rotation.T, place)
         state = run_state(machine, plan, drive, time, clock, pose, truth)
         position = position + displaced(state, effects)
-    colour, level = changed_noise(config, effects)
-    xyz = measure((position - place) @ rotation.T, machine, colour, rngs[2], level)
+    noise = changed_noise(specified_noise(machine, config), effects)
+    xyz = measure((position - place) @ rotation.T, noise, config.rate, rngs[2])
     if config.resolution:
         xyz = np.rint(xyz / config.resolution) * config.resolution
     stamp_ns = EPOCH_NS + np.rint(clock * 1e9).astype(np.int64)

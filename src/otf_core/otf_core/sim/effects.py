@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.config import SimulationConfig
-from otf_core.effects import AppliedEffect, State
+from otf_core.effects import AppliedEffect, Shape, State
 from otf_core.effects.state import state_on_path
 from otf_core.effects.tracker_noise import SPECIFIED, TrackerNoise
 from otf_core.errors import ConfigError
@@ -21,8 +19,8 @@ from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import MIN_LEG, NominalPath
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables
+from otf_core.noise.model import NoiseComponent, NoiseModel
 from otf_core.sim.drive import Drive
-from otf_core.sim.tracker import NoiseLevel
 
 Array = NDArray[np.float64]
 
@@ -114,20 +112,23 @@ def _stated(one: AppliedEffect, state: State) -> str:
     return ', '.join(f'{n} = {v:g} {units[n]}'.rstrip() for n, v in one.parameters.items())
 
 
-def changed_noise(
-    config: SimulationConfig, effects: Sequence[AppliedEffect]
-) -> tuple[SimulationConfig, NoiseLevel]:
-    """Colour and level of the noise once tracker_noise has acted; the last one counts."""
-    level = NoiseLevel()
+def changed_noise(noise: NoiseModel, effects: Sequence[AppliedEffect]) -> NoiseModel:
+    """Noise once tracker_noise has acted on it; the last one counts."""
+    found = noise
     for one in effects:
         if isinstance(one.effect, TrackerNoise):
-            noise = one.effect.complete_shape(one.parameters)
-            dof = noise['dof']
-            level = NoiseLevel(
-                noise['level_range'], noise['level_angle'], math.inf if dof == SPECIFIED else dof
-            )
-            if noise['correlated_share'] != SPECIFIED:
-                config = dataclasses.replace(config, correlated_share=noise['correlated_share'])
-            if noise['correlation_time'] != SPECIFIED:
-                config = dataclasses.replace(config, correlation_time=noise['correlation_time'])
-    return config, level
+            shape = one.effect.complete_shape(one.parameters)
+            factors = (shape['level_range'], *[shape['level_angle']] * 2)
+            parts = (_changed(c, f, shape) for c, f in zip(noise, factors, strict=True))
+            found = NoiseModel(*parts)
+    return found
+
+
+def _changed(noise: NoiseComponent, factor: float, shape: Shape) -> NoiseComponent:
+    """One component with another level; share, time and tails where they are stated."""
+    stated = {name: shape[name] for name in shape if shape[name] != SPECIFIED}
+    level, white = factor * noise.level, factor * noise.white
+    if 'correlated_share' in stated:
+        white = level * math.sqrt(1.0 - stated['correlated_share'])
+    time = stated.get('correlation_time', noise.correlation_time)
+    return NoiseComponent(level, white, time, stated.get('dof', noise.dof))

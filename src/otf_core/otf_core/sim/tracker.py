@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,9 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from otf_core.config import SimulationConfig
+from otf_core.model.beam_frame import beam_frame
 from otf_core.model.machine import Machine
+from otf_core.noise.model import NoiseComponent, NoiseModel
 
 Array = NDArray[np.float64]
 
@@ -20,95 +21,52 @@ PACKETS = 3.0
 """Packets per second: recorded trackers send a third of a second at once, whatever the rate."""
 
 
-@dataclass(frozen=True)
-class NoiseLevel:
-    """Departure of the noise from the specification.
-
-    Attributes
-    ----------
-    range, angle : float
-        Factors on u_range and u_angle.
-    dof : float
-        Degrees of freedom of Student's t that the white part follows; infinite: normal.
-    """
-
-    range: float = 1.0
-    angle: float = 1.0
-    dof: float = math.inf
+def specified_noise(machine: Machine, config: SimulationConfig) -> NoiseModel:
+    """Levels of machine.yaml with the colour of the simulation, normal."""
+    return NoiseModel.from_spec(
+        machine.tracker, 1.0 - config.correlated_share, config.correlation_time
+    )
 
 
-def _white(rng: np.random.Generator, n: int, dof: float) -> Array:
+def _white(rng: np.random.Generator, n: int, dof: float | None) -> Array:
     """White noise of unit variance."""
-    if math.isinf(dof):
+    if dof is None:
         return rng.standard_normal(n)
     return np.asarray(rng.standard_t(dof, n) * math.sqrt((dof - 2.0) / dof))
 
 
-def coloured_noise(
-    rng: np.random.Generator, n: int, config: SimulationConfig, dof: float = math.inf
-) -> Array:
-    """Noise of unit variance: white part plus first-order Gauss-Markov part.
+def drawn(noise: NoiseComponent, rng: np.random.Generator, n: int, rate: float) -> Array:
+    """Draw noise: white part plus first-order Gauss-Markov part.
 
     Parameters
     ----------
+    noise : NoiseComponent
     rng : numpy.random.Generator
     n : int
-    config : SimulationConfig
-        Share, correlation time and rate.
-    dof : float
-        Degrees of freedom of the white part, above 2; infinite: normal.
+    rate : float
+        Samples per second.
 
     Returns
     -------
-    ndarray, shape (n,)
+    ndarray, shape (n,), m or rad
     """
-    share = config.correlated_share
-    decay = float(np.exp(-1.0 / (config.rate * config.correlation_time)))
-    drive = rng.standard_normal(n) * np.sqrt(1.0 - decay**2)
+    step, time = 1.0 / rate, noise.correlation_time
+    decay = math.exp(-step / time) if time > 0 else 0.0
+    drive = rng.standard_normal(n) * math.sqrt(1.0 - decay**2)
     drive[0] = rng.standard_normal()
     slow = lfilter([1.0], [1.0, -decay], drive)
-    return np.asarray(np.sqrt(1.0 - share) * _white(rng, n, dof) + np.sqrt(share) * slow)
+    return np.asarray(noise.white * _white(rng, n, noise.dof) + noise.slow * slow)
 
 
-def beam_frame(xyz: Array) -> tuple[Array, Array, Array]:
-    """Range and the two unit vectors across the beam.
-
-    Parameters
-    ----------
-    xyz : ndarray, shape (n, 3), m
-        Points in the tracker frame.
-
-    Returns
-    -------
-    distance : ndarray, shape (n,), m
-    along_azimuth, along_elevation : ndarray, shape (n, 3)
-    """
-    distance = np.linalg.norm(xyz, axis=1)
-    level = np.hypot(xyz[:, 0], xyz[:, 1])
-    zero = np.zeros_like(level)
-    along_azimuth = np.stack([-xyz[:, 1], xyz[:, 0], zero], axis=1) / level[:, None]
-    return distance, along_azimuth, np.cross(xyz / distance[:, None], along_azimuth)
-
-
-def measure(
-    xyz: Array,
-    machine: Machine,
-    config: SimulationConfig,
-    rng: np.random.Generator,
-    level: NoiseLevel | None = None,
-) -> Array:
+def measure(xyz: Array, noise: NoiseModel, rate: float, rng: np.random.Generator) -> Array:
     """Return noisy points for true points ``xyz`` (n, 3) in the tracker frame, m."""
-    level = level or NoiseLevel()
-    distance, along_azimuth, along_elevation = beam_frame(xyz)
-    n = len(xyz)
-    along = level.range * machine.tracker.u_range * coloured_noise(rng, n, config, level.dof)
-    u_across = level.angle * machine.tracker.u_angle * distance
-    across = [u_across * coloured_noise(rng, n, config, level.dof) for _ in range(2)]
+    distance, along, horizontal, vertical = beam_frame(xyz)
+    off_range, off_azimuth, off_elevation = (drawn(c, rng, len(xyz), rate) for c in noise)
     return np.asarray(
         xyz
-        + xyz / distance[:, None] * along[:, None]
-        + along_azimuth * across[0][:, None]
-        + along_elevation * across[1][:, None]
+        + along * off_range[:, None]
+        + horizontal * (off_azimuth * distance)[:, None]
+        + vertical * (off_elevation * distance)[:, None]
     )
 
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin of a real run: the same path, timing, tracker place and tables, noise as specified.
+"""The twin of a real run: the same path, timing, tracker place, tables and noise.
 
 What the same pipeline leaves on it is what the real run would leave if nothing were unmodelled.
+The noise is that of the run's own standstills, each component with its level, colour and tails,
+but no louder than specified: what is beyond is part of the gap, and its cause tracker_noise.
 """
 
 from __future__ import annotations
@@ -11,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.config import SimulationConfig
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import exact_position
 from otf_core.model.observation import Samples
@@ -48,12 +49,7 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
     along = np.clip(legs.along(pose.apply(samples.xyz[on]), leg), 0.0, legs.length[leg])
     q = legs.at(along, leg)
     true_points = (exact_position(tables, q) - pose.translation) @ pose.rotation
-    seconds = max(samples.step, 1e-9)
-    config = SimulationConfig(
-        seed=seed,
-        rate=float(np.clip(1.0 / seconds, 1.0, 5000.0)),
-        correlated_share=1.0 - run.noise.white_angle,
-        correlation_time=max(run.noise.correlation_time, 1e-3),
-    )
-    xyz = measure(true_points, run.machine, config, np.random.default_rng([seed, 7]))
+    noise = run.noise.at_most(run.machine.tracker)
+    rate = float(np.clip(1.0 / max(samples.step, 1e-9), 1.0, 5000.0))
+    xyz = measure(true_points, noise, rate, np.random.default_rng([seed, 7]))
     return replace(run.recording, samples=Samples(samples.stamp_ns[on], xyz))

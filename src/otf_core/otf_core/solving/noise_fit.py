@@ -4,8 +4,9 @@
 Standstills show the noise of the tracker at rest, some of it for too short a time, and nothing of
 what the model lacks. So the sizes of five parts of the covariance S of a line are fitted: white
 and slow noise of the tracker, its correlation time, misfit of single pieces and of whole lines.
-Their logarithms maximise the restricted likelihood: with e the residual of a solution whose
-estimates have the posterior covariance V, E[e e^T] = S - A V A^T, and for K = dS by a logarithm
+Their logarithms (of factors, for the tracker) maximise the restricted likelihood: with e the
+residual of a solution whose estimates have the posterior covariance V, E[e e^T] = S - A V A^T, and
+for K = dS by a logarithm
 
     score = (e^T S^-1 K S^-1 e - tr P K) / 2,  P = S^-1 - S^-1 A V A^T S^-1,
     information = tr(P K P K') / 2
@@ -19,7 +20,7 @@ Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +45,8 @@ Array = NDArray[np.float64]
 
 PRIOR = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
 """Standard deviation of the logarithms of the four variances and of the correlation time."""
-LOWEST = np.array([-4.0, -6.0, np.log(0.01), np.log(4e-16), np.log(4e-16)])
-HIGHEST = np.array([8.0, 8.0, np.log(60.0), np.log(1e-6), np.log(1e-6)])
+LOWEST = np.array([-4.0, -6.0, np.log(1.0 / 30.0), np.log(4e-16), np.log(4e-16)])
+HIGHEST = np.array([8.0, 8.0, np.log(200.0), np.log(1e-6), np.log(1e-6)])
 LINES, PIECES = 48, 100
 """Lines and pieces of each that are looked at: five numbers need no more."""
 STEPS = 6
@@ -53,6 +54,7 @@ LONGEST_STEP = 1.5
 SETTLED, CERTAIN = 0.03, 0.3
 """Steps that are smaller, or than this share of their standard deviation, end the search."""
 _DERIVATIVE = 1e-3
+_LONGER = np.array([0.0, 0.0, np.log1p(_DERIVATIVE)])
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def _derivatives(
     now, misfit = scaled(noise, logs), misfit_of(logs)
     place = (line.component, line.low, line.high)
     white, slow, independent, lasting = leg_parts(system, pieces, now, misfit, *place)
-    longer = replace(now, correlation_time=now.correlation_time * (1.0 + _DERIVATIVE))
+    longer = scaled(now, _LONGER)
     other = leg_parts(system, pieces, longer, misfit, *place)[1]
     return [white, slow, (other - slow) / _DERIVATIVE, independent, lasting]
 
@@ -151,7 +153,7 @@ def fit_noise(
     FittedNoise
     """
     floor = 2.0 * np.log(MODEL_FLOOR)
-    prior = np.array([0.0, 0.0, np.log(noise.correlation_time), floor, floor])
+    prior = np.array([0.0, 0.0, 0.0, floor, floor])
     logs = prior.copy() if start is None else start
     lines = _lines(system, pieces, residual, covariance)
     for _ in range(STEPS):

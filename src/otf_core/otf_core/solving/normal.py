@@ -72,6 +72,10 @@ class NormalEquations:
 class Whitener:
     """Frees the rows of each leg of the correlation of their noise.
 
+    Every row of a piece has the variance of its own direction. What the rows of one piece share
+    where both angles are not equally good is left to the budget (``NoiseParts.between``): taking
+    them together would make the matrices of a leg twice as large, for weights that hardly change.
+
     Attributes
     ----------
     bounds : sequence of (int, int)
@@ -158,7 +162,7 @@ def leg_parts(
 ) -> tuple[Array, Array, Array, Array]:
     """Parts of the covariance of successive pieces of one leg; see ``noise.covariance_parts``."""
     part = slice(low, high)
-    shares = (system.along[component, part], system.across[component, part])
+    shares = system.shares[:, component, part]
     windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
     return covariance_parts(noise, misfit, shares, windows)
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, motion_influence, squareness_influence
 from otf_core.model.machine import AXES, Machine
@@ -39,16 +40,15 @@ class System:
         Measured minus nominal along the axes.
     design : sparse array, shape (c p, full)
         Derivatives of the deviations; rows of the first axis of all pieces, then the next.
-    along, across : ndarray, shape (c, p)
-        Shares of range and angle noise in the deviations, see ``noise.beam_shares``.
+    shares : ndarray, shape (3, c, p)
+        Of the noise of range and angles in the deviations, see ``noise.beam_shares``.
     """
 
     q: Array
     axes: Array
     deviation: Array
     design: sparse.csr_array
-    along: Array
-    across: Array
+    shares: Array
 
 
 def nominal_positions(
@@ -85,12 +85,12 @@ def nominal_positions(
     return q
 
 
-def _axes(pieces: Pieces, beam: Array) -> Array:
-    """Directions of the rows, chosen so that their noise is not correlated."""
+def _axes(pieces: Pieces, pose: RigidTransform) -> Array:
+    """Directions of the rows, (c, p, 3); noise of equal angles is not correlated between them."""
+    beam, horizontal, vertical = (pose.rotate(d) for d in beam_frame(pieces.xyz)[1:])
     if not pieces.standstill:
         return np.stack(path_frame(pieces.direction, beam))
-    helper = np.eye(3)[np.argmin(np.abs(beam), axis=1)]
-    return np.stack([beam, *path_frame(beam, helper)])
+    return np.stack([beam, horizontal, vertical])
 
 
 def _design(
@@ -171,10 +171,7 @@ def build_system(
     """
     points = pose.apply(pieces.xyz)
     q = nominal_positions(pieces, points, tables)
-    distance = np.linalg.norm(pieces.xyz, axis=1)
-    beam = pose.rotate(pieces.xyz / distance[:, None])
-    axes = _axes(pieces, beam)
-    along, across = beam_shares(distance, beam, axes)
+    axes = _axes(pieces, pose)
     # a piece is a mean over samples, not the value at its centre: from a curved motion the two
     # differ by h^2 f'' / 24; the mean of f at both Gauss points is right to the third order
     shifts = [np.zeros(3)]
@@ -190,8 +187,7 @@ def build_system(
         axes=axes,
         deviation=np.einsum('kij,ij->ki', axes, points - q),
         design=sparse.csr_array(sum(halves[1:], start=halves[0]) / len(halves)),
-        along=along,
-        across=across,
+        shares=beam_shares(pieces.xyz, pose, axes),
     )
 
 

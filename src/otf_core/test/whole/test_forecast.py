@@ -14,12 +14,14 @@ from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import free_rows, without_rigid_motion
 from otf_core.model.kinematics import displacement
+from otf_core.model.machine import TrackerSpec
 from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import MOTIONS, SQUARENESS
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.fields import read_noise
+from otf_core.noise.model import NoiseComponent, NoiseModel
 from otf_core.planning.drive_time import drive_times
 from otf_core.planning.forecast import Setup, beside, forecast
-from otf_core.planning.job import PlanRequest, make_plan, read_noise, read_place
+from otf_core.planning.job import PlanRequest, make_plan, read_place
 from otf_core.planning.observability import chain_shows, findings
 from otf_core.planning.tracker_places import (
     beam_lengths,
@@ -127,8 +129,7 @@ def test_correlated_noise_averages_out_less():
     machine = some_machine()
     plan, spec = small_plan(machine), machine.tracker
     white, slow = (
-        forecast(plan, Setup.of(machine, noise=NoiseModel(spec.u_range, spec.u_angle, w, w)))
-        for w in (1.0, 0.1)
+        forecast(plan, Setup.of(machine, noise=NoiseModel.from_spec(spec, w))) for w in (1.0, 0.1)
     )
     assert slow.mean_grid_u > 1.5 * white.mean_grid_u
 
@@ -242,9 +243,8 @@ def test_noise_file_gives_levels_and_white_shares(tmp_path):
             'white_angle': [1e-6, 1e-6], 'correlation_time': 0.4}  # fmt: skip
     file.write_text(json.dumps(data))
     noise = read_noise(file)
-    assert noise.u_angle == pytest.approx(2e-6)
-    assert (noise.white_range, noise.white_angle) == pytest.approx((0.36, 0.25))
-    assert noise.correlation_time == 0.4
+    assert noise.horizontal == noise.vertical == NoiseComponent(2e-6, 1e-6, 0.4)
+    assert (noise.range.white_share, noise.vertical.white_share) == pytest.approx((0.36, 0.25))
     for spoilt in ({}, data | {'u_range': 0.0}, data | {'u_angle': 'much'}):
         file.write_text(json.dumps(spoilt))
         with pytest.raises(ConfigError, match=r'noise\.json'):
@@ -267,7 +267,7 @@ def test_noise_given_counts_in_the_forecast():
     config, judged = PlannerConfig(), ForecastConfig(grid=2)
     loud, quiet = (
         make_plan(machine, PlanRequest(given=given, noise=noise), config, judged).forecast
-        for noise in (NoiseModel(1e-6, 8e-6), None)
+        for noise in (NoiseModel.from_spec(TrackerSpec(1e-6, 8e-6)), None)
     )
     assert loud.u['EYX'].max() > 2 * quiet.u['EYX'].max()
 

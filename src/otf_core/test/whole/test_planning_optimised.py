@@ -162,8 +162,7 @@ def test_simulated_cells_confirm_the_forecast_gain_over_box_diagonals(best):
 
 def test_weak_drives_make_slower_feeds_worth_while():
     machine = some_machine('w-Y-b-X-Z-t', offset=(0.0, 0.0, -0.15))
-    spec = machine.tracker
-    noise = NoiseModel(spec.u_range, spec.u_angle, 1.0, 1.0)
+    noise = NoiseModel.from_spec(machine.tracker, 1.0)
     config = replace(JUDGED, acceleration=0.05)
     setup = Setup.of(machine, noise=noise, config=config)
     found = PathOptimiser(setup, CONFIG).for_time(400.0)

@@ -11,20 +11,11 @@ import numpy as np
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.tracker_noise import TrackerNoise
-from otf_core.noise.model import NoiseModel, sample_variance
-from otf_core.noise.rest import spherical_deviations
-from otf_core.noise.standstill import find_standstills, standstill_noise
-from otf_core.noise.tails import student_freedom
-from otf_core.pieces.runs import Run
+from otf_core.noise.departure import Departure, noise_departure
+from otf_core.noise.model import QUANTITIES, sample_variance
 
-LEVEL = 1.6
-"""Measured over specified standard deviation that still passes as specified."""
-SLOW = 1.0
-"""s; correlation times of recorded trackers reach it in the calmest air (docs/noise.md)."""
-HEAVY = 5.0
-"""Degrees of freedom of Student's t below which tails count as heavy."""
-ENOUGH = 30
-"""Standstills needed for a judgement."""
+NAMED = 0.5
+"""Probability from which on a departure is named: the more likely of two."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +26,15 @@ class NoiseFinding:
     ----------
     parameters : dict
         Of the effect: what departs from the specification.
+    confidence : float
+        Probability of what departs most clearly; see ``noise.departure``.
     variance_ratio : float
         Mean variance of the rows with the measured levels over that with the specified ones.
     words : str
     """
 
     parameters: dict[str, float]
+    confidence: float
     variance_ratio: float
     words: str
 
@@ -55,56 +49,60 @@ class NoiseFinding:
         return REGISTRY[TrackerNoise.name]
 
 
-def _freedom(run: Run, speed: float) -> float | None:
-    """Degrees of freedom of the tails over all standstills, from successive differences."""
-    parts = []
-    for first, last in find_standstills(run.recording.samples, speed):
-        deviations = spherical_deviations(run.recording.samples.xyz[first:last])
-        step = np.diff(deviations, axis=0)[::2]
-        parts.append(step)
-    if len(parts) < ENOUGH:
-        return None
-    steps = np.concatenate(parts)
-    scaled = (steps / np.median(np.abs(steps), axis=0)).reshape(-1)
-    return student_freedom(scaled)
+def _parameters(seen: Departure) -> dict[str, tuple[float, float]]:
+    """Value and probability of every parameter of the effect."""
+    # the effect has one factor for both angles
+    angle = float(np.sqrt(np.mean(seen.level[1:] ** 2)))
+    return {
+        'level_range': (float(seen.level[0]), float(seen.of_level[0])),
+        'level_angle': (angle, float(seen.of_level[1:].max())),
+        'correlation_time': (seen.time, seen.of_time),
+        'dof': (seen.dof, seen.of_dof),
+    }
+
+
+def _words(seen: Departure) -> list[str]:
+    found = [
+        f'noise of the {name} {level:.2f} times as specified'
+        for name, level, p in zip(QUANTITIES, seen.level, seen.of_level, strict=True)
+        if p > NAMED
+    ]
+    if seen.of_time > NAMED:
+        found.append(f'correlated over {seen.time:.1f} s')
+    if seen.of_dof > NAMED:
+        found.append(f"heavy tails (Student's t, {seen.dof:.1f} degrees of freedom)")
+    return found
 
 
 def check_noise(rows: Rows, speed: float, exclude: Sequence[str] = ()) -> NoiseFinding | None:
     """Compare the noise in standstills with machine.yaml; None if it is as specified."""
     if TrackerNoise.name in exclude or TrackerNoise.name not in REGISTRY:
         return None
-    found: dict[str, float] = {}
+    found: dict[str, tuple[float, float]] = {}
     words: list[str] = []
     for run in rows.runs:
-        samples, spec = run.recording.samples, run.machine.tracker
-        seen = standstill_noise(samples, find_standstills(samples, speed))
-        if seen is None or seen.standstills < ENOUGH:
+        seen = noise_departure(run.recording.samples, run.machine.tracker, speed)
+        if seen is None:
             continue
-        levels = {
-            'level_range': float(seen.total[0]) / spec.u_range,
-            'level_angle': float(np.sqrt(np.mean(seen.total[1:] ** 2))) / spec.u_angle,
-        }
-        for key, level in levels.items():
-            if level > LEVEL:
-                found[key] = level
-                words.append(f'{key[6:]} noise {level:.2f} times as specified')
-        if seen.correlation_time > SLOW:
-            found['correlation_time'] = seen.correlation_time
-            words.append(f'correlated over {seen.correlation_time:.1f} s')
-        freedom = _freedom(run, speed)
-        if freedom is not None and freedom < HEAVY:
-            found['dof'] = max(freedom, 2.2)
-            words.append(f"heavy tails (Student's t, {freedom:.1f} degrees of freedom)")
+        for name, (value, probability) in _parameters(seen).items():
+            if probability > max(NAMED, found.get(name, (0.0, 0.0))[1]):
+                found[name] = (value, probability)
+        words += _words(seen)
     if not found:
         return None
-    return NoiseFinding(found, _variance_ratio(rows), '; '.join(dict.fromkeys(words)))
+    return NoiseFinding(
+        {name: value for name, (value, _) in found.items()},
+        max(probability for _, probability in found.values()),
+        _variance_ratio(rows),
+        '; '.join(dict.fromkeys(words)),
+    )
 
 
 def _variance_ratio(rows: Rows) -> float:
     measured, specified = 0.0, 0.0
     for run, solved in zip(rows.runs, rows.done.runs, strict=True):
-        along, across = solved.system.along, solved.system.across
-        measured += float(sample_variance(run.noise, along, across).sum())
-        spec = NoiseModel.from_spec(run.machine.tracker)
-        specified += float(sample_variance(spec, along, across).sum())
+        shares = solved.system.shares
+        measured += float(sample_variance(run.noise, shares).sum())
+        spec = run.noise.at_most(run.machine.tracker)
+        specified += float(sample_variance(spec, shares).sum())
     return measured / specified

@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.noise.report import QUANTITIES, NoiseReport
+from otf_core.noise.model import QUANTITIES
+from otf_core.noise.report import NoiseReport
 from otf_core.reports.plots.figure import COLOURS, new_figure, save_figure
 
 
 def _draw_variogram(axes: Any, report: NoiseReport, quantity: int) -> None:
-    seen, noise = report.variogram, report.noise
+    seen, noise = report.variogram, tuple(report.measured.noise)[quantity]
     lag = seen.lag / report.rate
     axes.loglog(lag, 1e6 * np.sqrt(seen.value[quantity]), 'o', ms=3, color=COLOURS[0])
     time = np.geomspace(lag[0], lag[-1], 200)
-    white, total = noise.white[quantity] ** 2, noise.total[quantity] ** 2
     rise = 1.0 - np.exp(-time / noise.correlation_time) if noise.correlation_time else 0.0 * time
-    model = np.sqrt(white + (total - white) * rise)
+    model = np.sqrt(noise.white**2 + noise.slow**2 * rise)
     axes.loglog(time, 1e6 * model, '-', color=COLOURS[1])
     axes.set_title(QUANTITIES[quantity])
     axes.set_xlabel('time between samples (s)')

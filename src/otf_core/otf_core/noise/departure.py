@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does the noise depart from its specification? Levels, colour and tails, each with odds.
+
+Two hypotheses share the evidence for each property. As specified: its logarithm is normal about
+that of the specified (for the correlation time: the typical) value, the limit being two standard
+deviations away. Otherwise: it lies between the limit and ``WIDEST`` limits, all logarithms alike.
+What standstills show of a level or time is the logarithm of the fitted value, with its jackknife
+uncertainty (Student's t, one degree of freedom less than groups): so number and length of the
+standstills, colour and tails all enter. Tails have the likelihood of Student's t.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.special import logsumexp
+
+from otf_core.model.machine import TrackerSpec
+from otf_core.model.observation import Samples
+from otf_core.noise.jackknife import jackknife_u, left_out_fits
+from otf_core.noise.model import TYPICAL_CORRELATION_TIME, NoiseModel
+from otf_core.noise.standstill import find_standstills, noise_of_windows, quiet_windows
+from otf_core.noise.tails import FREEDOMS, fast_part, student_likelihood
+
+Array = NDArray[np.float64]
+
+LEVEL = 1.6
+"""Actual over specified standard deviation that still passes as specified."""
+SLOW = 1.0
+"""s; correlation times of recorded trackers reach it in the calmest air (docs/noise.md)."""
+HEAVY = 5.0
+"""Degrees of freedom of Student's t below which tails count as heavy."""
+WIDEST = 10.0
+"""Factor on a limit beyond which nothing is expected."""
+ENOUGH = 30
+"""Windows of standstill needed for a judgement."""
+BEST = 0.01
+"""Standard uncertainty of a logarithm at best."""
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A property of the noise against its specification.
+
+    Attributes
+    ----------
+    level : ndarray, shape (3,)
+        Levels of range, horizontal and vertical angle over the specified ones.
+    time : float
+        s, correlation time.
+    dof : float
+        Degrees of freedom of the likeliest Student's t, of all three alike.
+    of_level : ndarray, shape (3,)
+        Probability that each level is beyond its limit.
+    of_time, of_dof : float
+        The same of correlation time and tails.
+    """
+
+    level: Array
+    time: float
+    dof: float
+    of_level: Array
+    of_time: float
+    of_dof: float
+
+
+def probability_beyond(seen: float, u: float, limit: float, freedom: float) -> float:
+    """Probability that a quantity is beyond its limit; even odds before anything is seen.
+
+    Parameters
+    ----------
+    seen : float
+        Measured over specified value; what is below 1 or above ``WIDEST`` limits counts as these.
+    u : float
+        Standard uncertainty of its logarithm.
+    limit : float
+        Where the departure begins, above 1.
+    freedom : float
+        Degrees of freedom of ``u``.
+    """
+    edge, end = float(np.log(limit)), float(np.log(WIDEST * limit))
+    at, u, spread = float(np.clip(np.log(seen), 0.0, end)), max(u, BEST), 0.5 * edge
+    # means of the likelihood over both priors
+    y = np.arange(-5.0 * spread, end, 0.2 * BEST)
+    prior, seen_at = stats.norm.pdf(y, 0.0, spread), stats.t.pdf((y - at) / u, freedom) / u
+    specified = float(np.sum(prior * seen_at) / np.sum(prior))
+    inside = np.diff(stats.t.cdf((np.array([edge, end]) - at) / u, freedom))[0]
+    beyond = float(inside) / (end - edge)
+    return beyond / (beyond + specified)
+
+
+def _tails(windows: list[Array], step: float) -> tuple[float, float]:
+    """Likeliest degrees of freedom, and probability that they are below ``HEAVY``."""
+    found = [student_likelihood(column) for column in fast_part(windows, step).T]
+    student, normal = np.sum([s for s, _ in found], axis=0), sum(n for _, n in found)
+    heavy = FREEDOMS < HEAVY
+    beyond = logsumexp(student[heavy]) - np.log(heavy.sum())
+    specified = logsumexp([*student[~heavy], normal]) - np.log(1 + (~heavy).sum())
+    return float(FREEDOMS[np.argmax(student)]), float(1.0 / (1.0 + np.exp(specified - beyond)))
+
+
+def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Departure | None:
+    """Compare the noise in standstills with its specification.
+
+    Parameters
+    ----------
+    samples : Samples
+    spec : TrackerSpec
+    speed : float
+        m/s; slower counts as standstill.
+
+    Returns
+    -------
+    Departure or None
+        None with fewer than ``ENOUGH`` windows of standstill.
+    """
+    runs = find_standstills(samples, speed)
+    if len(runs) == 0:
+        return None
+    windows, _ = quiet_windows(samples, runs)
+    if len(windows) < ENOUGH:
+        return None
+    step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    seen, parts = noise_of_windows(windows, step).noise, left_out_fits(windows, step)
+    *level, time = _over_specified(seen, spec)
+    freedom, limits = len(parts) - 1.0, [LEVEL] * 3 + [SLOW / TYPICAL_CORRELATION_TIME]
+    u = jackknife_u(np.log([_over_specified(p, spec) for p in parts]))
+    *of_level, of_time = (
+        probability_beyond(float(v), float(s), limit, freedom)
+        for v, s, limit in zip((*level, time), u, limits, strict=True)
+    )
+    dof, of_dof = _tails(windows, step)
+    time *= TYPICAL_CORRELATION_TIME
+    return Departure(np.array(level), float(time), dof, np.array(of_level), of_time, of_dof)
+
+
+def _over_specified(noise: NoiseModel, spec: TrackerSpec) -> Array:
+    """Three levels over the specified ones, and the correlation time over the typical one."""
+    time = noise.range.correlation_time or TYPICAL_CORRELATION_TIME
+    expected = [spec.u_range, spec.u_angle, spec.u_angle, TYPICAL_CORRELATION_TIME]
+    return np.array([*noise.level, time]) / expected
