@@ -58,6 +58,20 @@ def test_a_run_keeps_its_two_angles_apart(rest):
     assert found.vertical.dof is not None
 
 
+def test_what_contradicts_the_specification_keeps_its_own_colour():
+    samples = at_rest(60, 1.0, 100.0, 2, (1.5e-6, 2.6e-6, 2.6e-6), tau=0.2)
+    measured = standstill_noise(samples, find_standstills(samples, SPEED)).noise
+    found = noise_model(samples, TrackerSpec(0.5e-6, 2e-6), SPEED)
+    assert found.range == measured.range
+    # variance over time of the slow part of both angles together stays, at the specified level
+    assert found.horizontal.level == found.vertical.level == 2e-6
+    ratio = [
+        sum(c.slow**2 for c in (n.horizontal, n.vertical)) / n.vertical.correlation_time
+        for n in (found, measured)
+    ]
+    assert ratio[0] == pytest.approx(ratio[1], rel=1e-6)
+
+
 def seen(off, xyz):
     """Range and both angles of the offsets (n, 3) of points."""
     reach = np.linalg.norm(xyz, axis=1)

@@ -206,7 +206,7 @@ def _stretch(seen: NoiseModel, level: Array, near: NDArray[np.bool_]) -> float:
     """Factor on the correlation time where levels near the specified ones are taken as these.
 
     Short stops fix the fast part, and of the slow part only variance over time: the time goes
-    with the variance. It was fitted to all three components, and is stretched for all three.
+    with the variance. It was fitted to all components, and is stretched alike for all these.
     """
     slow, taken = seen.level**2 - seen.white**2, level**2 - seen.white**2
     shown = float(np.sum((slow / level**2)[near]))
@@ -237,7 +237,8 @@ def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel
     near = (noise.level > low * specified) & (noise.level < high * specified)
     near &= noise.white < specified
     level = np.where(near, specified, np.maximum(noise.level, specified / 3))
-    time = noise.range.correlation_time * _stretch(noise, level, near) or TYPICAL_CORRELATION_TIME
+    measured = noise.range.correlation_time or TYPICAL_CORRELATION_TIME
+    time = measured * np.where(near, _stretch(noise, level, near), 1.0)
     white = np.clip(noise.white / level, np.sqrt(0.05), 1.0) * level
-    parts = zip(level.tolist(), white.tolist(), noise, strict=True)
-    return NoiseModel(*(NoiseComponent(u, w, time, c.dof) for u, w, c in parts))
+    parts = zip(level.tolist(), white.tolist(), time.tolist(), strict=True)
+    return NoiseModel(*(NoiseComponent(*p, c.dof) for p, c in zip(parts, noise, strict=True)))
