@@ -18,9 +18,9 @@ MALFORMED = [
     ({'feed': [math.nan]}, 'feed: leg 0: must be finite'),
     ({'dwell': [1.0]}, 'dwell: a plan of 2 points needs shape (2,), got (1,)'),
     ({'dwell': [0.0, -1.0]}, 'dwell: point 1: must not be negative'),
-    ({'points': []}, '0 points without any motion'),
-    ({'points': [(0.0, 0.0, 0.0), (0.1, math.inf, 0.0)]}, 'point 1 is not finite'),
-    ({'points': [(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)]}, 'point 1 leaves the range of axis X'),
+    ({'points': []}, 'path: 0 points without any motion'),
+    ({'points': [(0.0, 0.0, 0.0), (0.1, math.inf, 0.0)]}, 'path: point 1 is not finite'),
+    ({'points': [(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)]}, 'path: point 1 leaves the range of axis X'),
 ]
 
 
