@@ -10,7 +10,7 @@ from geometry_msgs.msg import Point
 from otf_msgs.msg import Plan
 from otf_ros import qos
 
-DRIVER = {'wait_for_subscribers': 0, 'rate': 200.0, 'time_scale': 1.0}
+DRIVER = {'wait_for_subscribers': 0, 'simulated.rate': 200.0, 'time_scale': 1.0}
 PLAN = {'points': [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0)], 'feed': [0.1], 'dwell': [1.0, 1.0]}
 MALFORMED = [
     ({'feed': []}, 'feed: a plan of 2 points needs shape (1,), got (0,)'),
