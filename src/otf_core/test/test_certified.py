@@ -87,9 +87,15 @@ def solved(run, bases):
 
 def with_given_noise(run):
     given = RUN['given']['noise']
-    white, slow = (given[k] / RUN['given']['specified'][k] for k in ('white', 'slow'))
+    specified = RUN['given']['specified']
+    white, slow = (given[k] / specified[k] for k in ('white', 'slow'))
     misfit = given['misfit_piece'] ** 2, given['misfit_line'] ** 2
-    return replace(run, fitted=np.log([white, slow, given['correlation_time'], *misfit]))
+    return replace(
+        run,
+        fitted=np.log(
+            [white, slow, given['correlation_time'] / specified['correlation_time'], *misfit]
+        ),
+    )
 
 
 @pytest.fixture(scope='module')

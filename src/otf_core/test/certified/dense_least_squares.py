@@ -104,10 +104,8 @@ def sources(run, model, first, found, noise, roughness):
     """Covariance of the estimates, (free, free), source by source, and how the residuals fit."""
     prior, own = model.prior(roughness), found.covariance
     smooth = own @ prior.T @ prior @ own
-    rotation, translation = found.pose
-    on_path = (found.rows.q.mean(axis=0)[: len(found.pieces.leg)] - translation) @ rotation
-    tracker = run['machine']['tracker']
-    last = noise_matrices(found.rows, found.pieces, on_path, rotation, tracker, noise)
+    pieces, rotation, tracker = found.pieces, found.pose[0], run['machine']['tracker']
+    last = noise_matrices(found.rows, pieces, pieces.xyz, rotation, tracker, noise)
     within, misfit, between, shared = (
         found.gain @ part @ found.gain.T for part in (*found.parts[:2], *last[2:])
     )

@@ -23,10 +23,10 @@ def means_of_slow_noise(pieces, tau):
 
 
 def noise_matrices(rows, pieces, points, rotation, tracker, noise):
-    """Covariance of the rows, (r, r) in m^2: noise of the tracker, misfit; then between lines.
+    """Covariance of the rows, (r, r) in m^2: noise of the tracker, misfit; then what is left.
 
-    The first two hold within lines, where a2 and a3 are not correlated. The weights are made of
-    them. The other two are what noise and misfit share between lines. ``points`` (p, 3) of the
+    The first two hold between rows along the same of a2 and a3 on one line: the weights are made
+    of them. The other two are what noise and misfit share otherwise. ``points`` (p, 3) of the
     pieces are in the frame of the tracker, from which ``rotation`` leads to the machine.
     ``noise``: white and slow variance over the variance specified for the ``tracker``, time
     constant of the slow part (s), misfit of every piece and of whole lines (m).
@@ -40,16 +40,16 @@ def noise_matrices(rows, pieces, points, rotation, tracker, noise):
         for v in (beam, azimuth, np.cross(beam, azimuth))
     )
     of_range, of_angle = tracker['u_range'] * along, tracker['u_angle'] * reach[piece]
-    across = of_angle * np.sqrt(1.0 - along**2)
     one_line = pieces.leg[piece][:, None] == pieces.leg[piece]
     component = np.repeat([0, 1], len(reach))
     alike = one_line & (component[:, None] == component)
     slow = noise['slow'] * means_of_slow_noise(pieces, noise['correlation_time'])
     lasting = noise['misfit_line'] ** 2 * means_of_slow_noise(pieces, LASTING)
     slow, lasting = slow[np.ix_(piece, piece)], lasting[np.ix_(piece, piece)]
-    own = np.diag(noise['white'] * (of_range**2 + across**2) / pieces.count[piece])
-    own += alike * slow * (np.outer(of_range, of_range) + np.outer(across, across))
-    misfit = noise['misfit_piece'] ** 2 * np.eye(len(piece)) + alike * lasting
     shares = (of_range, of_angle * beside, of_angle * above)
-    between = ~one_line * slow * sum(np.outer(v, v) for v in shares)
-    return own, misfit, between, ~one_line * lasting * (rows.axes @ rows.axes.T)
+    shared = sum(np.outer(v, v) for v in shares)
+    white = noise['white'] * (piece[:, None] == piece) / pieces.count[piece]
+    whole = (white + slow) * shared
+    own = alike * whole
+    misfit = noise['misfit_piece'] ** 2 * np.eye(len(piece)) + alike * lasting
+    return own, misfit, whole - own, ~one_line * lasting * (rows.axes @ rows.axes.T)

@@ -30,7 +30,7 @@ NODES = table_nodes(RUN)
 LIMIT = CONFIG.unidentifiable_above
 UNIT = np.array([LIMIT**2, 1.0, LIMIT**2])
 TOGETHER = dense.TOGETHER
-NOISE_PRIOR = np.array([0.0, 0.0, np.log(0.3), *[2 * np.log(5e-8)] * 2])
+NOISE_PRIOR = np.array([0.0, 0.0, 0.0, *[2 * np.log(5e-8)] * 2])
 NOISE_SPREAD = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
 ONE_U = 0.5
 """Loss of log likelihood by a number that is off by its standard uncertainty."""
@@ -42,11 +42,10 @@ def silent(stage, fraction):
 
 def published_noise(run):
     """Noise of a run of the result as certified/ counts it."""
-    spec, noise = RUN['machine']['tracker'], run.noise
-    variance = (noise.u_range / spec['u_range']) ** 2
+    spec, noise = RUN['machine']['tracker'], run.noise.range
     return {
-        'white': variance * noise.white_range,
-        'slow': variance * (1 - noise.white_range),
+        'white': (noise.white / spec['u_range']) ** 2,
+        'slow': (noise.slow / spec['u_range']) ** 2,
         'correlation_time': noise.correlation_time,
         'misfit_piece': run.misfit.independent,
         'misfit_line': run.misfit.slow,
@@ -158,7 +157,7 @@ def test_roughness_is_at_the_top_of_the_likelihood(found):
 def test_noise_is_near_the_top_of_the_likelihood(found):
     def loss(logs):
         white, slow, time, piece, line = np.exp(logs)
-        noise = {'white': 0.5 * white, 'slow': 0.5 * slow, 'correlation_time': time}
+        noise = {'white': 0.5 * white, 'slow': 0.5 * slow, 'correlation_time': 0.3 * time}
         noise |= {'misfit_piece': np.sqrt(piece), 'misfit_line': np.sqrt(line)}
         away = (logs - NOISE_PRIOR) / NOISE_SPREAD
         return 0.5 * away @ away - log_density(found.last, noise, found.roughness)
