@@ -58,7 +58,8 @@ def _over_level(power: Array) -> Array:
     """Power over its local mean level, from the running median."""
     width = min(NEIGHBOURHOOD, max(3, len(power) // 4 * 2 + 1))
     median_to_mean = 1.0 / np.log(2.0)
-    level = median_filter(power, width, mode='nearest') * median_to_mean
+    # at the ends the neighbours inside count twice; a value repeated would be its own level
+    level = median_filter(power, width, mode='reflect') * median_to_mean
     return np.asarray(power / np.maximum(level, 1e-300))
 
 
