@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lines in the spectra of the residuals: vibration over time, cyclic errors over axis position.
 
-A line is judged against its own neighbourhood in the spectrum, so coloured noise makes none. Over
-time the sum of the power of three directions, each over its local level, is gamma distributed
-with shape 3 if there is no line; over position the power along the axis is exponential.
+A line is judged against its own neighbourhood in the spectrum, the slope of the spectrum taken off
+first, so coloured noise makes none. Over time the sum of the power of three directions, each over
+its local level, is gamma distributed with shape 3 if there is no line; over position the power
+along the axis is exponential.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.stats import gamma
@@ -22,6 +24,8 @@ Array = NDArray[np.float64]
 
 NEIGHBOURHOOD = 301
 """Spectral bins that make the local level."""
+NO_POWER = 1e-12
+"""Share of the largest power that stands for none where logarithms are taken."""
 LOWEST_FREQUENCY = 1.0
 """Hz; legs last seconds and lose their slow part."""
 PERIODS = (0.0015, 0.06)
@@ -54,8 +58,14 @@ class Line:
     score: float
 
 
-def _over_level(power: Array) -> Array:
-    """Power over its local mean level, from the running median."""
+def _over_level(power: Array, place: Array) -> Array:
+    """Power over its local mean level: the slope of the spectrum, then the running median.
+
+    The slope is a parabola in logarithms: a neighbourhood is too wide for the steep end of it.
+    """
+    logs = np.log(np.maximum(power, NO_POWER * power.max()))
+    slope = Polynomial.fit(np.log(place), logs, 2, w=place**-0.5)
+    power = power / np.exp(slope(np.log(place)))
     width = min(NEIGHBOURHOOD, max(3, len(power) // 4 * 2 + 1))
     median_to_mean = 1.0 / np.log(2.0)
     # at the ends the neighbours inside count twice; a value repeated would be its own level
@@ -81,7 +91,7 @@ def vibration_line(residuals: SampleResiduals) -> Line | None:
     frequency = np.fft.rfftfreq(length, step)
     use = (frequency >= LOWEST_FREQUENCY) & (frequency < 0.45 / step)
     power = np.abs(np.fft.rfft(series, length, axis=0)[use]) ** 2
-    total = sum(_over_level(power[:, k]) for k in range(3))
+    total = sum(_over_level(power[:, k], frequency[use]) for k in range(3))
     best = int(np.argmax(total))
     score = _improbability(float(np.asarray(total)[best]), 3.0, len(power))
     return Line('vibration', '', float(frequency[use][best]), score)
@@ -102,7 +112,7 @@ def cyclic_line(residuals: SampleResiduals, axis: str) -> Line | None:
     number = np.fft.rfftfreq(length, BIN)
     use = (number >= 1.0 / PERIODS[1]) & (number <= 1.0 / PERIODS[0])
     power = np.abs(np.fft.rfft(series, length)[use]) ** 2
-    ratio = _over_level(power)
+    ratio = _over_level(power, number[use])
     best = int(np.argmax(ratio))
     score = _improbability(float(ratio[best]), 1.0, len(ratio))
     return Line('cyclic_error', axis, float(1.0 / number[use][best]), score)
