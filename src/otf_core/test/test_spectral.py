@@ -132,3 +132,24 @@ def test_few_samples_show_no_line():
     short = {n: getattr(found.state, n)[:99] for n in ('time', 'q', 'direction')}
     few = SimpleNamespace(state=SimpleNamespace(**short), residual=found.residual[:99])
     assert strongest_lines(few) == []
+
+
+def test_slow_samples_show_no_vibration():
+    """At 2 Hz nothing can be said from 1 Hz on."""
+    found = driven(np.random.default_rng(11))
+    slow = SimpleNamespace(**vars(found.state))
+    slow.time = 0.5 * np.arange(len(slow.time))
+    assert vibration_line(SimpleNamespace(state=slow, residual=found.residual)) is None
+
+
+def test_a_direction_in_which_nothing_is_left_adds_nothing():
+    """As X where all lines run along X; the same waves in Y and Z are found with it and without."""
+
+    def wave(time, q):
+        return np.outer(np.sin(2 * np.pi * 7.3 * time), [0.0, 0.8, 0.6])
+
+    found = driven(np.random.default_rng(12), wave=wave)
+    found.residual[:, 0] = 0.0
+    line = vibration_line(found)
+    assert line.score > 30.0
+    assert line.place == pytest.approx(7.3, abs=0.01)

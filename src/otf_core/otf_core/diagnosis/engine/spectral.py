@@ -63,7 +63,7 @@ def _over_level(power: Array, place: Array) -> Array:
 
     The slope is a parabola in logarithms: a neighbourhood is too wide for the steep end of it.
     """
-    logs = np.log(np.maximum(power, NO_POWER * power.max()))
+    logs = np.log(np.maximum(power, max(NO_POWER * power.max(), 1e-300)))
     slope = Polynomial.fit(np.log(place), logs, 2, w=place**-0.5)
     power = power / np.exp(slope(np.log(place)))
     width = min(NEIGHBOURHOOD, max(3, len(power) // 4 * 2 + 1))
@@ -79,7 +79,7 @@ def _improbability(value: float, shape: float, trials: int) -> float:
 
 
 def vibration_line(residuals: SampleResiduals) -> Line | None:
-    """Find the strongest line over time, or None if there is too little data."""
+    """Find the strongest line over time; None for too few samples, or slower ones than 2 Hz."""
     time = residuals.state.time
     if len(time) < 100:
         return None
@@ -88,8 +88,10 @@ def vibration_line(residuals: SampleResiduals) -> Line | None:
     series = np.zeros((int(place[-1]) + 1, 3))
     np.add.at(series, place, residuals.residual)
     length = 1 << int(np.ceil(np.log2(2 * len(series))))
-    frequency = np.fft.rfftfreq(length, step)
+    frequency = np.asarray(np.fft.rfftfreq(length, step), np.float64)
     use = (frequency >= LOWEST_FREQUENCY) & (frequency < 0.45 / step)
+    if not use.any():
+        return None
     power = np.abs(np.fft.rfft(series, length, axis=0)[use]) ** 2
     total = sum(_over_level(power[:, k], frequency[use]) for k in range(3))
     best = int(np.argmax(total))
@@ -109,7 +111,7 @@ def cyclic_line(residuals: SampleResiduals, axis: str) -> Line | None:
     place = np.rint((q - q.min()) / BIN).astype(np.int64)
     series = np.bincount(place, residuals.residual[moving, k])
     length = 1 << int(np.ceil(np.log2(4 * len(series))))
-    number = np.fft.rfftfreq(length, BIN)
+    number = np.asarray(np.fft.rfftfreq(length, BIN), np.float64)
     use = (number >= 1.0 / PERIODS[1]) & (number <= 1.0 / PERIODS[0])
     power = np.abs(np.fft.rfft(series, length)[use]) ** 2
     ratio = _over_level(power, number[use])
