@@ -143,7 +143,7 @@ def test_slow_samples_show_no_vibration():
 
 
 def test_a_direction_in_which_nothing_is_left_adds_nothing():
-    """As X where all lines run along X; the same waves in Y and Z are found with it and without."""
+    """As X where all lines run along X: a wave in Y and Z is found all the same."""
 
     def wave(time, q):
         return np.outer(np.sin(2 * np.pi * 7.3 * time), [0.0, 0.8, 0.6])
