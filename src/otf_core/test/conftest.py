@@ -30,3 +30,14 @@ def cell():
 def calibrated(cell):
     """Calibration of the small cell with white noise as specified."""
     return calibrate(cell.recording.measured(cell.truth), cell.path, cell.machine)
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Folder of a bag with the content of ``bag_cells``."""
+    from bag_cells import CONTENT
+
+    from otf_core.bags.bag import write_bag
+
+    write_bag(tmp_path / 'bag', CONTENT)
+    return tmp_path / 'bag'
