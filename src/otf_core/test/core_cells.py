@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from nature import SQUARE, table_rows, target_on_table
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from otf_core.config import PlannerConfig
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.frames import RigidTransform
-from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
@@ -58,6 +58,21 @@ def constant_tables(machine, **errors):
         else:
             motions[name] = replace(motions[name], value=np.full(2, value))
     return replace(tables, motions=motions, squareness=squareness)
+
+
+def error_of(tables, q):
+    """First-order errors (n, 3), m, by the formula of the tests, not by that of the solver."""
+    machine = tables.machine
+    rows, values = table_rows(tables, str(machine.chain), machine.target_offset, q)
+    return rows @ values
+
+
+def position_of(tables, q):
+    """Exact positions (n, 3), m, of a machine with these errors: products of 4x4 transforms."""
+    machine = tables.machine
+    curves = {name: table.at for name, table in tables.motions.items()}
+    square = {name: tables.squareness[name].value for name in SQUARE}
+    return target_on_table(str(machine.chain), machine.target_offset, curves, square, q)
 
 
 def smooth(tables, nodes=121):
@@ -123,7 +138,7 @@ class Recording:
         """Samples of this recording; white noise, random pose of the tracker if none is given."""
         rng = np.random.default_rng(seed)
         tables = tables or zero_tables(self.machine)
-        actual = exact_position(tables, self.q) if exact else self.q + displacement(tables, self.q)
+        actual = position_of(tables, self.q) if exact else self.q + error_of(tables, self.q)
         rotation, place = pose or some_pose(self.machine, rng)
         xyz = (actual - place) @ rotation.T
         xyz = xyz + noise * tracker_noise(xyz, self.machine.tracker, rng)
@@ -162,8 +177,8 @@ def small_plan(machine, **parameters):
     return plan_path(machine, PlannerConfig(**(defaults | parameters)))
 
 
-def pieces_of(machine, path, tables, pose, size=0.01, count=10):
-    """Pieces as a perfect recording of a path would give them: first-order errors, no noise."""
+def pieces_of(machine, path, tables, pose, size=0.01, count=10, *, exact=False):
+    """Pieces as a perfect recording of a path would give them, errors of first order or exact."""
     corners, _ = path.corners()
     legs, points = [], []
     for j, (a, b) in enumerate(pairwise(corners)):
@@ -172,7 +187,7 @@ def pieces_of(machine, path, tables, pose, size=0.01, count=10):
         points.append(a + share[:, None] * (b - a))
         legs.append(np.full(number, j))
     q, leg = np.concatenate(points), np.concatenate(legs)
-    actual = q + displacement(tables, q)
+    actual = position_of(tables, q) if exact else q + error_of(tables, q)
     inverse = (actual - pose.translation) @ pose.rotation
     unit = np.diff(corners, axis=0)
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
@@ -196,8 +211,8 @@ def pieces_of(machine, path, tables, pose, size=0.01, count=10):
 def grid_error(tables, truth, count=5):
     """Mean length on a lattice of truth, and of tables less truth, rigid motions taken out; m."""
     q = lattice(truth.machine, count)
-    wanted = displacement(truth, q)
-    left = without_rigid_motion(displacement(tables, q) - wanted, q)
+    wanted = error_of(truth, q)
+    left = without_rigid_motion(error_of(tables, q) - wanted, q)
     return mean_length(without_rigid_motion(wanted, q)), mean_length(left)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from core_cells import CONTRACT_CHAINS, constant_tables, some_machine, zero_tables
+from core_cells import CONTRACT_CHAINS, constant_tables, error_of, some_machine, zero_tables
 
 from otf_core import cli
 from otf_core.comparison.compare import (
@@ -20,7 +20,6 @@ from otf_core.comparison.direct_csv import read_direct_csv, write_direct_csv
 from otf_core.errors import ConfigError, InputError
 from otf_core.model.direct_measurement import motion_readings
 from otf_core.model.evaluation import mean_length
-from otf_core.model.kinematics import displacement
 from otf_core.model.machine import AXES
 from otf_core.model.tables import MOTIONS, Squareness, is_straightness, tables_to_dict
 from otf_core.reports.comparison import comparison_to_dict, format_comparison
@@ -82,7 +81,7 @@ def test_error_vectors_are_those_of_the_model_without_squareness():
         m: replace(t, position=result.common.position[m[2]], value=own[m], u=np.zeros(own[m].size))
         for m, t in tables.motions.items()
     }
-    expected = displacement(replace(tables, motions=motions), result.volume.q)
+    expected = error_of(replace(tables, motions=motions), result.volume.q)
     np.testing.assert_allclose(result.volume.a, expected, atol=1e-15)
     np.testing.assert_allclose(result.volume.b, 0.0, atol=1e-15)
 
@@ -100,7 +99,7 @@ def test_a_rotation_one_side_cannot_see_counts_as_a_translation(chain):
         q[:, own] = table.position
         alone = constant_tables(machine)
         alone = replace(alone, motions={**alone.motions, name: table})
-        effect = displacement(alone, q)
+        effect = error_of(alone, q)
         for k, direction in enumerate('XYZ'):
             old = motions[f'E{direction}{name[2]}']
             motions[f'E{direction}{name[2]}'] = replace(old, value=old.value + effect[:, k])
@@ -116,7 +115,7 @@ def _constant(machine, motion):
     tables = constant_tables(machine, **{motion: 1e-3})
     q = np.vstack([np.zeros(3), np.diag([0.1, 0.1, -0.1])])
     q[:, AXES.index(motion[2])] = 0.0
-    return np.ptp(displacement(tables, q), axis=0).max() < 1e-12
+    return np.ptp(error_of(tables, q), axis=0).max() < 1e-12
 
 
 @pytest.mark.parametrize('chain', CONTRACT_CHAINS)

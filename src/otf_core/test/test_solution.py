@@ -8,9 +8,11 @@ import pytest
 from core_cells import (
     CONTRACT_CHAINS,
     corner_path,
+    error_of,
     fit_pieces,
     grid_error,
     pieces_of,
+    position_of,
     record,
     small_plan,
     some_machine,
@@ -20,7 +22,7 @@ from core_cells import (
 
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import PlannerConfig
-from otf_core.model.kinematics import displacement
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.machine import Axis
 from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness
@@ -38,9 +40,10 @@ def without(tables, names):
     return replace(tables, motions=motions)
 
 
-def fitted(machine, path, truth, **options):
+def fitted(machine, path, truth, *, exact=False, **options):
     pose = transform_pose(machine, POSE_SEED)
-    return fit_pieces(machine, pieces_of(machine, path, truth, pose, size=0.02), pose, **options)
+    pieces = pieces_of(machine, path, truth, pose, size=0.02, exact=exact)
+    return fit_pieces(machine, pieces, pose, **options)
 
 
 @pytest.mark.parametrize('chain', [*CONTRACT_CHAINS, 'w-Z-b-Y-X-t'])
@@ -54,6 +57,23 @@ def test_errors_without_noise_are_recovered_to_a_nanometre(chain):
     before, left = grid_error(fitted(machine, plan.path, truth).tables, truth)
     assert before > 2e-6
     assert left < 1e-9
+
+
+@pytest.mark.parametrize('chain', [*CONTRACT_CHAINS, 'w-Z-b-Y-X-t'])
+def test_errors_of_full_rotations_are_recovered_up_to_their_second_order(chain):
+    """Measured and judged by products of 4x4 transforms: no formula of the solver there."""
+    machine = some_machine(chain)
+    plan = small_plan(machine)
+    truth = random_tables(machine, 5e-6, np.random.default_rng(3))
+    truth = without(truth, fitted(machine, plan.path, truth, iterations=1).missing)
+    q = lattice(machine, 5)
+    for factor in (1.0, 4.0):
+        true = truth.scaled(factor)
+        tables = fitted(machine, plan.path, true, exact=True).tables
+        actual, found = (position_of(t, q) - q for t in (true, tables))
+        assert mean_length(without_rigid_motion(actual, q)) > factor * 2e-6
+        # angles of some 20 urad turn errors of some 5 um: 0.1 nm; four times the errors, 16 times
+        assert mean_length(without_rigid_motion(found - actual, q)) < factor**2 * 2e-10
 
 
 @pytest.mark.parametrize('chain', CONTRACT_CHAINS)
@@ -180,7 +200,7 @@ def test_planar_path_shows_one_plane_and_says_so():
     # in the plane it is right: error across the path left by noise alone, 1 um a sample
     q = np.random.default_rng(0).uniform(machine.lower, machine.upper, (200, 3))
     q[:, 2] = -0.1
-    difference = (displacement(result.tables, q) - displacement(truth, q))[:, :2]
+    difference = (error_of(result.tables, q) - error_of(truth, q))[:, :2]
     columns = np.zeros((len(q), 2, 3))
     columns[:, 0, 0] = columns[:, 1, 1] = 1
     columns[:, 0, 2], columns[:, 1, 2] = -q[:, 1], q[:, 0]

@@ -15,6 +15,7 @@ from core_cells import (
     white,
     zero_tables,
 )
+from nature import influences
 
 from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import MOTIONS, MotionTable, Squareness
@@ -152,6 +153,22 @@ def test_rows_hold_a_few_coefficients_of_a_motion_and_no_more(bases, entries):
     assert system.design.shape == (2 * len(system.q), unknowns.full)
 
 
+@pytest.mark.parametrize('chain', CONTRACT_CHAINS)
+def test_rows_of_the_volumetric_error_are_those_of_the_contract(chain):
+    machine = some_machine(chain)
+    rng = np.random.default_rng(5)
+    unknowns = layout(linear_bases(table_nodes(machine, machine.lower, machine.upper)))
+    tables = random_tables(machine, 2e-5, rng)
+    q = rng.uniform(machine.lower, machine.upper, (6, 3))
+    values = np.zeros(unknowns.full)
+    for name in MOTIONS:
+        values[unknowns.blocks[name]] = tables.motions[name].at(unknowns.knots[name[2]])
+    for name, squareness in tables.squareness.items():
+        values[unknowns.blocks[name]] = squareness.value
+    expected = [error_by_hand(tables, point) for point in q]
+    np.testing.assert_allclose(model_rows(machine, unknowns, q) @ values, expected, atol=1e-15)
+
+
 @pytest.mark.parametrize(('count', 'better'), [(40, 20.0), (2, 20.0)])
 def test_a_piece_is_a_mean_over_its_samples_not_the_value_at_its_centre(count, better):
     """Waves of 67 mm, pieces of h = 30 mm: off by h^2 f2 / 24 at centres, h^4 f4 / 4320 here."""
@@ -169,8 +186,12 @@ def test_a_piece_is_a_mean_over_its_samples_not_the_value_at_its_centre(count, b
     inner = np.all((found.q - 0.02 > machine.lower) & (found.q + 0.02 < machine.upper), axis=1)
     true = np.zeros((2, size))
     for share in shares:
-        rows = model_rows(machine, unknowns, found.q + 0.03 * share * means.direction)
-        true += np.einsum('cij,ij->ci', found.axes, rows @ values) / count
+        q = found.q + 0.03 * share * means.direction
+        per_unit = influences(str(machine.chain), machine.target_offset, q)
+        for name in MOTIONS:
+            at = unknowns.bases[name[2]].matrix(q[:, 'XYZ'.index(name[2])])
+            size = at @ values[unknowns.blocks[name]]
+            true += np.einsum('cij,ij,i->ci', found.axes, per_unit[name], size) / count
     off, plain = (
         np.abs((s.design @ values).reshape(2, -1) - true)[:, inner].max()
         for s in (found, at_centres)

@@ -6,12 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from core_cells import some_machine
+from core_cells import error_of, some_machine
 from nature import Cell, judge
 
 from otf_core.config import CalibrationConfig
 from otf_core.model.evaluation import mean_length, without_rigid_motion
-from otf_core.model.kinematics import displacement
 from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness
 from otf_core.pieces.runs import prepare_runs
@@ -128,8 +127,8 @@ def test_cost_on_the_grid_is_that_of_random_places():
         machine, done = curved(pitch)
         found = tabulate(machine, done, 1.0, LIMIT)
         q = rng.uniform(machine.lower, machine.upper, (3000, 3))
-        fine = displacement(tables_of(machine, done.unknowns, with_covariance(done)), q)
-        left = without_rigid_motion(fine - displacement(found.tables, q), q)
+        fine = error_of(tables_of(machine, done.unknowns, with_covariance(done)), q)
+        left = without_rigid_motion(fine - error_of(found.tables, q), q)
         assert found.costs[1].grid == pytest.approx(mean_length(left), rel=0.1)
 
 

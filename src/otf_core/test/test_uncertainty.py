@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from core_cells import (
     error_by_hand,
+    error_of,
     fit_pieces,
     pieces_of,
     small_plan,
@@ -17,7 +18,6 @@ from core_cells import (
 )  # fmt: skip
 
 from otf_core.model.evaluation import lattice
-from otf_core.model.kinematics import displacement
 from otf_core.model.tables import MOTIONS, SQUARENESS, MotionTable, Squareness
 from otf_core.prediction.uncertainty import prediction_rows, prediction_uncertainty
 from otf_core.sim.cell import random_tables
@@ -81,7 +81,7 @@ def test_predictions_scatter_as_their_uncertainty_says(runs):
     q = lattice(machine, 4)
     nodes = {n: fits[0].unknowns.knots[n[2]] for n in MOTIONS}
     u = prediction_uncertainty(machine, nodes, parts(fits[0])[1], q)
-    predicted = np.array([displacement(fit.tables, q) for fit in fits])
+    predicted = np.array([error_of(fit.tables, q) for fit in fits])
     known = u > 1e-9  # zero where the gauge fixes all
     scatter = np.sqrt(np.mean(predicted**2, axis=0))
     ratio = scatter[known] / u[known]
@@ -179,8 +179,8 @@ def test_errors_of_a_calibration_are_within_a_few_uncertainties(cell, calibrated
     q = lattice(cell.machine, 4)
     nodes = {n: calibrated.tables.motions[n].position for n in MOTIONS}
     u = prediction_uncertainty(cell.machine, nodes, calibrated.covariance, q)
-    error = displacement(calibrated.tables, q)
-    truth = displacement(random_tables(cell.machine, 2e-5, np.random.default_rng(3)), q)
+    error = error_of(calibrated.tables, q)
+    truth = error_of(random_tables(cell.machine, 2e-5, np.random.default_rng(3)), q)
     # the gauge leaves a rigid motion open: take it out of the difference with weights 1 / u
     columns = np.zeros((len(q), 3, 6))
     columns[:, :, :3] = np.eye(3)

@@ -15,6 +15,8 @@ from otf_core.effects import AppliedEffect
 
 Array = NDArray[np.float64]
 
+FREE = 3.0
+"""Standard deviation of what the data do not see, over the largest displacement found."""
 SIGNIFICANT = 2.0
 """Standard deviations at which an axis takes part in a cause."""
 
@@ -27,12 +29,16 @@ class FittedCause:
     ----------
     cause : Cause
     value, u : ndarray, shape (k,)
-        Coefficients of its terms and their standard uncertainties.
+        Coefficients of its terms and their standard uncertainties. Combinations that the data do
+        not see are zero in ``value``; in ``u`` they may be ``FREE`` times as large as the rest.
+    u_seen : ndarray, shape (k,)
+        Without these combinations.
     """
 
     cause: Cause
     value: Array
     u: Array
+    u_seen: Array
 
     @property
     def names(self) -> list[str]:
@@ -44,7 +50,8 @@ class FittedCause:
         """Axes whose coefficients are significant, strongest first."""
         option = self.cause.option
         strength: dict[str, float] = {}
-        for i, value, u, size in zip(option.take, self.value, self.u, option.size, strict=True):
+        rows = zip(option.take, self.value, self.u_seen, option.size, strict=True)
+        for i, value, u, size in rows:
             axis = option.terms.axes[i]
             if axis and abs(value) > SIGNIFICANT * u:
                 strength[axis] = strength.get(axis, 0.0) + (value * size) ** 2
@@ -70,10 +77,14 @@ def fitted_causes(causes: Sequence[Cause], rows: Rows) -> list[FittedCause]:
     if not causes:
         return []
     fit = fit_jointly(causes, rows)
-    u = np.sqrt(np.diag(fit.covariance))
+    size = np.concatenate([cause.option.size for cause in causes])
+    free = FREE * float(np.max(np.abs(fit.value) * size))
+    seen = np.diag(fit.covariance)
+    u = np.sqrt(seen + free**2 * np.sum(fit.unseen**2, axis=1))
     parts, start = [], 0
     for cause in causes:
         stop = start + cause.option.take.size
-        parts.append(FittedCause(cause, fit.value[start:stop], u[start:stop]))
+        own = slice(start, stop)
+        parts.append(FittedCause(cause, fit.value[own], u[own], np.sqrt(seen[own])))
         start = stop
     return parts

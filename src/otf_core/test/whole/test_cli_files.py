@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of the commands: what is refused, replaced, written beside; mistakes in input files."""
+"""Files of the commands: what is refused, replaced, written beside; bags that are not meant."""
 
 import hashlib
 import json
@@ -8,41 +8,23 @@ import signal
 import subprocess
 import sys
 import time
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
+from cli_cells import message, run
 from core_cells import some_machine
 
 import otf_core
-from otf_core import cli
 from otf_core.bags.bag import read_bag
 from otf_core.effects.effects_yaml import effects_from_data
-from otf_core.files.strict_yaml import shown
 from otf_core.model.kinematics import exact_position
 from otf_core.model.tables import load_tables
 
 QUICK = ('--levels', '2', '--passes', '1', '--rate', '50', '--corner-dwell', '0.1',
          '--end-dwell', '1')  # fmt: skip
-
-
-def run(*arguments):
-    """Exit code of one command, in this process."""
-    try:
-        return cli.main([str(a) for a in arguments])
-    except SystemExit as leaving:
-        return leaving.code
-
-
-@pytest.fixture
-def place(tmp_path, monkeypatch):
-    """An empty working folder with a machine.yaml."""
-    monkeypatch.chdir(tmp_path)
-    Path('machine.yaml').write_text(yaml.safe_dump(some_machine(pitch=0.1).to_dict()))
-    return tmp_path
 
 
 @pytest.fixture(scope='module')
@@ -57,14 +39,6 @@ def bags(tmp_path_factory):
         assert run('simulate', '--machine', machine, '--out', folder / name, '--seed', '4',
                    '--effects', effects, *QUICK) == 0  # fmt: skip
     return SimpleNamespace(folder=folder, machine=machine)
-
-
-def message(capsys):
-    """The only line of a command that failed."""
-    shown = capsys.readouterr()
-    assert shown.out == ''
-    assert shown.err.count('\n') == 1
-    return shown.err.strip()
 
 
 # ---------------------------------------------------------------- --out before any work
@@ -250,99 +224,6 @@ def test_truth_explains_the_samples_to_within_effect_and_noise(bags, name):
 
 
 @pytest.mark.parametrize(
-    ('key', 'value', 'words'),
-    [
-        (('axes', 'X', 'max'), 300.0, 'is it in mm? Write 0.3 m'),
-        (('axes', 'X', 'table_pitch'), 50.0, 'is it in mm?'),
-        (('target_offset',), [0, 0, -150.0], 'not mm'),
-        (('tracker', 'u_range'), 0.5, 'is it in um? Write 5e-07 m'),
-        (('tracker', 'u_angle'), 2.0, 'is it in urad? Write 2e-06 rad'),
-        (('axes', 'X', 'max'), 10**400, 'the number is too large'),
-        (('name',), [[[1] * 9] * 9] * 9, 'expected a text'),
-        (('target_offset',), [['x' * 10**5] * 9] * 9, 'expected a list of 3 numbers'),
-        (('axes', 'X', 'min'), {'a': 'x' * 10**5}, 'expected a plain number'),
-    ],
-)
-def test_wrong_units_and_monsters_in_a_machine_description(place, capsys, key, value, words):
-    data = yaml.safe_load(Path('machine.yaml').read_text())
-    inner = data
-    for part in key[:-1]:
-        inner = inner[part]
-    inner[key[-1]] = value
-    Path('wrong.yaml').write_text(yaml.safe_dump(data))
-    assert run('plan', '--machine', 'wrong.yaml', '--out', 'out') == 2
-    said = message(capsys)
-    assert words in said
-    assert said.startswith(f'otf plan: wrong.yaml: {": ".join(key)}: ')
-    assert len(said) < 400
-
-
-def test_aliases_that_grow_without_end_are_shown_in_a_line(place, capsys):
-    levels = [f'- &{b} [{", ".join([f"*{a}"] * 9)}]' for a, b in pairwise('abcdefghi')]
-    bomb = '\n'.join(['- &a [1, 1, 1, 1, 1, 1, 1, 1, 1]', *levels])
-    Path('bomb.yaml').write_text(bomb)
-    start = time.process_time()
-    value = yaml.safe_load(bomb)
-    assert len(shown(value)) < 400
-    text = Path('machine.yaml').read_text().replace('name: small', f'name:\n{bomb}')
-    Path('wrong.yaml').write_text(text)
-    assert run('plan', '--machine', 'wrong.yaml', '--out', 'out') == 2
-    assert len(message(capsys)) < 400
-    assert time.process_time() - start < 2.0
-
-
-def test_message_of_any_length_is_cut(place, capsys):
-    Path('wrong.yaml').write_text(Path('machine.yaml').read_text() + f'? {"x" * 10**5}\n: 1\n')
-    assert run('plan', '--machine', 'wrong.yaml', '--out', 'out') == 2
-    said = message(capsys)
-    assert 'unknown key' in said
-    assert len(said) < 1100
-
-
-HUGE = '1' + '0' * 400
-ENDLESS = '1' + '0' * 5000
-EFFECT = '- effect: backlash\n  parameters: {B_X: NUMBER}\n'
-PLAN = '{"schema": "otf-plan/1", "path": [[0, 0, NUMBER], [1, 1, 1]]}'
-
-
-@pytest.mark.parametrize(
-    ('option', 'content', 'words'),
-    [
-        ('--effects', EFFECT.replace('NUMBER', HUGE), 'B_X: the number is too large'),
-        ('--effects', EFFECT.replace('NUMBER', ENDLESS), 'thousands of digits'),
-        (
-            '--effects',
-            EFFECT.replace('NUMBER', '.inf'),
-            'a plain number in SI units, got inf',
-        ),
-        ('--effects', '[' * 5000, 'nested too deeply'),
-        ('--path', PLAN.replace('NUMBER', HUGE), 'path: expected n x 3 numbers'),
-        ('--path', PLAN.replace('NUMBER', ENDLESS), 'thousands of digits'),
-        ('--path', '{"a":' * 100_000, 'nested too deeply'),
-        ('--tables', '[' * 100_000, 'nested too deeply'),
-        ('--tables', '{"schema": NUMBER}'.replace('NUMBER', ENDLESS), 'thousands of digits'),
-        ('--tables', '\x00\xff', 'not'),
-    ],
-)
-def test_monsters_in_other_files(place, capsys, option, content, words):
-    Path('wrong').write_text(content, encoding='latin-1')
-    assert run('simulate', '--machine', 'machine.yaml', option, 'wrong', '--out', 'out') == 2
-    said = message(capsys)
-    assert words in said
-    assert said.startswith('otf simulate: wrong: ')
-    assert os.listdir() != ['out']
-    assert not Path('out').exists()
-
-
-@pytest.mark.parametrize('content', ['{"u_range": NUMBER}'.replace('NUMBER', HUGE), '[' * 100_000])
-def test_monsters_in_a_noise_file(place, capsys, content):
-    Path('noise.json').write_text(content)
-    arguments = ('plan', '--machine', 'machine.yaml', '--noise', 'noise.json', '--out', 'out')
-    assert run(*arguments) == 2
-    assert message(capsys).startswith('otf plan: noise.json: not ')
-
-
-@pytest.mark.parametrize(
     ('bag', 'machine', 'words'),
     [
         ('machine.yaml', 'run', 'it is a folder; are bag and --machine swapped?'),
@@ -369,38 +250,6 @@ def test_path_in_millimetres_is_named(bags, place, capsys):
     arguments = ('--machine', 'machine.yaml', '--out', 'out')
     assert run('calibrate', 'mm', *arguments) == 3
     assert 'the path seems to be in mm, expected m' in message(capsys)
-
-
-@pytest.mark.parametrize(
-    ('arguments', 'words'),
-    [
-        (('calibrat', 'bag'), "otf: 'calibrat' is no VERB; did you mean calibrate? Possible: "),
-        (('xyz',), "otf: 'xyz' is no VERB Possible: calibrate, "),
-        (
-            ('calibrate', 'bag', '--machine', 'm', '--out', 'o', '--piece-lenght', '1'),
-            'otf calibrate: unknown option --piece-lenght; did you mean --piece-length? '
-            '(see otf calibrate --help)',
-        ),
-        (
-            ('noise', 'bag', 'more', '--out', 'o'),
-            'otf noise: unknown argument more (see otf noise --help)',
-        ),
-        (
-            ('plan', '--machine', 'm', '--out', 'o', '--feed', '0.25'),
-            'otf plan: --feed: 0.25 is out of range, 6 to 300000 mm/min are possible',
-        ),
-    ],
-)
-def test_typing_mistakes_point_to_what_was_meant(capsys, arguments, words):
-    assert run(*arguments) == 2
-    assert message(capsys).startswith(words)
-
-
-def test_help_lists_choices_and_overwriting(capsys):
-    assert run('calibrate', '--help') == 0
-    said = ' '.join(capsys.readouterr().out.split())
-    assert '--reversal {auto,none,constant,tables}' in said
-    assert '--overwrite' in said
 
 
 def test_full_output_is_said_and_the_results_are_there(place):

@@ -76,12 +76,16 @@ class Estimate:
     ----------
     value : ndarray, shape (k,)
     covariance : ndarray, shape (k, k)
+        Of what the data see.
+    unseen : ndarray, shape (k, m)
+        Combinations that they do not see, each displacing by 1 m.
     gain : float
         Fall of the sum of squares.
     """
 
     value: Array
     covariance: Array
+    unseen: Array
     gain: float
 
 
@@ -116,12 +120,14 @@ def estimate(white: Array, size: Array, residual: Array) -> Estimate:
     scale = np.maximum(size, 1e-300)
     scaled = white / scale
     values, vectors = linalg.eigh(scaled.T @ scaled)
-    seen = vectors[:, values > BLIND**-2]
-    inverse = (seen / values[values > BLIND**-2]) @ seen.T
+    sure = values > BLIND**-2
+    seen = vectors[:, sure]
+    inverse = (seen / values[sure]) @ seen.T
     value = inverse @ (scaled.T @ residual)
     fitted = scaled @ value
     gain = float(2 * residual @ fitted - fitted @ fitted)
-    return Estimate(value / scale, inverse / np.outer(scale, scale), gain)
+    unseen = vectors[:, ~sure] / scale[:, None]
+    return Estimate(value / scale, inverse / np.outer(scale, scale), unseen, gain)
 
 
 def axis_subsets(terms: Terms) -> list[NDArray[np.int64]]:

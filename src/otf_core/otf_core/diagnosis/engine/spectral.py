@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lines in the spectra of the residuals, over time and over axis position.
 
-A line is judged against its own neighbourhood in the spectrum, so coloured noise makes none. Over
-time the sum of the power of three directions, each over its local level, is gamma distributed
-with shape 3 if there is no line; over position the power along the axis is exponential.
+A line is judged against its own neighbourhood in the spectrum, the slope of the spectrum taken off
+first, so coloured noise makes none. Over time the sum of the power of three directions, each over
+its local level, is gamma distributed with shape 3 if there is no line; over position the power
+along the axis is exponential.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.stats import gamma
@@ -27,6 +29,8 @@ Peak = tuple[float, float]
 
 NEIGHBOURHOOD = 301
 """Spectral bins that make the local level."""
+NO_POWER = 1e-12
+"""Share of the largest power that stands for none where logarithms are taken."""
 LOWEST_FREQUENCY = 1.0
 """Hz; legs last seconds and lose their slow part."""
 PERIODS = (0.0015, 0.06)
@@ -59,11 +63,18 @@ class Line:
     score: float
 
 
-def _over_level(power: Array) -> Array:
-    """Power over its local mean level, from the running median."""
+def _over_level(power: Array, place: Array) -> Array:
+    """Power over its local mean level: the slope of the spectrum, then the running median.
+
+    The slope is a parabola in logarithms: a neighbourhood is too wide for the steep end of it.
+    """
+    logs = np.log(np.maximum(power, max(NO_POWER * power.max(), 1e-300)))
+    slope = Polynomial.fit(np.log(place), logs, 2, w=place**-0.5)
+    power = power / np.exp(slope(np.log(place)))
     width = min(NEIGHBOURHOOD, max(3, len(power) // 4 * 2 + 1))
     median_to_mean = 1.0 / np.log(2.0)
-    level = median_filter(power, width, mode='nearest') * median_to_mean
+    # at the ends the neighbours inside count twice; a value repeated would be its own level
+    level = median_filter(power, width, mode='reflect') * median_to_mean
     return np.asarray(power / np.maximum(level, 1e-300))
 
 
@@ -73,7 +84,7 @@ def _improbability(value: float, shape: float, trials: int) -> float:
 
 
 def line_in_time(residuals: SampleResiduals) -> Peak | None:
-    """Find the strongest line over time, or None if there is too little data."""
+    """Find the strongest line over time; None for too few samples, or slower ones than 2 Hz."""
     time = residuals.state.time
     if len(time) < 100:
         return None
@@ -82,10 +93,12 @@ def line_in_time(residuals: SampleResiduals) -> Peak | None:
     series = np.zeros((int(place[-1]) + 1, 3))
     np.add.at(series, place, residuals.residual)
     length = 1 << int(np.ceil(np.log2(2 * len(series))))
-    frequency = np.fft.rfftfreq(length, step)
+    frequency = np.asarray(np.fft.rfftfreq(length, step), np.float64)
     use = (frequency >= LOWEST_FREQUENCY) & (frequency < 0.45 / step)
+    if not use.any():
+        return None
     power = np.abs(np.fft.rfft(series, length, axis=0)[use]) ** 2
-    total = sum(_over_level(power[:, k]) for k in range(3))
+    total = sum(_over_level(power[:, k], frequency[use]) for k in range(3))
     best = int(np.argmax(total))
     score = _improbability(float(np.asarray(total)[best]), 3.0, len(power))
     return float(frequency[use][best]), score
@@ -103,10 +116,10 @@ def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     place = np.rint((q - q.min()) / BIN).astype(np.int64)
     series = np.bincount(place, residuals.residual[moving, k])
     length = 1 << int(np.ceil(np.log2(4 * len(series))))
-    number = np.fft.rfftfreq(length, BIN)
+    number = np.asarray(np.fft.rfftfreq(length, BIN), np.float64)
     use = (number >= 1.0 / PERIODS[1]) & (number <= 1.0 / PERIODS[0])
     power = np.abs(np.fft.rfft(series, length)[use]) ** 2
-    ratio = _over_level(power)
+    ratio = _over_level(power, number[use])
     best = int(np.argmax(ratio))
     score = _improbability(float(ratio[best]), 1.0, len(ratio))
     return float(1.0 / number[use][best]), score

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Content of bags: what is put in order, and one clear error for what is unusable."""
+
+import logging
+import struct
+
+import numpy as np
+import pytest
+from bag_cells import (
+    CONTENT,
+    CORNERS,
+    MESSAGES,
+    PATH_MESSAGE,
+    PATH_TYPE,
+    POINT_TYPE,
+    START,
+    TF_TYPE,
+    assert_same,
+    path_cdr,
+    point_cdr,
+    point_messages,
+    some_samples,
+    write_mcap,
+    write_rosbag,
+)
+from mcap.writer import Writer
+
+from otf_core.bags.bag import BagContent, read_bag, read_points
+from otf_core.errors import InputError
+from otf_core.model.observation import Samples
+
+# ---------------------------------------------------------------- order
+
+
+def reordered(order, log_time=None):
+    points = [MESSAGES[1:][i] for i in order]
+    if log_time is not None:
+        points = [(p[0], p[1], int(t), p[3]) for p, t in zip(points, log_time, strict=True)]
+    return [PATH_MESSAGE, *points]
+
+
+def test_points_swapped_by_transport_are_sorted_with_a_warning(tmp_path, caplog):
+    order = np.arange(200)
+    order[50:60] = order[50:60][::-1]
+    file = write_mcap(tmp_path / 'a.mcap', reordered(order, START + np.arange(200)))
+    with caplog.at_level(logging.WARNING):
+        assert_same(read_bag(file))
+    assert 'stamps went back 9 times' in caplog.text
+
+
+def test_file_order_is_not_the_order_of_reception(tmp_path, caplog):
+    order = np.random.default_rng(4).permutation(200)
+    assert_same(read_bag(write_mcap(tmp_path / 'a.mcap', reordered(order))))
+    assert not caplog.records
+
+
+def test_repeated_samples_are_dropped_with_a_warning(tmp_path, caplog):
+    order = np.sort(np.concatenate([np.arange(200), [3, 3, 77]]))
+    assert_same(read_bag(write_mcap(tmp_path / 'a.mcap', reordered(order))))
+    assert 'dropped 3 repeated samples and 0' in caplog.text
+
+
+def conflicting(n, every):
+    samples = some_samples(n)
+    extra = Samples(samples.stamp_ns[::every], samples.xyz[::every] + 1e-6)
+    points = sorted(point_messages(samples) + point_messages(extra), key=lambda m: m[2])
+    return samples, [PATH_MESSAGE, *points]
+
+
+def test_rare_second_points_of_a_stamp_are_dropped_with_a_warning(tmp_path, caplog):
+    samples, messages = conflicting(3000, 1500)
+    assert_same(
+        read_bag(write_mcap(tmp_path / 'a.mcap', messages)), BagContent(samples, CONTENT.path)
+    )
+    assert 'dropped 0 repeated samples and 2' in caplog.text
+
+
+def test_frequent_second_points_of_a_stamp_are_refused(tmp_path):
+    file = write_mcap(tmp_path / 'a.mcap', conflicting(200, 10)[1])
+    with pytest.raises(InputError, match=r'20 of 220 .* sample 1 with stamp .* two trackers'):
+        read_bag(file)
+
+
+def test_clock_set_back_is_refused(tmp_path):
+    later = some_samples()
+    points = point_messages(Samples(later.stamp_ns + 10**10, later.xyz)) + point_messages()
+    messages = [(a, b, START + i, d) for i, (a, b, _, d) in enumerate([PATH_MESSAGE, *points])]
+    with pytest.raises(InputError, match=r'goes back by \d+\.\d+ s at sample 200'):
+        read_bag(write_mcap(tmp_path / 'a.mcap', messages))
+
+
+def test_stamps_that_are_not_set_are_refused(tmp_path):
+    unset = Samples(np.zeros(200, np.int64), CONTENT.samples.xyz)
+    file = write_mcap(tmp_path / 'a.mcap', [PATH_MESSAGE, *point_messages(unset)])
+    with pytest.raises(InputError, match=r'header\.stamp is not set \(all 200 are zero\)'):
+        read_bag(file)
+
+
+# ---------------------------------------------------------------- wrong content
+
+
+def test_missing_topics_are_named_with_those_there(tmp_path):
+    tf = ('/tf', TF_TYPE, START, b'')
+    file = write_mcap(tmp_path / 'a.mcap', [tf, *MESSAGES[1:]])
+    with pytest.raises(InputError, match=r'/planner/path is missing; .* /tf \(tf2_msgs'):
+        read_bag(file)
+    assert len(read_points(file)) == 200
+    folder = write_rosbag(tmp_path / 'bag', [PATH_MESSAGE])
+    for read in (read_bag, read_points):
+        with pytest.raises(InputError, match=r'/tracker/point is missing; .* /planner/path'):
+            read(folder)
+    with pytest.raises(InputError, match='topics in the bag: none'):
+        read_bag(write_mcap(tmp_path / 'b.mcap', []))
+
+
+@pytest.mark.parametrize('as_rosbag', [True, False])
+def test_wrong_type_is_named(tmp_path, as_rosbag):
+    messages = [PATH_MESSAGE, ('/tracker/point', 'geometry_msgs/msg/Point', START, bytes(28))]
+    write = write_rosbag if as_rosbag else write_mcap
+    with pytest.raises(InputError, match="type 'geometry_msgs/msg/Point', expected 'geometry_ms"):
+        read_bag(write(tmp_path / 'bag.mcap', messages))
+
+
+@pytest.mark.parametrize(
+    ('frame', 'shown'),
+    [('', 'empty'), ('lab', "'lab'"), ('trackes', "'trackes'"), ('/tracker', "'/tracker'")],
+)
+@pytest.mark.parametrize('little', [True, False])
+def test_wrong_frame_of_a_point_is_named(tmp_path, frame, shown, little):
+    messages = list(MESSAGES)
+    messages[42] = (*MESSAGES[42][:3], point_cdr(START, (1, 2, 3), frame, little))
+    with pytest.raises(InputError, match=f"message 41: frame_id is {shown}, expected 'tracker'"):
+        read_bag(write_mcap(tmp_path / 'a.mcap', messages))
+
+
+@pytest.mark.parametrize(
+    ('path', 'text'),
+    [
+        (path_cdr(frame=''), "frame_id is empty, expected 'machine'"),
+        (path_cdr(frame='map'), "frame_id is 'map', expected 'machine'"),
+        (path_cdr(pose_frame='map'), "pose 0: frame_id is 'map', expected 'machine'"),
+        (path_cdr(points=[]), '0 points without any motion'),
+        (path_cdr(points=CORNERS[:1]), '1 points without any motion'),
+        (path_cdr(points=CORNERS * np.nan), 'point 0 is not finite'),
+        (path_cdr(points=CORNERS * 1e4), r'point 1, .* is beyond 1000 m; the unit is m'),
+        (path_cdr()[:-1], 'no nav_msgs/msg/Path in CDR .*it ends early'),
+        (path_cdr() + bytes(4), 'no nav_msgs/msg/Path in CDR .*follow its last field'),
+        (path_cdr()[:24] + b'\xff' * 4 + path_cdr()[28:], '4294967295 poses do not fit'),
+        (b'', 'no nav_msgs/msg/Path in CDR .*begins with nothing'),
+    ],
+)
+def test_unusable_path_is_explained(tmp_path, path, text):
+    file = write_mcap(tmp_path / 'a.mcap', [(*PATH_MESSAGE[:3], path), *MESSAGES[1:]])
+    with pytest.raises(InputError, match=f'/planner/path: .*{text}'):
+        read_bag(file)
+    assert len(read_points(file)) == 200
+
+
+def test_different_paths_are_refused_and_counted(tmp_path):
+    others = [(*PATH_MESSAGE[:3], path_cdr(CORNERS[::-1] * k)) for k in (1, 2)]
+    with pytest.raises(InputError, match='3 different paths'):
+        read_bag(write_mcap(tmp_path / 'a.mcap', [*MESSAGES, *others]))
+
+
+def no_messages(file, kinds):
+    with file.open('wb') as stream:
+        writer = Writer(stream)
+        writer.start(profile='ros2')
+        for topic, kind in kinds:
+            writer.register_channel(topic, 'cdr', writer.register_schema(kind, 'ros2msg', b''))
+        writer.finish()
+    return file
+
+
+def test_topics_without_messages_are_explained(tmp_path):
+    kinds = [('/tracker/point', POINT_TYPE), ('/planner/path', PATH_TYPE)]
+    file = no_messages(tmp_path / 'a.mcap', kinds)
+    with pytest.raises(InputError, match='/tracker/point: no points'):
+        read_bag(file)
+
+
+@pytest.mark.parametrize(
+    ('value', 'text'),
+    [
+        (np.nan, 'not finite'),
+        (np.frombuffer(struct.pack('<Q', 0x7FF0000000000001))[0], 'not finite'),  # signalling
+        (np.inf, 'not finite'),
+        (4321.0, 'the unit is m'),
+    ],
+)
+def test_unusable_points_are_counted_and_the_first_located(tmp_path, value, text):
+    samples = some_samples()
+    samples.xyz[[17, 99]] = value
+    file = write_mcap(tmp_path / 'a.mcap', [PATH_MESSAGE, *point_messages(samples)])
+    seconds = f'{samples.time[17]:.6f}'
+    with pytest.raises(InputError, match=f'2 of 200 .* sample 17, {seconds} s .*{text}'):
+        read_bag(file)
+
+
+def test_points_without_beam_are_dropped_and_counted(tmp_path, caplog):
+    samples = some_samples()
+    samples.xyz[[17, 99]] = [[0.0, 0.0, 0.0], [-0.0, 0.0, 0.0]]
+    file = write_mcap(tmp_path / 'a.mcap', [PATH_MESSAGE, *point_messages(samples)])
+    with caplog.at_level('WARNING'):
+        found = read_bag(file).samples
+    np.testing.assert_array_equal(found.stamp_ns, np.delete(samples.stamp_ns, [17, 99]))
+    np.testing.assert_array_equal(found.xyz, np.delete(samples.xyz, [17, 99], axis=0))
+    assert (
+        f'dropped 2 of 200 points in the origin of the tracker (no beam), the first '
+        f'{samples.time[17]:.6f} s' in caplog.text
+    )
+
+
+def test_a_beam_broken_most_of_the_time_is_an_error(tmp_path):
+    samples = some_samples()
+    samples.xyz[:101] = 0.0
+    file = write_mcap(tmp_path / 'a.mcap', [PATH_MESSAGE, *point_messages(samples)])
+    with pytest.raises(InputError, match='101 of 200 points lie in the origin of the tracker'):
+        read_bag(file)
+
+
+@pytest.mark.parametrize(
+    ('data', 'text'),
+    [
+        (b'', 'begins with nothing'),
+        (b'\x00\x03' + point_cdr(1, (1, 2, 3))[2:], 'begins with 00 03'),
+        (point_cdr(1, (1, 2, 3))[:30], 'ends early'),
+        (point_cdr(1, (1, 2, 3))[:12] + b'\xff' * 40, 'is not terminated'),
+        (point_cdr(1, (1, 2, 3))[:8] + b'\xff' * 4 + point_cdr(1, (1, 2, 3))[12:], 'nanosec'),
+    ],
+)
+def test_broken_point_message_is_named(tmp_path, data, text):
+    messages = list(MESSAGES)
+    messages[13] = (*messages[13][:3], data)
+    with pytest.raises(InputError, match=f'message 12.*{text}'):
+        read_bag(write_mcap(tmp_path / 'a.mcap', messages))

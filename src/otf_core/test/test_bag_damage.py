@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags in wrong places, cut off or changed: the right content or one clear error."""
+
+import shutil
+import struct
+
+import numpy as np
+import pytest
+from bag_cells import CONTENT, assert_same, write_mcap, write_rosbag
+from mcap.writer import CompressionType
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from otf_core.bags import mcap_messages
+from otf_core.bags.bag import read_bag, write_bag
+from otf_core.bags.mcap_messages import McapMessages
+from otf_core.errors import ConfigError, InputError
+
+# ---------------------------------------------------------------- wrong places
+
+
+@pytest.mark.parametrize(
+    'name', ['none', 'none.mcap', 'a.txt', 'a.bag', 'bag/metadata.yaml', 'x\0y', 'n' * 300]
+)
+def test_what_cannot_be_a_bag_is_wrong_usage(bag, name):
+    for existing in ('a.txt', 'a.bag'):
+        (bag.parent / existing).write_text('hello')
+    with pytest.raises(ConfigError) as caught:
+        read_bag(bag.parent / name)
+    assert caught.value.exit_code == 2
+
+
+def test_foreign_folders_are_unusable_input(tmp_path):
+    with pytest.raises(InputError, match='holds neither'):
+        read_bag(tmp_path)
+    (tmp_path / 'photo.jpg').touch()
+    with pytest.raises(InputError, match='holds neither'):
+        read_bag(tmp_path)
+    for name in 'ab':
+        write_bag(tmp_path / name, CONTENT)
+    with pytest.raises(InputError, match=r'holds some \(a, b\); name one'):
+        read_bag(tmp_path)
+
+
+def test_several_recordings_in_a_folder_are_listed(bag):
+    (bag / 'metadata.yaml').unlink()
+    assert_same(read_bag(bag))
+    shutil.copy(bag / 'bag_0.mcap', bag / 'other.mcap')
+    with pytest.raises(InputError, match=r'holds 2 recordings \(bag_0\.mcap, other\.mcap\)'):
+        read_bag(bag)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        '',
+        '[' * 5000,
+        'a: {',
+        'a: 2020-99-99',
+        '\0',
+        '- 1',
+        'rosbag2_bagfile_information: 3',
+        'rosbag2_bagfile_information: {relative_file_paths: []}',
+        'rosbag2_bagfile_information: {relative_file_paths: [gone.mcap]}',
+        'rosbag2_bagfile_information: {relative_file_paths: [[]], compression_mode: FILE}',
+        'rosbag2_bagfile_information: {relative_file_paths: [bag_0.mcap], compression_mode: FILE}',
+    ],
+)
+def test_useless_metadata_is_unusable_input(bag, text):
+    (bag / 'metadata.yaml').write_text(text)
+    with pytest.raises(InputError):
+        read_bag(bag)
+
+
+# ---------------------------------------------------------------- damage
+
+
+def cuts(size):
+    return [int(size * k / 20) for k in range(20)]
+
+
+@pytest.mark.parametrize(
+    'options',
+    [
+        {'compression': CompressionType.NONE},
+        {'compression': CompressionType.LZ4},
+        {'compression': CompressionType.ZSTD},
+        {'use_chunking': False},
+    ],
+)
+def test_mcap_cut_off_anywhere_is_unusable_input(tmp_path, options):
+    file = write_mcap(tmp_path / 'a.mcap', **options)
+    whole = file.read_bytes()
+    for cut in [*cuts(len(whole)), *range(1, 10), len(whole) - 1]:
+        file.write_bytes(whole[:cut])
+        with pytest.raises(InputError, match='is empty' if not cut else 'is cut off|is no MCAP'):
+            read_bag(file)
+    file.write_bytes(whole[: len(whole) // 2] + mcap_messages.MAGIC)
+    with pytest.raises(InputError, match='mcap recover'):
+        read_bag(file)
+
+
+@pytest.mark.parametrize(
+    ('storage', 'mode'),
+    [
+        (StoragePlugin.SQLITE3, CompressionMode.NONE),
+        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+        (StoragePlugin.SQLITE3, CompressionMode.FILE),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+        (StoragePlugin.MCAP, CompressionMode.FILE),
+    ],
+)
+def test_other_storage_cut_off_anywhere_is_unusable_input(tmp_path, storage, mode):
+    folder = write_rosbag(tmp_path / 'bag', mode=mode, storage=storage)
+    (file,) = (p for p in folder.iterdir() if p.name != 'metadata.yaml')
+    whole = file.read_bytes()
+    for cut in cuts(len(whole)):
+        file.write_bytes(whole[:cut])
+        with pytest.raises(InputError, match='bag'):
+            read_bag(folder)
+
+
+def result_or_none(path):
+    """Content if the bag is usable, None for InputError; anything else fails the test."""
+    try:
+        return read_bag(path)
+    except InputError as error:
+        assert error.exit_code == 3
+        assert str(error)
+        return None
+
+
+@pytest.mark.parametrize(
+    'options',
+    [
+        {'compression': CompressionType.NONE},
+        {'compression': CompressionType.LZ4},
+        {'compression': CompressionType.ZSTD},
+        {'use_chunking': False},
+    ],
+)
+@pytest.mark.parametrize('seed', range(2))
+def test_changed_bytes_give_the_right_content_or_an_error(tmp_path, options, seed):
+    file = write_mcap(tmp_path / 'a.mcap', enable_data_crcs=True, **options)
+    whole = np.fromfile(file, np.uint8)
+    rng = np.random.default_rng(seed)
+    for _ in range(80):
+        broken = whole.copy()
+        at = int(rng.integers(0, whole.size))
+        broken[at : at + int(rng.choice([1, 1, 8, 200]))] ^= np.uint8(rng.integers(1, 256))
+        broken.tofile(file)
+        content = result_or_none(file)
+        if content is not None:
+            assert_same(content)
+
+
+@pytest.mark.parametrize('storage', list(StoragePlugin))
+@pytest.mark.parametrize('mode', [CompressionMode.NONE, CompressionMode.MESSAGE])
+def test_changed_bytes_without_checksums_never_crash(tmp_path, caplog, storage, mode):
+    folder = write_rosbag(tmp_path / 'bag', mode=mode, storage=storage)
+    rng = np.random.default_rng(7)
+    for file in sorted(folder.iterdir()):
+        whole = np.fromfile(file, np.uint8)
+        for _ in range(40):
+            broken = whole.copy()
+            broken[rng.integers(0, whole.size, 3)] = rng.integers(0, 256, 3)
+            broken.tofile(file)
+            result_or_none(folder)
+        whole.tofile(file)
+
+
+@pytest.mark.parametrize('fill', ['noise', 'zero', 'ones'])
+def test_garbage_is_unusable_input(tmp_path, fill):
+    rng = np.random.default_rng(5)
+    for size in (1, 7, 8, 16, 17, 1000, 100_000):
+        body = {
+            'noise': rng.bytes(size),
+            'zero': bytes(size),
+            'ones': b'\xff' * size,
+        }[fill]
+        for data in (body, mcap_messages.MAGIC + body + mcap_messages.MAGIC):
+            for name in ('a.mcap', 'a.db3'):
+                (tmp_path / name).write_bytes(data)
+                assert result_or_none(tmp_path / name) is None
+
+
+def record(opcode, content):
+    return struct.pack('<BQ', opcode, len(content)) + content
+
+
+def chunk(size, compression, data):
+    head = struct.pack('<QQQII', 0, 0, size, 0, len(compression)) + compression.encode()
+    return record(6, head + struct.pack('<Q', len(data)) + data)
+
+
+def text(value):
+    return struct.pack('<I', len(value)) + value.encode()
+
+
+CHANNEL = record(4, struct.pack('<HH', 1, 0) + text('/a') + text('cdr') + struct.pack('<I', 0))
+
+
+@pytest.mark.parametrize(
+    ('body', 'reason'),
+    [
+        (chunk(2**62, '', b''), 'states 4611686018427387904 bytes'),
+        (chunk(2**29, 'lz4', b'\x04"M\x18'), 'decompressed'),
+        (chunk(2**29, 'zstd', b'\x28\xb5\x2f\xfd\x20\x00'), 'states 536870912 bytes'),
+        (chunk(5, '', b'abcd'), '4 bytes instead of 5'),
+        (chunk(5, 'bz2', b'abcde'), "'bz2' is not supported"),
+        (chunk(9, '', record(0x20, b'')), None),
+        (chunk(0, '', b''), None),
+        (record(5, bytes(21)), 'too short'),
+        (record(5, bytes(22)), 'channel 0 is not described'),
+        (CHANNEL + record(5, b'\x01' + bytes(21)), None),
+        (record(4, b'\x01'), 'Channel record cannot be decoded'),
+        (CHANNEL + CHANNEL.replace(b'/a', b'/b'), 'defined twice'),
+        (record(0x90, b'private'), None),
+        (struct.pack('<BQ', 0x90, 2**63), 'cut off'),
+        (record(11, struct.pack('<QHIIIIQQI', 3, *[0] * 8)), 'states 3 messages but holds 0'),
+        (record(15, struct.pack('<I', 7)), 'checksum of the data section'),
+    ],
+)
+def test_structure_of_a_file_is_checked(tmp_path, body, reason):
+    file = tmp_path / 'a.mcap'
+    magic, end = mcap_messages.MAGIC, record(15, bytes(4)) + record(2, bytes(20))
+    file.write_bytes(magic + record(1, bytes(8)) + body + end + magic)
+    if reason is None:
+        assert list(McapMessages(file, {}, {})) == []
+    else:
+        with pytest.raises(InputError, match=reason):
+            list(McapMessages(file, {}, {}))
+
+
+def test_chunk_with_wrong_checksum_is_named(tmp_path):
+    file = write_mcap(tmp_path / 'a.mcap', compression=CompressionType.NONE)
+    data = bytearray(file.read_bytes())
+    data[data.index(CONTENT.samples.xyz[30].tobytes())] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=r'checksum of a chunk is wrong; .*mcap recover'):
+        read_bag(file)

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several bags of one machine as one, and plans that are simulated as written."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from cli_cells import run
+from core_cells import some_machine
+
+from otf_core.model.tables import load_tables, tables_to_dict
+from otf_core.sim.cell import random_tables
+
+OFFSETS = ([0.0, 0.0, -0.15], [0.08, 0.0, -0.15], [0.0, 0.08, -0.15])
+FEEDS = ('15000', '9000', '12000')
+
+
+@pytest.fixture(scope='module')
+def runs(tmp_path_factory):
+    """Three bags of one machine: other target offsets, stations and feeds, stops at corners."""
+    folder = tmp_path_factory.mktemp('runs')
+    machine = some_machine(pitch=0.1)
+    truth = tables_to_dict(random_tables(machine, 5e-5, np.random.default_rng(6)))
+    (folder / 'truth.json').write_text(json.dumps(truth))
+    for k, offset in enumerate(OFFSETS):
+        data = machine.to_dict() | {'target_offset': offset}
+        (folder / f'machine{k}.yaml').write_text(yaml.safe_dump(data))
+        code = run('simulate', '--machine', folder / f'machine{k}.yaml', '--out',
+                   folder / f'bag{k}', '--tables', folder / 'truth.json', '--seed', 20 + k,
+                   '--feed', FEEDS[k], '--levels', '3', '--passes', '1', '--rate', '100',
+                   '--corner-dwell', '0.3', '--end-dwell', '1')  # fmt: skip
+        assert code == 0
+    return folder
+
+
+def solve_runs(folder, out, numbers, *options):
+    """Calibrate some of the bags as one; content of the tables file."""
+    bags = [folder / f'bag{k}' for k in numbers]
+    machines = [word for k in numbers for word in ('--machine', folder / f'machine{k}.yaml')]
+    options = ('--piece-length', '0.016', *options)
+    assert run('calibrate', *bags, *machines, '--out', out, *options) == 0
+    return json.loads((out / 'error_tables.json').read_text())
+
+
+@pytest.fixture(scope='module')
+def three(runs):
+    """Folder of the calibration of all three bags as one."""
+    solve_runs(runs, runs / 'three', (0, 1, 2))
+    return runs / 'three'
+
+
+@pytest.mark.parametrize(
+    ('numbers', 'unseen'),
+    [((0,), ['ECY', 'EAZ', 'EBZ', 'ECZ']), ((0, 1), ['EAZ'])],
+)
+def test_fewer_than_three_target_offsets_leave_motions_unseen(runs, tmp_path, numbers, unseen):
+    data = solve_runs(runs, tmp_path, numbers)
+    assert data['not_identifiable'] == unseen
+    assert data['fit']['path_mae_after'] < 0.05 * data['fit']['path_mae_before']
+
+
+def test_three_target_offsets_show_all_motions_as_they_are(runs, three):
+    assert json.loads((three / 'error_tables.json').read_text())['not_identifiable'] == []
+    tables = load_tables(three / 'error_tables.json').tables
+    truth = load_tables(runs / 'truth.json').tables
+    for name in ('ECY', 'EAZ', 'EBZ', 'ECZ'):
+        table, node = tables.motions[name], truth.motions[name]
+        true = node.value - np.interp(0.0, node.position, node.value)
+        assert np.all(np.abs(table.value - true) <= 4 * table.u + 1e-12), name
+
+
+def test_tables_file_and_summary_tell_of_every_run(three):
+    data = json.loads((three / 'error_tables.json').read_text())
+    assert [r['target_offset'] for r in data['runs']] == list(OFFSETS)
+    assert [r['name'] for r in data['runs']] == ['bag0', 'bag1', 'bag2']
+    assert data['alignment'] == data['runs'][0]['alignment']
+    assert data['machine']['target_offset'] == OFFSETS[0]
+    places = np.array([r['alignment']['translation'] for r in data['runs']])
+    assert np.all(np.linalg.norm(np.diff(places, axis=0), axis=1) > 0.05)
+    assert sum(r['samples'] for r in data['runs']) == data['fit']['samples']
+    for entry in data['runs']:
+        assert entry['coverage'] > 0.98
+        assert entry['noise']['u_angle'] == pytest.approx([2e-6] * 2, rel=0.7)
+    summary = (three / 'summary.txt').read_text()
+    assert [line.split(':')[0] for line in summary.splitlines() if line.startswith('run ')] == [
+        'run 1 (bag0)', 'run 2 (bag1)', 'run 3 (bag2)',
+    ]  # fmt: skip
+
+
+def test_stops_of_several_runs_are_solved_as_one(runs, tmp_path):
+    data = solve_runs(runs, tmp_path, (0, 1, 2), '--method', 'standstill')
+    assert data['not_identifiable'] == []
+    assert len(data['runs']) == 3
+    assert data['fit']['path_mae_after'] < 0.05 * data['fit']['path_mae_before']
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'chain': 'w-Y-b-X-Z-t'}, 'chain: w-Y-b-X-Z-t, but w-b-X-Y-Z-t'),
+        ({'axes': {'Y': {'max': 0.26}}}, 'axes: Y: max: 0.26, but 0.25'),
+        ({'axes': {'Z': {'table_pitch': 0.05}}}, 'axes: Z: table_pitch: 0.05, but 0.1'),
+    ],
+)
+def test_bags_of_different_machines_are_refused_naming_bag_and_key(
+    runs, tmp_path, capsys, change, words
+):
+    data = yaml.safe_load((runs / 'machine1.yaml').read_text())
+    for axis, part in change.get('axes', {}).items():
+        data['axes'][axis] |= part
+    data['chain'] = change.get('chain', data['chain'])
+    (tmp_path / 'other.yaml').write_text(yaml.safe_dump(data))
+    bags, out = (runs / 'bag0', runs / 'bag1'), tmp_path / 'out'
+    arguments = ('--machine', runs / 'machine0.yaml', '--machine', tmp_path / 'other.yaml')
+    assert run('calibrate', *bags, *arguments, '--out', out) == 2
+    message = capsys.readouterr().err
+    assert message.count('\n') == 1
+    assert message.startswith(f'otf calibrate: {runs / "bag1"}: {words}')
+    assert not out.exists()
+
+
+def test_bag_that_does_not_fit_its_machine_is_named_among_several(runs, tmp_path, capsys):
+    data = yaml.safe_load((runs / 'machine0.yaml').read_text())
+    data['axes']['X']['max'] = 0.2
+    (tmp_path / 'small.yaml').write_text(yaml.safe_dump(data))
+    arguments = ('--machine', tmp_path / 'small.yaml', '--out', tmp_path / 'out')
+    assert run('calibrate', runs / 'bag1', runs / 'bag2', *arguments) == 3
+    message = capsys.readouterr().err
+    assert message.count('\n') == 1
+    assert str(runs / 'bag1') in message
+    assert str(runs / 'bag2') not in message
+
+
+# ---------------------------------------------------------------- simulate a written plan
+
+
+@pytest.fixture(scope='module')
+def planned(tmp_path_factory):
+    """Folder with machine.yaml and the plan of a time budget."""
+    folder = tmp_path_factory.mktemp('planned')
+    (folder / 'machine.yaml').write_text(yaml.safe_dump(some_machine(pitch=0.1).to_dict()))
+    code = run('plan', '--machine', folder / 'machine.yaml', '--out', folder / 'plan', '--passes',
+               '1', '--levels', '2', '--corner-dwell', '0.3', '--rate', '100')  # fmt: skip
+    assert code == 0
+    return folder
+
+
+def test_simulated_plan_drives_its_path_feeds_and_dwells_before_its_tracker(planned, tmp_path):
+    from otf_core.bags.bag import read_bag
+
+    plan = json.loads((planned / 'plan' / 'plan.json').read_text())
+    code = run('simulate', '--machine', planned / 'machine.yaml', '--path',
+               planned / 'plan' / 'plan.json', '--out', tmp_path / 'bag', '--rate', '100',
+               '--error-size', '0')  # fmt: skip
+    assert code == 0
+    bag = read_bag(tmp_path / 'bag')
+    np.testing.assert_array_equal(bag.path.points, plan['path'])
+    assert bag.samples.time[-1] == pytest.approx(plan['duration'], abs=0.02)
+    distance = np.linalg.norm(bag.samples.xyz[0])
+    start = np.array(plan['path'][0]) - plan['assumed']['tracker_place']
+    assert distance == pytest.approx(np.linalg.norm(start), abs=1e-4)
+
+
+def test_dwells_of_a_plan_may_be_made_longer_for_the_standstill_method(planned, tmp_path):
+    common = ('--machine', planned / 'machine.yaml', '--out')
+    code = run('simulate', *common, tmp_path / 'bag', '--path', planned / 'plan' / 'plan.json',
+               '--rate', '100', '--corner-dwell', '0.5')  # fmt: skip
+    assert code == 0
+    assert run('calibrate', tmp_path / 'bag', *common, tmp_path / 'out', '--method',
+               'standstill') == 0  # fmt: skip
