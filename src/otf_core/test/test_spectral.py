@@ -64,9 +64,9 @@ def test_noise_of_any_colour_makes_a_line_no_more_often_than_the_score_says(kind
     scores = []
     for _ in range(DRAWS):
         if kind == 'vibration':
-            line = vibration_line(driven(rng, tau=tau, white=white))
+            line = vibration_line(driven(rng, legs=10, tau=tau, white=white))
         else:
-            line = cyclic_line(driven(rng, oblique=True, tau=tau, white=white), 'X')
+            line = cyclic_line(driven(rng, legs=12, oblique=True, tau=tau, white=white), 'X')
         scores.append(line.score)
     for share in (0.2, 0.05):
         seen = np.sum(np.array(scores) > -np.log(share))
