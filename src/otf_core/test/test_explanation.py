@@ -85,10 +85,12 @@ def test_a_cause_is_named_from_twelve_hundredths_of_the_gap_on(share, named, sim
     """Beside a rest that says nothing of the cause; simulation at the level of one of them."""
     rows, cause = solved_rows(), single(BACKLASH, 'X')
     rest = apart_from(cause.option, 5)
-    before, own = rms_um(rows.left(rest)), leaving(cause, 1.0)
+    own = leaving(cause, 1.0)
+    left_of_rest, left_of_own = rows.left(rest), rows.left(own)
+    before = rms_um(left_of_rest)
 
     def gap_and_trace(um):
-        whole = rms_um(rows.left(rest + um * own))
+        whole = rms_um(left_of_rest + um * left_of_own)
         return np.sqrt(whole**2 - simulated_um**2), np.sqrt(max(0.0, whole**2 - before**2))
 
     def lacking(um):
@@ -154,11 +156,13 @@ def test_shapes_outside_the_catalogue_win_if_they_explain_more(share, decoyed, f
     own, shift = leaving(known, 3.0), trace_of(other, J_Z=1e-6)
     found = [other, known] if first == 'jump' else [known, other]
 
+    # residuals, with a cause or without, are linear in the deviations
+    before = [rows.left(part) for part in (own, shift)]
+    after = [residuals_with(holding(part), found[:1]).rows for part in (own, shift)]
+
     def explained(size):
         """Squares that jump and backlash take off, um^2."""
-        planted = holding(own + size * shift)
-        whole = rms_um(rows.left(planted.plain_deviation)) ** 2
-        left = residuals_with(planted, found[:1]).rms_um ** 2
+        whole, left = (rms_um(a + size * b) ** 2 for a, b in (before, after))
         return (whole - left, left) if first == 'jump' else (left, whole - left)
 
     def lacking(size):

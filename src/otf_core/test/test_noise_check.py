@@ -82,7 +82,7 @@ def test_level_is_found_from_a_factor_of_1_6_on(level, keys):
 @pytest.mark.parametrize(('tau', 'slow'), [(0.3, False), (0.6, False), (1.7, True)])
 def test_correlation_is_found_beyond_a_second(tau, slow):
     """Stops of 4 s tell the time to some 20 %."""
-    finding = found(stops=60, seconds=4.0, tau=tau)
+    finding = found(stops=50, seconds=4.0, tau=tau)
     assert bool(finding and 'correlation_time' in finding.parameters) is slow
     if slow:
         assert finding.parameters['correlation_time'] > 1.0

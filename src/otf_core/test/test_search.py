@@ -93,7 +93,7 @@ def test_confidence_is_the_share_of_the_odds_none_among_them():
 @pytest.mark.parametrize('level', [1.0, 3.0])
 def test_noise_names_nothing_even_if_louder_than_assumed(level):
     options = {e.name: options_of(e) for e in (BACKLASH, LAG, COUPLING, JUMP)}
-    for seed in range(4):
+    for seed in range(2):
         causes, considered = search(holding(noise(200 + seed, level)), options)
         assert causes == []
         assert len(considered) == 4
@@ -103,7 +103,7 @@ def test_noise_names_nothing_even_if_louder_than_assumed(level):
 def test_louder_noise_asks_for_a_larger_effect():
     """Backlash that is plain in noise as assumed is not named in ten times as much of it."""
     trace, options = trace_of(cause_of(BACKLASH), B_X=2e-6), {'backlash': options_of(BACKLASH)}
-    for seed in range(3):
+    for seed in range(2):
         assert named(search(holding(trace + noise(seed)), options)[0]) == ['backlash']
         assert named(search(holding(trace + noise(seed, 10.0)), options)[0]) == []
 
@@ -116,7 +116,7 @@ def test_noise_that_neighbours_share_counts_as_its_mean_over_a_leg(memory, facto
     """
     rows, rng = solved_rows(), np.random.default_rng(9)
     found = []
-    for _ in range(6):
+    for _ in range(4):
         white = rng.standard_normal(len(rows.deviation))
         for k in range(1, len(white)):
             white[k] = memory * white[k - 1] + np.sqrt(1 - memory**2) * white[k]
@@ -257,7 +257,7 @@ def test_effects_within_odds_of_150_are_not_told_apart(distance, same):
     trace = trace_of(cause_of(BACKLASH), B_X=1e-7)
     rows = holding(amplitude_for(60.0, trace, [option]) * trace)
     low, high = 0.0, 0.5
-    for _ in range(30):
+    for _ in range(16):
         share = 0.5 * (low + high)
         like = stand_in(option, LAG, turned(rows, option.own, share))
         off = evidence_of(rows.residual, [option]) - evidence_of(rows.residual, [like])
