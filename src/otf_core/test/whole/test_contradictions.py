@@ -297,7 +297,7 @@ def test_a_step_between_breaks_is_no_shift_of_the_beam():
 
 def test_steps_without_end_are_no_moves(monkeypatch):
     class Whole:
-        runs = (SimpleNamespace(recording=recorded()),)
+        runs = (SimpleNamespace(recording=recorded(), name='', late=0.0),)
 
     whole = Whole()
     step = moved.Step(0, 1.0, np.zeros(3), 1e-5, 0.0, 0.1)

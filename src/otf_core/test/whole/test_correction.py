@@ -14,6 +14,7 @@ from otf_core.calibration.correction import corrected, estimates, missing_in_tab
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis import calibrate_with_effects as above
 from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
+from otf_core.diagnosis.corrected import _to_take, with_causes
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated import FILE, FOUND, format_effects
@@ -267,7 +268,7 @@ def test_reversal_is_left_to_its_own_choice_unless_that_is_off():
 
     def names(reversal):
         config = CalibrationConfig(reversal=reversal)
-        return [t.effect.name for t in above._to_take(found, [cause(), cause()], config)[0]]
+        return [t.effect.name for t in _to_take(found, [cause(), cause()], config)[0]]
 
     assert names('auto') == names('tables') == ['servo_mismatch']
     assert names('none') == ['backlash', 'servo_mismatch']
@@ -275,10 +276,10 @@ def test_reversal_is_left_to_its_own_choice_unless_that_is_off():
 
 def test_unsure_cause_is_taken_off_with_a_warning():
     servo = [one('servo_mismatch', FOUND, T_X=1e-5)]
-    (warning,) = above._to_take(servo, [cause(0.8, 'backlash', 'vibration')], CONFIG)[1]
+    (warning,) = _to_take(servo, [cause(0.8, 'backlash', 'vibration')], CONFIG)[1]
     assert 'servo_mismatch, with a confidence of 0.80' in warning
     assert 'not told from vibration' in warning  # reversal has its own choice
-    assert not above._to_take(servo, [cause()], CONFIG)[1]
+    assert not _to_take(servo, [cause()], CONFIG)[1]
 
 
 def test_effects_are_listed_with_value_u_and_unit(runs_and_nodes):
@@ -302,10 +303,10 @@ class Plain:
 
 def test_gap_of_unknown_cause_takes_nothing_off_and_warns(monkeypatch):
     plain = Plain('1', ('other',))
-    diagnosis = SimpleNamespace(verdict='unknown', sentence='A gap that no effect explains.')
-    data = SimpleNamespace(findings=SimpleNamespace(causes=()), applied=((),))
-    monkeypatch.setattr(above, 'calibrate_runs', lambda *given: plain)
-    monkeypatch.setattr(above, 'diagnose', lambda *given: (diagnosis, data))
+    solved = SimpleNamespace(runs=[SimpleNamespace()])
+    made = with_causes(solved, plain, (), ((),), CONFIG, 'A gap that no effect explains.')
+    diagnosis = SimpleNamespace(verdict='unknown', calibration=made)
+    monkeypatch.setattr(above, 'diagnose', lambda *given: diagnosis)
     done = calibrate_with_effects([SimpleNamespace(name='run')], 'auto', None)
     assert done.applied == ((),) and done.result.run_id == '1'
     assert 'no effect explains. No effect was taken off' in done.result.warnings[0]

@@ -40,12 +40,12 @@ BACKLASH = {'B_X': 5e-6, 'B_Y': -3e-6, 'B_Z': 2e-6}
 TABLES = {'EYX_1': 6e-6, 'EZY_0': 4e-6, 'EXX_2': 3e-6, 'EBX_0': 2e-5}
 
 
-def cell(passes=2, **effects):
+def cell(passes=2, seed=31, **effects):
     """Machine, plan and simulated run of a small cell with effects."""
     machine = some_machine(CHAIN, pitch=0.1)
     plan = some_plan(machine, passes=passes)
     some = [applied(name, **parameters) for name, parameters in effects.items()]
-    return machine, plan, simulate(machine, plan, SimulationConfig(seed=31, rate=60), None, some)
+    return machine, plan, simulate(machine, plan, SimulationConfig(seed=seed, rate=60), None, some)
 
 
 def solved(of, reversal='auto'):
@@ -127,10 +127,15 @@ def test_reversal_that_changes_along_the_axis_is_found_within_its_uncertainty(al
 
 
 def test_tables_driven_one_way_are_better_with_the_model_than_without():
-    one_way = cell(passes=1, backlash=BACKLASH)
-    truth = one_way[2].truth
-    errors = {m: grid_error(solved(one_way, m).tables, truth)[1] for m in ('none', 'auto')}
-    assert errors['auto'] < 0.7 * errors['none']
+    """In every one of four cells, and by a quarter on average."""
+    ratios = []
+    for seed in (31, 32, 33, 34):
+        one_way = cell(passes=1, seed=seed, backlash=BACKLASH)
+        truth = one_way[2].truth
+        errors = {m: grid_error(solved(one_way, m).tables, truth)[1] for m in ('none', 'auto')}
+        ratios.append(errors['auto'] / errors['none'])
+    assert max(ratios) < 1.0
+    assert np.mean(ratios) < 0.8
 
 
 def test_residual_is_that_with_the_reversal_in_it(backlash, chosen):
