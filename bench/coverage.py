@@ -33,7 +33,8 @@ from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.evaluation import lattice, rigid_columns, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.planning.creator import plan_path
 from otf_core.planning.forecast import free_rows
 from otf_core.prediction.uncertainty import prediction_rows
@@ -109,7 +110,9 @@ def truth_in_gauge(case: Case) -> dict[str, Array]:
     q = points.reshape(-1, 3)
     unknowns = layout(nodes)
     rows = np.zeros((3 * len(q), unknowns.full))
-    model = prediction_rows(machine, {m: nodes[m[2]] for m in MOTIONS}, q).reshape(3 * len(q), -1)
+    model = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, q).reshape(
+        3 * len(q), -1
+    )
     rows[:, :6] = rigid_columns(q).reshape(-1, 6)
     start = 0
     for name in NAMES:

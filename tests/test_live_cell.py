@@ -7,7 +7,8 @@ from cells import FAST, SHORT, share_left, write_truth
 from geometry_msgs.msg import TransformStamped
 from graph import offline, without_date
 
-from otf_core.model.tables import MOTIONS, load_tables
+from otf_core.model.motions import MOTIONS
+from otf_core.model.tables import load_tables
 from otf_msgs.msg import ErrorTable
 from otf_ros import qos
 

@@ -9,7 +9,7 @@ from rclpy.node import Node
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Outcome
-from otf_core.model.tables import MOTIONS
+from otf_core.model.motions import MOTIONS
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, GapReport
 from otf_ros import convert_gap, convert_result, qos

@@ -13,10 +13,11 @@ from otf_core.config import PlannerConfig
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath, sides_of_travel
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, Squareness
 from otf_core.noise.model import NoiseModel
 from otf_core.pieces.pieces import Pieces
 from otf_core.planning.creator import plan_path

@@ -20,7 +20,7 @@ from otf_core.effects import REGISTRY
 from otf_core.errors import ConfigError
 from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.machine import load_machine, machine_from_dict
-from otf_core.model.tables import MOTIONS
+from otf_core.model.motions import MOTIONS
 from otf_core.noise.model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.budget import budget_lines, budget_to_dict, correlations, expanded

@@ -22,9 +22,9 @@ from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.assess import gap_um, plain_residuals
 from otf_core.diagnosis.engine.rows import build_rows
 from otf_core.model.machine import machine_from_dict
+from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.model.tables import MOTIONS
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.prediction.predict import predict
 from otf_core.reports.calibration import write_calibration

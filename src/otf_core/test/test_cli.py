@@ -16,7 +16,8 @@ from core_cells import CONTRACT_CHAINS, error_by_hand, some_machine
 
 import otf_core
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
-from otf_core.model.tables import MOTIONS, load_tables, tables_to_dict
+from otf_core.model.motions import MOTIONS
+from otf_core.model.tables import load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 QUICK = ('--levels', '2', '--passes', '1', '--rate', '200', '--corner-dwell', '0.05',

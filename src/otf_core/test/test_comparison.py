@@ -21,7 +21,8 @@ from otf_core.errors import ConfigError, InputError
 from otf_core.model.direct_measurement import motion_readings
 from otf_core.model.evaluation import mean_length
 from otf_core.model.machine import AXES
-from otf_core.model.tables import MOTIONS, Squareness, is_straightness, tables_to_dict
+from otf_core.model.motions import MOTIONS
+from otf_core.model.tables import Squareness, tables_to_dict
 from otf_core.reports.comparison import comparison_to_dict, format_comparison
 from otf_core.sim.cell import random_tables
 from otf_core.sim.direct_instrument import InstrumentNoise, measure_directly
@@ -64,7 +65,7 @@ def test_the_convention_takes_out_what_says_nothing_of_the_machine():
 def test_both_sides_follow_the_convention():
     result = compared(truth_of(some_machine()), truth_of(some_machine(), seed=4))
     for name, motion in result.motions.items():
-        zero = [0, -1] if is_straightness(name) else [int(np.argmin(np.abs(motion.position)))]
+        zero = [0, -1] if name.is_straightness else [int(np.argmin(np.abs(motion.position)))]
         np.testing.assert_allclose(motion.a[zero], 0.0, atol=1e-18)
         np.testing.assert_allclose(motion.b[zero], 0.0, atol=1e-18)
     assert largest(result) > 1e-6

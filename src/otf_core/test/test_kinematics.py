@@ -11,6 +11,7 @@ from scipy.linalg import expm
 
 from otf_core.errors import ShapeError
 from otf_core.model.kinematics import displacement, exact_position, lever, motion_influence
+from otf_core.model.motions import ErrorMotion
 from otf_core.model.tables import MotionTable
 from otf_core.sim.cell import random_tables
 
@@ -75,7 +76,9 @@ def test_translations_and_squareness_do_not_depend_on_the_chain(chain, motion, p
 def test_rotation_acts_through_the_lever_of_its_axis(chain, motion, per_unit):
     machine = some_machine(chain)
     expected = np.array(per_unit)
-    np.testing.assert_allclose(motion_influence(machine, motion, Q)[0], expected, atol=1e-15)
+    np.testing.assert_allclose(
+        motion_influence(machine, ErrorMotion.of(motion), Q)[0], expected, atol=1e-15
+    )
     tables = constant_tables(machine, **{motion: 1e-6})
     np.testing.assert_allclose(displacement(tables, Q)[0], 1e-6 * expected, atol=1e-20)
 

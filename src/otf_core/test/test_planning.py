@@ -7,9 +7,9 @@ from core_cells import fit_pieces, pieces_of, some_machine, transform_pose, zero
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import check_inside, plan_for_path
-from otf_core.model.tables import MOTIONS, SQUARENESS
 from otf_core.planning.creator import plan_path
 from otf_core.solving.solution import determined_by_data
 

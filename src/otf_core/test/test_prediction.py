@@ -15,7 +15,8 @@ from core_cells import error_by_hand, some_machine, zero_tables
 from otf_core import cli
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
-from otf_core.model.tables import MOTIONS, MotionTable, tables_to_dict
+from otf_core.model.motions import MOTIONS
+from otf_core.model.tables import MotionTable, tables_to_dict
 from otf_core.prediction.driven_volume import (
     DrivenVolume,
     driven_from_dict,

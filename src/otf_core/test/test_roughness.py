@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from otf_core.model.tables import unit_of
+from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.solving.basis import cubic
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.roughness import (
@@ -115,7 +115,7 @@ def test_prior_of_the_coefficients_is_that_of_the_motion_in_its_gauge(motion):
         whole = whole - basis.matrix(np.array([zero]))[0] @ whole
         dropped = int(np.argmax(basis.matrix(np.array([zero]))[0]))
         coefficients = np.delete(whole, dropped, axis=0)
-    stated = CoefficientPrior(motion, basis).at(logs)[0]
+    stated = CoefficientPrior(ErrorMotion.of(motion), basis).at(logs)[0]
     size = np.sqrt(np.diag(stated))
     # 40 000 draws: correlations within 0.005, k = 1
     off = (coefficients @ coefficients.T / draws.shape[1] - stated) / np.outer(size, size)

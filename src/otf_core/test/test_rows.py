@@ -9,7 +9,7 @@ from engine_cells import LIMIT, coloured, holding, noise, solved_rows
 from scipy.linalg import block_diag, cholesky
 
 from otf_core.effects import REGISTRY
-from otf_core.model.tables import MOTIONS
+from otf_core.model.motions import MOTIONS
 from otf_core.noise.model import MODEL_FLOOR
 from otf_core.solving.folds import FOLDS
 from otf_core.solving.unknowns import pose_block

@@ -24,8 +24,8 @@ from otf_core.calibration.calibrate import calibrate
 from otf_core.config import PlannerConfig
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.machine import Axis
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.plan import plan_for_path
-from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness
 from otf_core.pieces.pieces import Pieces
 from otf_core.sim.cell import random_tables
 from otf_core.solving.solution import determined_by_data
@@ -105,7 +105,7 @@ def test_gauge_of_the_contract_holds(ranges):
     tables = fitted(machine, small_plan(machine).path, truth, iterations=2).tables
     for name in MOTIONS:
         table, axis = tables.motions[name], machine.axes[name[2]]
-        if is_straightness(name):
+        if name.is_straightness:
             assert table.value[0] == table.value[-1] == 0.0
             continue
         reference = 0.0 if axis.min <= 0.0 <= axis.max else axis.min

@@ -17,8 +17,9 @@ from core_cells import (
 )
 from nature import influences
 
+from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
-from otf_core.model.tables import MOTIONS, MotionTable, Squareness
+from otf_core.model.tables import MotionTable, Squareness
 from otf_core.noise.model import MODEL_FLOOR
 from otf_core.sim.cell import random_tables
 from otf_core.solving.normal import Whitener, normal_equations

@@ -11,8 +11,8 @@ from nature import Cell, judge
 
 from otf_core.config import CalibrationConfig
 from otf_core.model.evaluation import mean_length, without_rigid_motion
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
-from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness
 from otf_core.pieces.runs import prepare_runs
 from otf_core.solving.basis import cubic, linear
 from otf_core.solving.joint import solve_jointly, tables_of
@@ -38,7 +38,7 @@ def test_best_table_of_a_parabola_is_off_by_a_twelfth_of_its_second_difference_a
     """In between it is off by a 24th, the other way."""
     basis, nodes, h = cubic(RANGE, 20), np.linspace(0.0, 1.0, 26), 0.04
     coefficients = basis.from_values @ (basis.centres * (basis.centres - 1.0))  # f'' = 2
-    values = projection('EYX', basis, nodes) @ coefficients
+    values = projection(ErrorMotion.of('EYX'), basis, nodes) @ coefficients
     inner = slice(8, -8)  # what the ends do fades by 2 - sqrt(3) from node to node
     off = values - nodes * (nodes - 1.0)
     np.testing.assert_allclose(off[inner], -(h**2) * 2 / 12, rtol=1e-4)
@@ -48,13 +48,13 @@ def test_best_table_of_a_parabola_is_off_by_a_twelfth_of_its_second_difference_a
 
 
 @pytest.mark.parametrize('ends', [(0.0, 0.5), (-0.2, 0.3), (0.1, 0.6)])
-@pytest.mark.parametrize('motion', ['EXX', 'EYX', 'ECX'])
+@pytest.mark.parametrize('motion', [ErrorMotion.of(m) for m in ('EXX', 'EYX', 'ECX')])
 def test_tables_keep_the_gauge_exactly(motion, ends):
     rng, nodes = np.random.default_rng(1), np.linspace(*ends, 7)
     basis = cubic(np.array(ends), 20)
     value = projection(motion, basis, nodes) @ rng.standard_normal(basis.size)
     assert np.abs(value).max() > 0.1
-    if is_straightness(motion):
+    if motion.is_straightness:
         assert value[0] == 0.0
         assert value[-1] == 0.0
     else:
@@ -67,7 +67,7 @@ def test_table_is_the_nearest_of_all():
     basis = cubic(RANGE, 20)
     coefficients = rng.standard_normal(basis.size)
     coefficients -= coefficients[0]
-    best = projection('EXX', basis, nodes) @ coefficients
+    best = projection(ErrorMotion.of('EXX'), basis, nodes) @ coefficients
     q = (np.arange(20_000) + 0.5) / 20_000
 
     def off(values):
@@ -80,9 +80,11 @@ def test_table_is_the_nearest_of_all():
 
 def test_functions_that_are_tables_already_stay_as_they_are():
     nodes = np.array([0.0, 0.1, 0.25, 0.4])
-    np.testing.assert_array_equal(projection('EXX', linear(nodes), nodes), np.eye(4))
+    np.testing.assert_array_equal(
+        projection(ErrorMotion.of('EXX'), linear(nodes), nodes), np.eye(4)
+    )
     one = np.array([0.2])
-    np.testing.assert_array_equal(projection('EXX', cubic(one, 20), one), [[1.0]])
+    np.testing.assert_array_equal(projection(ErrorMotion.of('EXX'), cubic(one, 20), one), [[1.0]])
 
 
 def curved(pitch, waves=1.5, size=2e-5):
@@ -95,7 +97,7 @@ def curved(pitch, waves=1.5, size=2e-5):
         low, high = basis.knots[[0, -1]]
         x = (basis.centres - low) / (high - low)
         value = size * np.sin(2 * np.pi * waves * x + k)
-        if is_straightness(name):
+        if name.is_straightness:
             value -= (1 - x) * value[0] + x * value[-1]
         else:
             reference = (reference_position(low, high) - low) / (high - low)

@@ -18,7 +18,8 @@ from core_cells import (
 )  # fmt: skip
 
 from otf_core.model.evaluation import lattice
-from otf_core.model.tables import MOTIONS, SQUARENESS, MotionTable, Squareness
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import MotionTable, Squareness
 from otf_core.prediction.uncertainty import prediction_rows, prediction_uncertainty
 from otf_core.sim.cell import random_tables
 from otf_core.solving.residual_check import check_residuals

@@ -7,7 +7,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 
 from otf_core.calibration.result import CalibrationResult
-from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
+from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable
 from otf_ros.convert import TRACKER_FRAME, header, transform_to_message
@@ -26,7 +26,7 @@ def tables_to_messages(result: CalibrationResult, stamp: Time) -> dict[str, Erro
             header=header(stamp),
             run_id=result.run_id,
             motion=name,
-            axis=name[2],
+            axis=name.axis,
             unit=unit_of(name),
             position=table.position.tolist(),
             value=table.value.tolist(),
@@ -35,7 +35,7 @@ def tables_to_messages(result: CalibrationResult, stamp: Time) -> dict[str, Erro
             node_identifiable=[table.identifiable] * len(table.position)
             if seen is None
             else seen.tolist(),
-            gauge=STRAIGHTNESS_GAUGE if is_straightness(name) else ZERO_GAUGE,
+            gauge=STRAIGHTNESS_GAUGE if name.is_straightness else ZERO_GAUGE,
         )
     return messages
 

@@ -13,6 +13,7 @@ from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.effects.tracker_noise import TrackerNoise
 from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.motions import ErrorMotion
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
@@ -133,7 +134,7 @@ def nodal(tables: ErrorTables) -> ErrorTables:
     """Return the same tables as straight lines between the nodes of machine.yaml."""
     motions = {}
     for name, table in tables.motions.items():
-        nodes = axis_nodes(tables.machine.axes[name[2]])
+        nodes = axis_nodes(tables.machine.axes[ErrorMotion.of(name).axis])
         motions[name] = MotionTable(nodes, table.at(nodes), np.zeros_like(nodes))
     return replace(tables, motions=motions)
 

@@ -23,8 +23,9 @@ from scipy.linalg import solve_triangular
 from otf_core.blind.sight import Sight, stretches
 from otf_core.model.kinematics import exact_position
 from otf_core.model.machine import AXES
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import axis_nodes
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.model.tables import ErrorTables
 from otf_core.threads import in_one_thread
 
 Array = NDArray[np.float64]
@@ -58,7 +59,9 @@ def _design(sight: Sight, tables: ErrorTables) -> tuple[Array, Array]:
     for name in (*MOTIONS, *SQUARENESS):
         moved = (exact_position(_shifted(tables, name), q) - plain) / STEP
         seen = np.einsum('pij,pj->pi', across, moved)[:, :, None]
-        blocks.append(seen * hats[name[2]][:, None, :] if name in MOTIONS else seen)
+        blocks.append(
+            seen * hats[ErrorMotion.of(name).axis][:, None, :] if name in MOTIONS else seen
+        )
     turns = np.stack([np.cross(unit, beam) for unit in np.eye(3)], axis=2)
     return np.concatenate(blocks, axis=2), np.concatenate([across, across @ turns], axis=2)
 

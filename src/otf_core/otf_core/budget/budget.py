@@ -18,7 +18,8 @@ from otf_core.budget.freedom import (
 )
 from otf_core.budget.noise import noise_parts
 from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.runs import Run
 from otf_core.solving.folds import leg_numbers

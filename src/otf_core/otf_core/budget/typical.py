@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from otf_core.budget.systematic import SYSTEMATIC, Systematic, systematic_sensitivity
 from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.evaluation import driven_grid, free_rows
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.presets import TYPICAL, typical_values
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.solving.joint import JointSolution
@@ -142,13 +143,14 @@ def typical_systematic(
         stated = np.maximum(np.diag(covariance), 0.0)
         u = np.sqrt(stated + np.sum(change**2, axis=1))
         grid = driven_grid(tables)
-        nodes = {m: tables.motions[m].position for m in MOTIONS}
+        nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
         rows = prediction_rows(tables.machine, nodes, grid)
         free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
         # three components a point: the u of the vector is the root of their sum
         before = 3.0 * np.maximum(np.einsum('ij,ij->i', free @ covariance, free), 0.0).mean()
         after = before + 3.0 * np.mean(np.sum((free @ change) ** 2, axis=1))
-    motions, start = {}, len(SQUARENESS)
+    motions: dict[str, Array] = {}
+    start = len(SQUARENESS)
     for name in MOTIONS:
         stop = start + len(nodes[name])
         motions[name] = u[start:stop] * float(tables.motions[name].identifiable)

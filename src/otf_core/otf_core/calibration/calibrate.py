@@ -21,23 +21,18 @@ from otf_core.contradictions.examine import examine
 from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.effects.stated import TakenOff
 from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import origins
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, with_uncertainty
+from otf_core.model.tables import ErrorTables, with_uncertainty
 from otf_core.noise.model import NoiseModel, sample_variance
 from otf_core.pieces.finding import GATE, WARNING, words_of
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose
 from otf_core.solving.curve_lag import curve_remarks, moved_onto_curves
 from otf_core.solving.extrapolation import prior_of
-from otf_core.solving.joint import (
-    JointSolution,
-    Progress,
-    SolvedRun,
-    settled,
-    tables_of,
-)
+from otf_core.solving.joint import JointSolution, Progress, SolvedRun, settled, tables_of
 from otf_core.solving.reversal import Reversal, reversal_tables
 from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.system import build_system

@@ -25,7 +25,8 @@ from otf_core.model.direct_measurement import (
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import AXES, Machine
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, load_tables
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import ErrorTables, load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.uncertainty import prediction_rows
 
@@ -156,8 +157,8 @@ def _common_grid(common: Common) -> Array:
 
 def _field_rows(common: Common, q: Array) -> Array:
     """Derivatives of the error vectors with respect to the common motions, shape (n, 3, m)."""
-    nodes = {m: common.position[m[2]] for m in common.motions}
-    padded = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
+    nodes = {m: common.position[m.axis] for m in common.motions}
+    padded: dict[str, Array] = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
     rows = prediction_rows(common.machine, padded, q)
     keep: list[int] = []
     start = len(SQUARENESS)
@@ -194,9 +195,10 @@ def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
     values = [h @ s.values for h, s in zip(matrices, (a, b), strict=True)]
     covariances = [h @ s.covariance @ h.T for h, s in zip(matrices, (a, b), strict=True)]
     u = [np.sqrt(np.maximum(np.diag(c), 0.0)) for c in covariances]
-    motions, start = {}, 0
+    motions: dict[str, MotionComparison] = {}
+    start = 0
     for motion in common.motions:
-        position = common.position[motion[2]]
+        position = common.position[motion.axis]
         part = slice(start, start + len(position))
         motions[motion] = MotionComparison(
             position, values[0][part], values[1][part], u[0][part], u[1][part]

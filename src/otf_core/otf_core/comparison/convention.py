@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES, Machine
+from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
 from otf_core.model.nodes import hat_matrix
-from otf_core.model.tables import DIRECTIONS, MOTIONS, ErrorTables, is_straightness, unit_of
+from otf_core.model.tables import ErrorTables
 
 Array = NDArray[np.float64]
 
@@ -72,17 +73,17 @@ class Common:
 
     machine: Machine
     position: Mapping[str, Array]
-    folded: tuple[str, ...]
-    motions: tuple[str, ...]
+    folded: tuple[ErrorMotion, ...]
+    motions: tuple[ErrorMotion, ...]
 
 
 def _known(source: Source, motion: str) -> bool:
     return source.tables.motions[motion].identifiable
 
 
-def _constant_lever(machine: Machine, motion: str) -> bool:
+def _constant_lever(machine: Machine, motion: ErrorMotion) -> bool:
     """Tell whether no other axis changes the lever of a rotation."""
-    own = AXES.index(motion[2])
+    own = motion.place
     q = np.vstack([np.zeros(3), np.eye(3)])
     q[:, own] = 0.0
     return bool(np.ptp(motion_influence(machine, motion, q), axis=0).max() < 1e-12)
@@ -92,7 +93,7 @@ def _positions(sources: Sequence[Source], axis: str) -> Array:
     """Nodes of all sources within the range that all cover."""
     nodes = [
         s.tables.motions[m].position for s in sources for m in MOTIONS
-        if m[2] == axis and _known(s, m)
+        if m.axis == axis and _known(s, m)
     ]  # fmt: skip
     if not nodes:
         return np.zeros(0)
@@ -128,9 +129,9 @@ def common_ground(sources: Sequence[Source]) -> Common:
     return Common(machine, {a: _positions(sources, a) for a in AXES}, folded, motions)
 
 
-def _zeroed(motion: str, position: Array, rows: Array) -> Array:
+def _zeroed(motion: ErrorMotion, position: Array, rows: Array) -> Array:
     """Rows with the convention applied: zero at the reference, or at both ends."""
-    if is_straightness(motion):
+    if motion.is_straightness:
         share = ((position - position[0]) / (position[-1] - position[0]))[:, None]
         return np.asarray(rows - (1.0 - share) * rows[0] - share * rows[-1])
     reference = np.zeros(1) if position[0] <= 0.0 <= position[-1] else position[:1]
@@ -142,7 +143,7 @@ def operator(source: Source, common: Common) -> Array:
     starts, width = source.starts, source.covariance.shape[0]
     blocks = []
     for motion in common.motions:
-        axis = motion[2]
+        axis = motion.axis
         position = common.position[axis]
         rows = np.zeros((len(position), width))
         own = np.zeros((len(position), 3))
@@ -156,8 +157,8 @@ def operator(source: Source, common: Common) -> Array:
         add(motion, np.ones(len(position)))
         if unit_of(motion) == 'm':
             for name in common.folded:
-                if name[2] == axis and _known(source, name):
+                if name.axis == axis and _known(source, name):
                     influence = motion_influence(common.machine, name, own)
-                    add(name, influence[:, DIRECTIONS.index(motion[1])])
+                    add(name, influence[:, motion.along])
         blocks.append(_zeroed(motion, position, rows))
     return np.concatenate(blocks)

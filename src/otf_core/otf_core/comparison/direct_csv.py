@@ -15,7 +15,7 @@ from otf_core.errors import ConfigError
 from otf_core.files.writing import unreadable, write_text
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.model.machine import AXES, Machine
-from otf_core.model.tables import DIRECTIONS
+from otf_core.model.motions import DIRECTIONS
 
 Array = NDArray[np.float64]
 

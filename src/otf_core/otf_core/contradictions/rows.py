@@ -17,8 +17,8 @@ from scipy import sparse
 
 from otf_core.model.kinematics import squareness_influence
 from otf_core.model.machine import AXES, Chain, Machine
+from otf_core.model.motions import SQUARENESS
 from otf_core.model.nodes import hat_matrix
-from otf_core.model.tables import SQUARENESS
 from otf_core.noise.model import beam_shares, path_frame
 from otf_core.pieces.runs import Run
 

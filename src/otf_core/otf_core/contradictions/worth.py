@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from otf_core.model.evaluation import rigid_columns
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import AXES
-from otf_core.model.tables import MOTIONS, ErrorTables
+from otf_core.model.motions import MOTIONS
+from otf_core.model.tables import ErrorTables
 from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.runs import Run
 from otf_core.prediction.uncertainty import prediction_rows
@@ -47,7 +48,7 @@ def volumetric(tables: ErrorTables, covariance: Array) -> tuple[float, float]:
         Of squareness and nodes in the order of ``tables.MOTIONS``.
     """
     q = lattice_of(tables)
-    nodes = {name: tables.motions[name].position for name in MOTIONS}
+    nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
     columns = prediction_rows(tables.machine, nodes, q).reshape(3 * len(q), -1)
     basis, _ = np.linalg.qr(rigid_columns(q).reshape(-1, 6))
 

@@ -21,22 +21,22 @@ from otf_core.effects.drawing import Either, Normal, Number, Some, Trial
 from otf_core.effects.position import scaled_position
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES
-from otf_core.model.tables import MOTIONS, is_positioning, unit_of
+from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
 
 ORDER = 3
 
 
-def _drawn_motion(motion: str) -> Either:
+def _drawn_motion(motion: ErrorMotion) -> Either:
     """One motion up to an order drawn from 1 to ``ORDER``: about 1 um or 4 urad each."""
-    size = Normal(1e-6 if unit_of(motion) == 'm' else 4e-6)
-    first = int(is_positioning(motion))
+    size = Normal(1e-6 if motion.is_translation else 4e-6)
+    first = int(motion.is_positioning)
     numbers = [Number(f'{motion}_{k}', size) for k in range(first, ORDER + 1)]
     return Either(tuple(tuple(numbers[: k + 1 - first]) for k in range(1, ORDER + 1)))
 
 
 def _drawn_axis(axis: str) -> Some:
     """One or two of the motions of an axis."""
-    return Some(tuple(_drawn_motion(m) for m in MOTIONS if m[2] == axis), 2)
+    return Some(tuple(_drawn_motion(m) for m in MOTIONS if m.axis == axis), 2)
 
 
 def polynomials(place: Array, order: int) -> Array:
@@ -85,12 +85,12 @@ class DirectionDependentTables(Effect):
         sign, place = travel_sign(state, shape), scaled_position(state)
         names, columns = [], []
         for motion in MOTIONS:
-            axis = AXES.index(motion[2])
+            axis = motion.place
             influence = (
                 0.5 * sign[:, axis, None] * motion_influence(state.machine, motion, state.q)
             )
             along = polynomials(place[:, axis], round(shape['order']))
-            for k in range(int(is_positioning(motion)), along.shape[1]):
+            for k in range(int(motion.is_positioning), along.shape[1]):
                 names.append(f'{motion}_{k}')
                 columns.append(influence * along[:, k, None])
         units = tuple(unit_of(n[:3]) for n in names)

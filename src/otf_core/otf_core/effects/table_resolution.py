@@ -21,14 +21,13 @@ from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
 from otf_core.effects.drawing import BetweenNodes, Number, Some, Trial
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import motion_influence
-from otf_core.model.machine import AXES
-from otf_core.model.tables import MOTIONS, unit_of
+from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
 
 NAME = re.compile(r'(E[XYZABC][XYZ])@(-?[\d.e-]+?)\.\.(-?[\d.e-]+?)(_2)?')
 TRANSLATIONS = tuple(m for m in MOTIONS if unit_of(m) == 'm')
 _DRAWN = tuple(
-    BetweenNodes(m + '@{:.6g}..{:.6g}', m[2], size=1e-6, lengths=(1.0, 2.5), rough=0.3)
-    for m in ('EXX', 'EYX', 'EZX', 'EYY', 'EXY', 'EZY', 'EZZ', 'EXZ', 'EYZ')
+    BetweenNodes(m + '@{:.6g}..{:.6g}', m.axis, size=1e-6, lengths=(1.0, 2.5), rough=0.3)
+    for m in map(ErrorMotion.of, ('EXX', 'EYX', 'EZX', 'EYY', 'EXY', 'EZY', 'EZZ', 'EXZ', 'EYZ'))
 )
 
 
@@ -41,19 +40,19 @@ def _bump(q: Array, low: float, high: float, wave: bool) -> Array:
     return 12.0 * np.sqrt(3.0) * s * (1 - s) * (0.5 - s) if wave else 4.0 * s * (1 - s)
 
 
-def _parsed(name: str) -> tuple[str, float, float, bool]:
+def _parsed(name: str) -> tuple[ErrorMotion, float, float, bool]:
     where = f'{TableResolution.name}: {name}'
     match = NAME.fullmatch(name)
     if match is None:
         raise ConfigError(f'{where}: unknown; write motion@from..to, m, as in EYX@0.03..0.06')
-    motion, low, high, wave = match.groups()
+    symbol, low, high, wave = match.groups()
     try:
         ends = float(low), float(high)
     except ValueError:
         raise ConfigError(f'{where}: {low}..{high} is no interval') from None
     if not ends[1] > ends[0]:
         raise ConfigError(f'{where}: the interval is empty')
-    return motion, *ends, wave is not None
+    return ErrorMotion.of(symbol), *ends, wave is not None
 
 
 class TableResolution(Effect):
@@ -95,8 +94,8 @@ class TableResolution(Effect):
         names, columns = [], []
         for motion in MOTIONS if order > 2 else TRANSLATIONS:
             influence = motion_influence(state.machine, motion, state.q)
-            q = state.q[:, AXES.index(motion[2])]
-            nodes = np.round(state.nodes[motion[2]], 6)
+            q = state.q[:, motion.place]
+            nodes = np.round(state.nodes[motion.axis], 6)
             for low, high in pairwise(nodes):
                 for wave in (False, True)[:order]:
                     names.append(_label(motion, low, high, wave))
@@ -117,7 +116,7 @@ class TableResolution(Effect):
         for name in parameters:
             if name not in self.shape_names:
                 motion, low, high, wave = _parsed(name)
-                along = _bump(state.q[:, AXES.index(motion[2])], low, high, wave)
+                along = _bump(state.q[:, motion.place], low, high, wave)
                 influence = motion_influence(state.machine, motion, state.q)
                 total += parameters[name] * along[:, None] * influence
         return total

@@ -31,15 +31,8 @@ from scipy.linalg import block_diag
 from otf_core.errors import InputError
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES, Machine
-from otf_core.model.tables import (
-    DIRECTIONS,
-    MOTIONS,
-    SQUARENESS,
-    ErrorTables,
-    MotionTable,
-    Squareness,
-    is_positioning,
-)
+from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS, ErrorMotion
+from otf_core.model.tables import ErrorTables, MotionTable, Squareness
 
 Array = NDArray[np.float64]
 
@@ -144,7 +137,7 @@ def motion_readings(measurement: DirectMeasurement, machine: Machine) -> dict[st
         q[:, AXES.index(axis)] = readings.position
         value = readings.value.copy()
         for k, letter in enumerate(ROTATIONS, start=3):
-            lever = motion_influence(at, f'E{letter}{axis}', q)
+            lever = motion_influence(at, ErrorMotion(letter, axis), q)
             if readings.measured[k]:
                 value[..., :3] -= readings.value[..., k, None] * lever
             elif np.abs(lever).max() > 1e-3:
@@ -175,17 +168,18 @@ def tables_of_readings(
         Of the nodes of EXX ... ECZ: scatter of the runs, and the length unit that all positions
         of an axis share.
     """
-    tables, blocks = {}, []
+    tables: dict[str, MotionTable] = {}
+    blocks = []
     for name in MOTIONS:
         seen = motions.get(name)
         if seen is None:
-            axis = machine.axes[name[2]]
+            axis = machine.axes[name.axis]
             empty = np.zeros(2)
             tables[name] = MotionTable(np.array([axis.min, axis.max]), empty, empty, False)
             blocks.append(np.zeros((2, 2)))
             continue
         block = np.eye(len(seen.position)) * seen.u**2
-        if is_positioning(name):
+        if name.is_positioning:
             travel = u_length_scale * (seen.position - seen.position[0])
             block += np.outer(travel, travel)
         tables[name] = MotionTable(seen.position, seen.mean, np.sqrt(np.diag(block)))

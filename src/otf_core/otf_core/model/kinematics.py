@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from otf_core.errors import ShapeError
 from otf_core.model.machine import AXES, Machine
-from otf_core.model.tables import DIRECTIONS, MOTIONS, SQUARENESS, ErrorTables, unit_of
+from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS, ErrorMotion
+from otf_core.model.tables import ErrorTables
 
 Points = NDArray[np.float64]
 
@@ -46,14 +47,13 @@ def lever(machine: Machine, axis: str, q: Points) -> Points:
     return np.asarray(machine.target_offset + np.where(carried, _checked(q), 0.0))
 
 
-def motion_influence(machine: Machine, motion: str, q: Points) -> Points:
+def motion_influence(machine: Machine, motion: ErrorMotion, q: Points) -> Points:
     """Displacement of the target per unit of one error motion.
 
     Parameters
     ----------
     machine : Machine
-    motion : str
-        ISO 230-1 name, EXX to ECZ.
+    motion : ErrorMotion
     q : ndarray, shape (n, 3), m
 
     Returns
@@ -62,10 +62,10 @@ def motion_influence(machine: Machine, motion: str, q: Points) -> Points:
         Dimensionless for translations, m/rad for rotations.
     """
     q = _checked(q)
-    unit = _UNIT[DIRECTIONS.index(motion[1]) % 3]
-    if unit_of(motion) == 'm':
+    unit = _UNIT[motion.along]
+    if motion.is_translation:
         return np.broadcast_to(unit, q.shape)
-    return np.cross(unit, lever(machine, motion[2], q))
+    return np.cross(unit, lever(machine, motion.axis, q))
 
 
 def squareness_influence(name: str, q: Points) -> Points:
@@ -97,9 +97,9 @@ def displacement(tables: ErrorTables, q: Points) -> Points:
     """
     q = _checked(q)
     total = np.zeros_like(q)
-    for name in MOTIONS:
-        error = tables.motions[name].at(q[:, AXES.index(name[2])])
-        total += error[:, None] * motion_influence(tables.machine, name, q)
+    for motion in MOTIONS:
+        error = tables.motions[motion].at(q[:, motion.place])
+        total += error[:, None] * motion_influence(tables.machine, motion, q)
     for name in SQUARENESS:
         total += tables.squareness[name].value * squareness_influence(name, q)
     return total

@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.files.json_file import read_json
 from otf_core.files.strict_yaml import shown
-from otf_core.model.machine import AXES, Machine, machine_from_dict
+from otf_core.model.machine import Machine, machine_from_dict
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 
-DIRECTIONS = ('X', 'Y', 'Z', 'A', 'B', 'C')
-MOTIONS = tuple(f'E{d}{a}' for a in AXES for d in DIRECTIONS)
-SQUARENESS = ('C0Y', 'B0Z', 'A0Z')
 SCHEMA = 'otf-error-tables/1'
 FIT_COUNTS = ('samples', 'used', 'unknowns', 'rank')
 FIT_LENGTHS = ('path_mae_before', 'path_mae_after', 'residual_rms')
@@ -30,21 +28,6 @@ ORTHONORMAL = 1e-4
 """Largest departure of a rotation matrix in a file, which may be rounded."""
 Check = Callable[[Any, str], Any]
 """Takes a value and where it stands; returns it, or raises a ConfigError."""
-
-
-def unit_of(motion: str) -> str:
-    """Return 'm' for a translation such as EYX, 'rad' for a rotation such as EBX."""
-    return 'm' if motion[1] in 'XYZ' else 'rad'
-
-
-def is_positioning(motion: str) -> bool:
-    """Tell whether a motion is a linear positioning error such as EXX."""
-    return motion[1] == motion[2]
-
-
-def is_straightness(motion: str) -> bool:
-    """Tell whether a motion is a straightness error such as EYX."""
-    return motion[1] in 'XYZ' and not is_positioning(motion)
 
 
 @dataclass(frozen=True)
@@ -130,7 +113,8 @@ def with_uncertainty(tables: ErrorTables, covariance: NDArray[np.float64]) -> Er
     squareness = {
         name: replace(tables.squareness[name], u=float(u[k])) for k, name in enumerate(SQUARENESS)
     }
-    motions, start = {}, len(SQUARENESS)
+    motions: dict[str, MotionTable] = {}
+    start = len(SQUARENESS)
     for name in MOTIONS:
         table = tables.motions[name]
         stop = start + len(table.position)
@@ -153,7 +137,7 @@ def tables_to_dict(tables: ErrorTables) -> dict[str, Any]:
     for name in MOTIONS:
         table = tables.motions[name]
         motions[name] = {
-            'axis': name[2],
+            'axis': name.axis,
             'unit': unit_of(name),
             'position': table.position.tolist(),
             'value': table.value.tolist(),
@@ -217,10 +201,10 @@ def _array(
     return np.array(_members(entry[key], f'{where}: {key}', check, size))
 
 
-def _motion(entry: Any, name: str, where: str) -> MotionTable:
+def _motion(entry: Any, name: ErrorMotion, where: str) -> MotionTable:
     if not isinstance(entry, Mapping):
         raise ConfigError(f'{where}: expected position, value and u, got {shown(entry)}')
-    for key, right in (('unit', unit_of(name)), ('axis', name[2])):
+    for key, right in (('unit', name.unit), ('axis', name.axis)):
         if entry.get(key, right) != right:
             raise ConfigError(f"{where}: {key}: must be '{right}', got {shown(entry[key])}")
     position = _array(entry, 'position', where)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from otf_core.model.evaluation import covered_grid, free_rows
 from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import table_nodes
-from otf_core.model.tables import MOTIONS, SQUARENESS
 from otf_core.planning.drive_time import DriveTimes, leg_time
 from otf_core.planning.forecast import Setup, lay_out, tracker_pose
 from otf_core.solving.normal import NormalEquations, Whitener, sum_groups

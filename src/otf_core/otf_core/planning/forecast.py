@@ -17,10 +17,10 @@ from otf_core.config import CalibrationConfig, ForecastConfig
 from otf_core.model.evaluation import covered_grid, free_rows
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import AXES, Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
 from otf_core.model.path import MIN_LEG, sides_of_travel
 from otf_core.model.plan import Plan
-from otf_core.model.tables import MOTIONS, SQUARENESS
 from otf_core.noise.model import NoiseModel
 from otf_core.pieces.pieces import SPEED_WINDOW, Pieces, piece_boundaries
 from otf_core.planning.drive_time import DriveTimes, drive_times
@@ -143,14 +143,14 @@ class Forecast:
         return self.determined.get(name, np.ones(1, dtype=bool))
 
     @property
-    def loose_nodes(self) -> dict[str, Array]:
+    def loose_nodes(self) -> dict[ErrorMotion, Array]:
         """Nodes of seen motions that are interpolated only: motion to positions, m."""
         found = {}
-        for name in self.solution.accepted:
-            if name in MOTIONS:
-                loose = ~self.determined[name]
+        for motion in MOTIONS:
+            if motion in self.solution.accepted:
+                loose = ~self.determined[motion]
                 if loose.any():
-                    found[name] = self.nodes[name[2]][loose]
+                    found[motion] = self.nodes[motion.axis][loose]
         return found
 
 
@@ -294,7 +294,7 @@ def grid_uncertainty(
     -------
     gauge, free : ndarray, shape (n, 3), m
     """
-    rows = prediction_rows(machine, {m: nodes[m[2]] for m in MOTIONS}, grid)
+    rows = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, grid)
     flat = rows.reshape(-1, rows.shape[2])
     found = []
     for part in (flat, free_rows(flat, grid)):

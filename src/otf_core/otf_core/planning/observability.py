@@ -16,7 +16,7 @@ from scipy import linalg
 
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES, Machine
-from otf_core.model.tables import DIRECTIONS, MOTIONS, SQUARENESS, is_straightness, unit_of
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.planning.forecast import Forecast
 from otf_core.solving.solution import TIE_BREAK, smoothness
 from otf_core.solving.unknowns import Unknowns, reference_position
@@ -63,7 +63,8 @@ def chain_shows(machine: Machine, error: str) -> bool:
     """Tell whether some path with one target offset tells an error from all others."""
     if error in SQUARENESS or unit_of(error) == 'm':
         return True
-    about, axis = AXES[DIRECTIONS.index(error[1]) - 3], error[2]
+    motion = ErrorMotion.of(error)
+    about, axis = AXES[motion.along], motion.axis
     return any(a not in (axis, about) for a in machine.chain.lever_axes(axis))
 
 
@@ -72,14 +73,15 @@ def _bow(unknowns: Unknowns, name: str) -> Array:
     block = unknowns.blocks[name]
     if name in SQUARENESS:
         return np.ones(1)
-    basis = unknowns.bases[name[2]]
+    motion = ErrorMotion.of(name)
+    basis = unknowns.bases[motion.axis]
     low, high = basis.knots[0], basis.knots[-1]
 
     def bow(q: Array) -> Array:
         return np.asarray((q - low) * (high - q) / max(high - low, 1e-12) ** 2)
 
     value = basis.from_values @ bow(basis.centres)
-    if not is_straightness(name):
+    if not motion.is_straightness:
         value -= bow(np.array([reference_position(low, high)]))
     free = unknowns.free_blocks[name]
     gauge = unknowns.gauge.toarray()[block, free]
@@ -117,23 +119,23 @@ def imitators(result: Forecast, error: str, limit: float) -> tuple[str, ...]:
     return tuple(n for _, n in sorted(found, reverse=True))
 
 
-def _moves_nothing(result: Forecast, machine: Machine, error: str) -> bool:
+def _moves_nothing(result: Forecast, machine: Machine, error: ErrorMotion) -> bool:
     influence = motion_influence(machine, error, result.pieces.origin)
     return bool(np.abs(influence).max() < 1e-9)
 
 
 def _unseen(result: Forecast, machine: Machine, error: str, limit: float) -> Finding:
-    if error in MOTIONS and len(result.nodes[error[2]]) == 1:
-        words = f'{error}: the path does not move {error[2]}'
-        return Finding(error, (), words, f'lines that move {error[2]}')
+    motion = ErrorMotion.of(error) if error in MOTIONS else None
+    if motion and len(result.nodes[motion.axis]) == 1:
+        words = f'{error}: the path does not move {motion.axis}'
+        return Finding(error, (), words, f'lines that move {motion.axis}')
     others = imitators(result, error, limit)
-    if error in MOTIONS and unit_of(error) == 'rad' and _moves_nothing(result, machine, error):
-        about = AXES[DIRECTIONS.index(error[1]) - 3]
+    if motion and not motion.is_translation and _moves_nothing(result, machine, motion):
         words = f'{error}: rotation about an axis through the target: it moves nothing'
-        return Finding(error, (), words, _second_offset(about))
-    if not chain_shows(machine, error):
-        about = AXES[DIRECTIONS.index(error[1]) - 3]
-        names = ' and '.join(others) or f'the translations of {error[2]}'
+        return Finding(error, (), words, _second_offset(AXES[motion.along]))
+    if motion and not chain_shows(machine, error):
+        about = AXES[motion.along]
+        names = ' and '.join(others) or f'the translations of {motion.axis}'
         words = f'{error}: cannot be told from {names} {offset_in_words(machine)}'
         return Finding(error, others, words, _second_offset(about))
     if others:
@@ -148,14 +150,14 @@ def _second_offset(about: str) -> str:
     return f'a second run with a target offset that differs in {across}'
 
 
-def _loose(name: str, positions: Array, nodes: int) -> Finding:
-    needs = f'face and space diagonals across {name[2]} there'
-    fixed = 2 if is_straightness(name) else 1
+def _loose(name: ErrorMotion, positions: Array, nodes: int) -> Finding:
+    needs = f'face and space diagonals across {name.axis} there'
+    fixed = 2 if name.is_straightness else 1
     if len(positions) >= nodes - fixed:
         words = f'{name}: not determined at any node but the reference'
     else:
         where = ', '.join(f'{p:g}' for p in positions)
-        words = f'{name}: not determined at {name[2]} = {where} m; interpolated there'
+        words = f'{name}: not determined at {name.axis} = {where} m; interpolated there'
     return Finding(name, (), words, needs)
 
 
@@ -177,7 +179,7 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Finding,
     """
     found = [_unseen(result, machine, error, limit) for error in result.not_identifiable]
     for name, positions in result.loose_nodes.items():
-        found.append(_loose(name, positions, len(result.nodes[name[2]])))
+        found.append(_loose(name, positions, len(result.nodes[name.axis])))
     found += _not_driven(result, machine)
     return tuple(found)
 

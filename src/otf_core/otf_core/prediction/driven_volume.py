@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.model.machine import AXES
-from otf_core.model.tables import MOTIONS, ErrorTables
+from otf_core.model.motions import MOTIONS
+from otf_core.model.tables import ErrorTables
 
 Array = NDArray[np.float64]
 
@@ -123,7 +124,7 @@ def table_ranges(tables: ErrorTables) -> tuple[Array, Array]:
     """
     low, high = np.zeros(3), np.zeros(3)
     for k, axis in enumerate(AXES):
-        own = [tables.motions[m] for m in MOTIONS if m[2] == axis]
+        own = [tables.motions[m] for m in MOTIONS if m.axis == axis]
         seen = [t for t in own if t.identifiable and len(t.position) > 1]
         if seen:
             low[k] = max(t.position[0] for t in seen)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import AXES
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, TablesFile, load_tables
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import ErrorTables, TablesFile, load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.driven_volume import driven_from_dict, inside, table_ranges
 from otf_core.prediction.table_prior import (
@@ -200,7 +201,7 @@ def predict(
     offset, (low, high) = _offset(measured, target_offset), table_ranges(measured)
     notes = _check_points(measured, q, where)
     tables = replace(measured, machine=replace(measured.machine, target_offset=offset))
-    nodes = {name: tables.motions[name].position for name in MOTIONS}
+    nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
     size = len(SQUARENESS) + sum(len(v) for v in nodes.values())
     covariance = unpack_covariance(extra.get('covariance'), size)
     known = covariance is not None

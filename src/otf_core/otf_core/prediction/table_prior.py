@@ -37,8 +37,8 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import lever, motion_influence, squareness_influence
-from otf_core.model.machine import AXES
-from otf_core.model.tables import DIRECTIONS, MOTIONS, SQUARENESS, ErrorTables, unit_of
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
+from otf_core.model.tables import ErrorTables
 
 Array = NDArray[np.float64]
 
@@ -136,7 +136,7 @@ def growth_variance(tables: ErrorTables, prior: Mapping[str, MotionPrior], q: Ar
     """
     total = np.zeros_like(q)
     for motion in (m for m in MOTIONS if m in prior):
-        nodes, along = tables.motions[motion].position, q[:, AXES.index(motion[2])]
+        nodes, along = tables.motions[motion].position, q[:, motion.place]
         added = prior[motion].beyond(np.maximum(nodes[0] - along, along - nodes[-1]))
         total += added[:, None] * motion_influence(tables.machine, motion, q) ** 2
     return total
@@ -176,11 +176,11 @@ def unseen_columns(
     for name in names:
         if name in SQUARENESS:
             columns = squareness_influence(name, q - np.clip(q, low, high))
-        elif unit_of(name) == 'rad':
-            unit = np.eye(3)[DIRECTIONS.index(name[1]) - 3]
-            columns = np.cross(unit, _lever_change(tables, name[2], q, low, high, offset))
-        else:
+        elif (motion := ErrorMotion.of(name)).is_translation:
             continue
+        else:
+            unit = np.eye(3)[motion.along]
+            columns = np.cross(unit, _lever_change(tables, motion.axis, q, low, high, offset))
         if np.any(np.abs(columns) > NO_LEVER):
             found[name] = columns
     return found

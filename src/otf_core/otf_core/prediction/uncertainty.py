@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.model.kinematics import motion_influence, squareness_influence
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import hat_matrix
-from otf_core.model.tables import MOTIONS, SQUARENESS
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Arra
     """
     columns = [squareness_influence(name, q)[:, :, None] for name in SQUARENESS]
     for name in MOTIONS:
-        hat = hat_matrix(nodes[name], q[:, AXES.index(name[2])])
+        hat = hat_matrix(nodes[name], q[:, name.place])
         columns.append(motion_influence(machine, name, q)[:, :, None] * hat[:, None, :])
     return np.concatenate(columns, axis=2)
 

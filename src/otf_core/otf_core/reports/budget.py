@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from otf_core.budget.budget import NAMES, Budget
 from otf_core.budget.freedom import COVERAGE
 from otf_core.model.evaluation import driven_grid, free_rows
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, unit_of
+from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.tables import ErrorTables
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.threads import one_thread
 

@@ -22,8 +22,9 @@ from otf_core.config import OTF, STANDSTILL
 from otf_core.effects.stated import effects_to_list, format_effects
 from otf_core.files.csv_points import tidy, write_csv
 from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.provenance import COVERAGE, provenance
-from otf_core.model.tables import MOTIONS, SQUARENESS, tables_to_dict, unit_of
+from otf_core.model.tables import tables_to_dict
 from otf_core.noise.fields import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
@@ -114,15 +115,15 @@ def _spacing(result: CalibrationResult) -> dict[str, Any]:
 def _tidy_rows(result: CalibrationResult) -> str:
     lines = ['motion,axis,position,value,unit,u,identifiable,U,k']
     wide = expanded(result.tables, budget_lines(result.tables, result.budget))
-    for name in MOTIONS:
-        table = result.tables.motions[name]
+    for motion in MOTIONS:
+        table = result.tables.motions[motion]
         known = table.node_identifiable
         flags = np.ones(len(table.position)) if known is None else known
-        k = wide[name]['k']
-        rows = zip(table.position, table.value, table.u, flags, wide[name]['U'], strict=True)
+        k = wide[motion]['k']
+        rows = zip(table.position, table.value, table.u, flags, wide[motion]['U'], strict=True)
         for position, value, u, seen, wide_u in rows:
             lines.append(
-                f'{name},{name[2]},{tidy(position)!r},{float(value) + 0.0!r},{unit_of(name)},'
+                f'{motion},{motion.axis},{tidy(position)!r},{float(value) + 0.0!r},{motion.unit},'
                 f'{float(u)!r},{str(bool(seen)).lower()},{wide_u!r},{_factor(k)}'
             )
     for name in SQUARENESS:

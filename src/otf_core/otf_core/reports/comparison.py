@@ -15,8 +15,8 @@ from otf_core.comparison.compare import COVERAGE, Comparison, agreement
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.evaluation import mean_length
 from otf_core.model.machine import AXES
+from otf_core.model.motions import unit_of
 from otf_core.model.provenance import provenance
-from otf_core.model.tables import unit_of
 from otf_core.reports.plots.comparison import draw_motions, draw_volume
 
 Array = NDArray[np.float64]

@@ -19,8 +19,8 @@ import numpy as np
 from otf_core.files.csv_points import tidy, write_csv
 from otf_core.files.writing import write_text
 from otf_core.model.machine import AXES
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
-from otf_core.model.tables import MOTIONS, SQUARENESS, unit_of
 from otf_core.noise.fields import noise_to_fields
 from otf_core.planning.forecast import Forecast
 from otf_core.planning.judged import PlanReport
@@ -38,9 +38,10 @@ def _margin(report: PlanReport) -> float:
 def _errors(found: Forecast) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     for name in (*SQUARENESS, *MOTIONS):
-        entry: dict[str, Any] = {'unit': unit_of(name) if name in MOTIONS else 'rad'}
+        entry: dict[str, Any] = {'unit': unit_of(name)}
         if name in MOTIONS:
-            entry |= {'axis': name[2], 'position': found.nodes[name[2]].tolist()}
+            axis = ErrorMotion.of(name).axis
+            entry |= {'axis': axis, 'position': found.nodes[axis].tolist()}
         entry |= {
             'identifiable': name in found.solution.accepted,
             'node_identifiable': found.seen_at(name).tolist(),

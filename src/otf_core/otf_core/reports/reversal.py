@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.files.csv_points import tidy
-from otf_core.model.tables import ErrorTables, unit_of
+from otf_core.model.motions import ErrorMotion, unit_of
+from otf_core.model.tables import ErrorTables
 from otf_core.solving.reversal import MODELS, Reversal
 
 Array = NDArray[np.float64]
@@ -38,7 +39,7 @@ def reversal_to_dict(reversal: Reversal, tables: ErrorTables) -> dict[str, Any]:
     for name, forward, backward, seen in _directions(reversal, tables):
         table = reversal.motions[name]
         motions[name] = {
-            'axis': name[2],
+            'axis': ErrorMotion.of(name).axis,
             'unit': unit_of(name),
             'position': table.position.tolist(),
             'forward': forward.tolist(),
@@ -64,8 +65,8 @@ def reversal_csv(reversal: Reversal, tables: ErrorTables) -> str:
         for row in zip(table.position, forward, backward, table.value, table.u, strict=True):
             position, ahead, back, value, u = map(float, row)
             lines.append(
-                f'{name},{name[2]},{tidy(position)!r},{ahead!r},{back!r},{value!r},{unit_of(name)},'
-                f'{u!r},{str(seen).lower()}'
+                f'{name},{ErrorMotion.of(name).axis},{tidy(position)!r},{ahead!r},{back!r},{value!r},'
+                f'{unit_of(name)},{u!r},{str(seen).lower()}'
             )
     return '\n'.join(lines) + '\n'
 

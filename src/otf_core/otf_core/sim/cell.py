@@ -16,17 +16,11 @@ from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.plan import Plan
-from otf_core.model.tables import (
-    MOTIONS,
-    SQUARENESS,
-    ErrorTables,
-    MotionTable,
-    Squareness,
-    unit_of,
-)
+from otf_core.model.tables import ErrorTables, MotionTable, Squareness
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, displaced, run_state
 from otf_core.sim.tracker import measure, place_tracker, received, specified_noise
@@ -80,9 +74,9 @@ def random_tables(machine: Machine, size: float, rng: np.random.Generator) -> Er
     -------
     ErrorTables
     """
-    motions = {}
+    motions: dict[str, MotionTable] = {}
     for name in MOTIONS:
-        nodes = axis_nodes(machine.axes[name[2]])
+        nodes = axis_nodes(machine.axes[name.axis])
         reach = 1.0 if unit_of(name) == 'm' else 1.0 / float(np.max(machine.upper - machine.lower))
         value = reach * _random_curve(nodes, rng)
         motions[name] = MotionTable(nodes, value, np.zeros_like(value))

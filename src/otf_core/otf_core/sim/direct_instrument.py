@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import AXES
-from otf_core.model.tables import DIRECTIONS, ErrorTables
+from otf_core.model.motions import DIRECTIONS
+from otf_core.model.tables import ErrorTables
 
 Array = NDArray[np.float64]
 

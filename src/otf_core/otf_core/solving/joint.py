@@ -15,8 +15,9 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import leg_bounds
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, Squareness
 from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import blamed
@@ -112,19 +113,21 @@ def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> Error
 
     For use inside; what is written has the nodes of ``tabulate``.
     """
-    cover, motions, squareness = solution.covariance, {}, {}
+    cover = solution.covariance
+    motions: dict[str, MotionTable] = {}
+    squareness: dict[str, Squareness] = {}
     for name in MOTIONS:
-        block, basis = unknowns.blocks[name], unknowns.bases[name[2]]
+        block, basis = unknowns.blocks[name], unknowns.bases[name.axis]
         position = basis.finer(1 if basis.degree == 1 else FINE)
         rows, seen = basis.matrix(position), name in solution.accepted
         u = np.sqrt(np.maximum(np.einsum('ij,jk,ik->i', rows, cover[block, block], rows), 0.0))
         motions[name] = MotionTable(
             position, rows @ solution.value[block] + 0.0, u if seen else 0.0 * u, seen
         )
-    for name in SQUARENESS:
-        place = unknowns.blocks[name].start
+    for angle in SQUARENESS:
+        place = unknowns.blocks[angle].start
         u_angle = float(np.sqrt(max(cover[place, place], 0.0)))
-        squareness[name] = Squareness(float(solution.value[place]), u_angle)
+        squareness[angle] = Squareness(float(solution.value[place]), u_angle)
     return ErrorTables(machine, motions, squareness)
 
 

@@ -27,7 +27,8 @@ from otf_core.effects.direction_dependent_tables import (
 from otf_core.effects.position import scaled_position
 from otf_core.effects.state import state_of_travel
 from otf_core.model.machine import AXES, Machine
-from otf_core.model.tables import MOTIONS, ErrorTables
+from otf_core.model.motions import MOTIONS
+from otf_core.model.tables import ErrorTables
 from otf_core.solving.unknowns import Unknowns, reversal_block
 
 Array = NDArray[np.float64]
@@ -136,10 +137,11 @@ def reversal_tables(
     """
     if not unknowns.reversal:
         return {}
-    orders, found = range(unknowns.reversal), {}
+    orders = range(unknowns.reversal)
+    found: dict[str, ReversalTable] = {}
     machine = tables.machine
     for motion in MOTIONS:
-        nodes, axis = tables.motions[motion].position, AXES.index(motion[2])
+        nodes, axis = tables.motions[motion].position, motion.place
         q = np.tile(machine.lower, (len(nodes), 1))
         q[:, axis] = nodes
         place = scaled_position(state_of_travel(machine, q, np.zeros_like(q)))[:, axis]

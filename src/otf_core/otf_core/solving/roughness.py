@@ -33,7 +33,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.model.tables import MOTIONS, is_straightness, unit_of
+from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
 from otf_core.solving.basis import Basis
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.positive import Positive
@@ -103,12 +103,12 @@ def kernel(basis: Basis, logs: Array) -> tuple[Array, list[Array]]:
 class CoefficientPrior:
     """Covariance of the free coefficients of one motion, in units of the squared limit."""
 
-    def __init__(self, motion: str, basis: Basis, slope_size: float = SLOPE) -> None:
+    def __init__(self, motion: ErrorMotion, basis: Basis, slope_size: float = SLOPE) -> None:
         self.basis, size = basis, basis.size
         low, high = basis.knots[0], basis.knots[-1]
         x = (basis.centres - low) / max(high - low, 1e-12)
         gauge = np.eye(size)
-        if is_straightness(motion):  # less the line through both ends
+        if motion.is_straightness:  # less the line through both ends
             gauge[:, 0] -= 1.0 - x
             gauge[:, -1] -= x
             kept = np.arange(1, size - 1)
@@ -119,7 +119,7 @@ class CoefficientPrior:
         self._map = (gauge @ basis.from_values)[kept]
         slope = gauge[kept] @ x
         self._fixed = JITTER * np.eye(len(kept))
-        if not is_straightness(motion):
+        if not motion.is_straightness:
             self._fixed += slope_size**2 * np.outer(slope, slope)
 
     def at(self, logs: Array) -> tuple[Array, list[Array]]:
@@ -207,8 +207,9 @@ class Search:
         self.priors: dict[str, CoefficientPrior] = {}
         for name, span, end in zip(accepted, spans, ends, strict=True):
             if name in MOTIONS:
+                motion = ErrorMotion.of(name)
                 self.places[name] = slice(end - (span.stop - span.start), end)
-                self.priors[name] = CoefficientPrior(name, unknowns.bases[name[2]])
+                self.priors[name] = CoefficientPrior(motion, unknowns.bases[motion.axis])
         self.matrix = normal.matrix[np.ix_(self.use, self.use)] * limit**2
         self.right = normal.right[self.use] * limit
         self.square, self.limit, self.free = normal.square, limit, unknowns.free
@@ -292,7 +293,7 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
     for motion in MOTIONS:
         part = unknowns.free_blocks[motion]
         if part.stop > part.start:
-            usual = CoefficientPrior(motion, unknowns.bases[motion[2]], 2.0 * size / limit)
+            usual = CoefficientPrior(motion, unknowns.bases[motion.axis], 2.0 * size / limit)
             covariance = usual.at(logs)[0]
             precision[part, part] = Positive(covariance).inverse
     return np.asarray(precision / limit**2)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.model.tables import MOTIONS
+from otf_core.model.motions import MOTIONS
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.positive import Positive
 from otf_core.solving.unknowns import Unknowns, is_reversal

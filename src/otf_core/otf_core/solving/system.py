@@ -17,7 +17,8 @@ from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, motion_influence, squareness_influence
 from otf_core.model.machine import AXES, Machine
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import ErrorTables
 from otf_core.noise.model import beam_shares, path_frame
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.reversal import reversal_columns
@@ -121,8 +122,8 @@ def _design(
         add(squareness_influence(name, q), np.full(count, unknowns.blocks[name].start), 1.0)
     places = {a: unknowns.bases[a].places(q[:, k]) for k, a in enumerate(AXES)}
     for name in MOTIONS:
-        basis, axis = unknowns.bases[name[2]], AXES.index(name[2])
-        first, weight = places[name[2]]
+        basis, axis = unknowns.bases[name.axis], name.place
+        first, weight = places[name.axis]
         start, influence = unknowns.blocks[name].start, motion_influence(machine, name, q)
         for step in range(basis.nonzero):
             if nodal_lever:
@@ -208,7 +209,7 @@ def model_rows(machine: Machine, unknowns: Unknowns, q: Array) -> Array:
     for name in SQUARENESS:
         rows[:, :, unknowns.blocks[name].start] = squareness_influence(name, q)
     for name in MOTIONS:
-        along = unknowns.bases[name[2]].matrix(q[:, AXES.index(name[2])])
+        along = unknowns.bases[name.axis].matrix(q[:, name.place])
         influence = motion_influence(machine, name, q)
         rows[:, :, unknowns.blocks[name]] = influence[:, :, None] * along[:, None, :]
     return rows

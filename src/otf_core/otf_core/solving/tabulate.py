@@ -20,8 +20,9 @@ from scipy.linalg import block_diag
 from otf_core.model.evaluation import free_rows, mean_length, without_rigid_motion
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES, Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
-from otf_core.model.tables import MOTIONS, SQUARENESS, ErrorTables, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, Squareness
 from otf_core.solving.basis import Basis, linear
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.solution import determined_by_data
@@ -91,7 +92,7 @@ class TableCost:
     grid: float
 
 
-def projection(motion: str, basis: Basis, nodes: Array) -> Array:
+def projection(motion: ErrorMotion, basis: Basis, nodes: Array) -> Array:
     """Node values of the best table from the coefficients, shape (nodes, size)."""
     table = linear(nodes)
     if basis.size == 1 or (
@@ -113,7 +114,7 @@ def projection(motion: str, basis: Basis, nodes: Array) -> Array:
 def table_rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:
     """C0Y, B0Z, A0Z and node values of EXX ... ECZ from the full vector, shape (m, full)."""
     blocks = [np.eye(1)] * len(SQUARENESS)
-    blocks += [projection(m, unknowns.bases[m[2]], nodes[m[2]]) for m in MOTIONS]
+    blocks += [projection(m, unknowns.bases[m.axis], nodes[m.axis]) for m in MOTIONS]
     order = [unknowns.blocks[n] for n in (*SQUARENESS, *MOTIONS)]
     rows = np.zeros((sum(len(b) for b in blocks), unknowns.full))
     rows[:, np.concatenate([np.arange(b.start, b.stop) for b in order])] = block_diag(*blocks)
@@ -122,7 +123,7 @@ def table_rows(unknowns: Unknowns, nodes: Mapping[str, Array]) -> Array:
 
 def by_motion(values: NDArray[Any], nodes: Mapping[str, Array]) -> dict[str, NDArray[Any]]:
     """Node values of every motion among values (m,) in the order of ``table_rows``."""
-    ends = np.cumsum([len(SQUARENESS)] + [len(nodes[m[2]]) for m in MOTIONS])
+    ends = np.cumsum([len(SQUARENESS)] + [len(nodes[m.axis]) for m in MOTIONS])
     return dict(zip(MOTIONS, np.split(values, ends[:-1])[1:], strict=True))
 
 
@@ -131,9 +132,10 @@ def _cost(
 ) -> TableCost:
     unknowns = done.unknowns
     grid = _inner_places(*_ends(unknowns))
-    field, motions = np.zeros_like(grid), {}
+    field = np.zeros_like(grid)
+    motions: dict[str, float] = {}
     for name in MOTIONS:
-        basis, at = unknowns.bases[name[2]], nodes[name[2]]
+        basis, at = unknowns.bases[name.axis], nodes[name.axis]
         coefficients = done.solution.value[unknowns.blocks[name]]
 
         def left(q: Array, name: str = name, at: Array = at, basis: Basis = basis,
@@ -142,7 +144,7 @@ def _cost(
 
         fine = linear(at).finer(16)
         motions[name] = float(np.sqrt(np.mean(np.square(left(fine)))))
-        own = left(grid[:, AXES.index(name[2])])
+        own = left(grid[:, name.place])
         field += own[:, None] * motion_influence(machine, name, grid)
     return TableCost(motions, mean_length(without_rigid_motion(field, grid)))
 
@@ -191,9 +193,9 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float)
     fraction, nodes, rows, value, split = best
     seen = done.solution.accepted
     known = by_motion(determined_by_data(done.normal, done.unknowns, seen, limit, rows), nodes)
-    motions = {
+    motions: dict[str, MotionTable] = {
         m: MotionTable(
-            nodes[m[2]],
+            nodes[m.axis],
             split[m] + 0.0,
             np.zeros(len(split[m])),
             m in seen,

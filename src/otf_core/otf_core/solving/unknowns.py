@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from otf_core.model.tables import MOTIONS, SQUARENESS, is_straightness, unit_of
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.solving.basis import Basis
 
 Array = NDArray[np.float64]
@@ -81,12 +81,12 @@ def reference_position(low: float, high: float) -> float:
     return 0.0 if low <= 0.0 <= high else low
 
 
-def motion_gauge(motion: str, basis: Basis) -> Array:
+def motion_gauge(motion: ErrorMotion, basis: Basis) -> Array:
     """Columns that span the coefficients allowed by the gauge, shape (size, free)."""
     columns = np.eye(basis.size)
     if basis.size == 1:
         return np.zeros((1, 0))
-    if is_straightness(motion):
+    if motion.is_straightness:
         return columns[:, 1:-1]
     reference = reference_position(basis.knots[0], basis.knots[-1])
     at = basis.matrix(np.array([reference]))[0]
@@ -133,7 +133,7 @@ def layout(
     order = [m for m in MOTIONS if unit_of(m) == 'm'] + [m for m in MOTIONS if unit_of(m) == 'rad']
     parts: list[tuple[str, Array]] = [(pose_block(run), np.eye(POSE)) for run in range(runs)]
     parts += [(name, np.eye(1)) for name in SQUARENESS]
-    parts += [(name, motion_gauge(name, bases[name[2]])) for name in order]
+    parts += [(name, motion_gauge(name, bases[name.axis])) for name in order]
     parts += [(reversal_block(m, k), np.eye(1)) for k in range(reversal) for m in order]
     blocks, free_blocks = {}, {}
     full = free = 0

@@ -12,7 +12,8 @@ from otf_core.comparison.compare import (
     source_of_measurement,
     source_of_tables,
 )
-from otf_core.model.tables import ErrorTables, is_positioning, is_straightness
+from otf_core.model.motions import ErrorMotion
+from otf_core.model.tables import ErrorTables
 from otf_core.validation.laboratory import Laboratory
 
 
@@ -30,7 +31,8 @@ def direct_test(
 def largest_differences(comparison: Comparison) -> tuple[float, float, float]:
     """Largest difference of positioning (m), straightness (m) and rotations (rad)."""
     groups: tuple[list[float], list[float], list[float]] = ([], [], [])
-    for name, motion in comparison.motions.items():
-        group = 0 if is_positioning(name) else 1 if is_straightness(name) else 2
+    for symbol, motion in comparison.motions.items():
+        name = ErrorMotion.of(symbol)
+        group = 0 if name.is_positioning else 1 if name.is_straightness else 2
         groups[group].append(float(np.abs(motion.difference).max()))
     return max(groups[0]), max(groups[1]), max(groups[2])

@@ -20,8 +20,9 @@ from otf_core.config import STANDSTILL, CalibrationConfig, PlannerConfig
 from otf_core.model.evaluation import lattice, mean_length, rigid_columns, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS
 from otf_core.model.plan import Plan
-from otf_core.model.tables import MOTIONS, ErrorTables
+from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording
 from otf_core.pieces.standstill_method import align_stops, prepare_stops, stop_pieces
 from otf_core.planning.creator import plan_path
@@ -117,7 +118,7 @@ def agreement(a: CalibrationResult, b: CalibrationResult) -> Array:
     basis, _ = np.linalg.qr(columns)
     difference, variance = np.zeros(3 * len(q)), np.zeros(3 * len(q))
     for result, sign in ((a, -1.0), (b, 1.0)):
-        nodes = {m: result.tables.motions[m].position for m in MOTIONS}
+        nodes: dict[str, Array] = {m: result.tables.motions[m].position for m in MOTIONS}
         rows = prediction_rows(result.tables.machine, nodes, q).reshape(3 * len(q), -1)
         rows = rows - basis @ (basis.T @ rows)
         error = displacement(result.tables, q).reshape(-1)

@@ -20,7 +20,7 @@ from otf_core.effects.state import probe_state
 from otf_core.effects.stated import FILE, FOUND, format_effects
 from otf_core.effects.taken import taken
 from otf_core.errors import ConfigError
-from otf_core.model.tables import MOTIONS
+from otf_core.model.motions import MOTIONS
 from otf_core.pieces.runs import prepare_runs
 from otf_core.solving.columns import piece_state
 from otf_core.solving.joint import solve_jointly, tables_of

@@ -17,8 +17,9 @@ from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
+from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
-from otf_core.model.tables import MOTIONS, load_tables
+from otf_core.model.tables import load_tables
 from otf_core.pieces.runs import Recording
 from otf_core.planning.creator import plan_path
 from otf_core.reports.diagnosis import write_diagnosis

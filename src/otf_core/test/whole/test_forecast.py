@@ -15,8 +15,8 @@ from otf_core.errors import ConfigError
 from otf_core.model.evaluation import free_rows, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import TrackerSpec
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.plan import plan_for_path
-from otf_core.model.tables import MOTIONS, SQUARENESS
 from otf_core.noise.fields import read_noise
 from otf_core.noise.model import NoiseComponent, NoiseModel
 from otf_core.planning.drive_time import drive_times

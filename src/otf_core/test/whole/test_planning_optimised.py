@@ -15,9 +15,9 @@ from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import without_rigid_motion
 from otf_core.model.kinematics import displacement
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import plan_for_path
-from otf_core.model.tables import MOTIONS, SQUARENESS
 from otf_core.noise.model import NoiseModel
 from otf_core.planning.candidate_lines import candidate_lines, lattice_points
 from otf_core.planning.drive_time import drive_times

@@ -22,9 +22,9 @@ from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_of_travel
 from otf_core.model.machine import AXES
+from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.plan import plan_for_path
-from otf_core.model.tables import MOTIONS
 from otf_core.pieces.runs import Recording
 from otf_core.pieces.standstill_method import prepare_stops
 from otf_core.reports.calibration import format_result, write_calibration

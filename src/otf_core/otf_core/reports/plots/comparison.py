@@ -12,12 +12,12 @@ from otf_core.comparison.compare import COVERAGE, Comparison
 from otf_core.model.direct_measurement import MotionReadings
 from otf_core.model.evaluation import mean_length
 from otf_core.model.machine import AXES
-from otf_core.model.tables import is_straightness, unit_of
+from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.reports.plots.figure import COLOURS, new_figure, save_figure
 
 
 def _draw_motion(
-    axes: Any, comparison: Comparison, motion: str, readings: MotionReadings | None
+    axes: Any, comparison: Comparison, motion: ErrorMotion, readings: MotionReadings | None
 ) -> None:
     pair = comparison.motions[motion]
     x = 1e3 * pair.position
@@ -26,19 +26,21 @@ def _draw_motion(
         axes.plot(x, 1e6 * value, '-', color=colour, lw=1.2, label=name)
         band = COVERAGE * 1e6 * u
         axes.fill_between(x, 1e6 * value - band, 1e6 * value + band, color=colour, alpha=0.2, lw=0)
-    folded = unit_of(motion) == 'm' and any(f[2] == motion[2] for f in comparison.common.folded)
+    folded = unit_of(motion) == 'm' and any(
+        f.axis == motion.axis for f in comparison.common.folded
+    )
     if readings is not None and not folded:
         _draw_readings(axes, readings, motion)
     axes.set_title(motion)
-    axes.set_xlabel(f'{motion[2]} (mm)')
+    axes.set_xlabel(f'{motion.axis} (mm)')
     axes.set_ylabel('um' if unit_of(motion) == 'm' else 'urad')
 
 
-def _draw_readings(axes: Any, readings: MotionReadings, motion: str) -> None:
+def _draw_readings(axes: Any, readings: MotionReadings, motion: ErrorMotion) -> None:
     """Forward and backward means with the scatter of the runs as error bars."""
     position, base = readings.position, readings.mean
     offset = np.full(len(position), np.interp(max(0.0, position[0]), position, base))
-    if is_straightness(motion):
+    if motion.is_straightness:
         offset = np.interp(position, position[[0, -1]], base[[0, -1]])
     for rows, colour in ((readings.forward, COLOURS[5]), (readings.backward, COLOURS[2])):
         middle, spread = rows.mean(axis=0) - offset, rows.std(axis=0, ddof=1)
@@ -56,7 +58,7 @@ def draw_motion(
     """Write one motion of both sides with bands of k = 2, and readings if given."""
     figure = new_figure(6, 4)
     axes = figure.subplots()
-    _draw_motion(axes, comparison, motion, readings)
+    _draw_motion(axes, comparison, ErrorMotion.of(motion), readings)
     axes.legend(fontsize=8)
     return save_figure(figure, folder, name)
 
@@ -68,7 +70,7 @@ def draw_motions(comparison: Comparison, folder: str | Path) -> Path:
     figure = new_figure(11, 2.6 * rows)
     grid = figure.subplots(rows, 3, squeeze=False).ravel()
     for axes, motion in zip(grid, names, strict=False):
-        _draw_motion(axes, comparison, motion, None)
+        _draw_motion(axes, comparison, ErrorMotion.of(motion), None)
     for axes in grid[len(names) :]:
         axes.remove()
     grid[0].legend(fontsize=7)
