@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 from otf_calibrator.diagnosis_task import Failure, Task
-from otf_calibrator.job import Outcome
+from otf_calibrator.job import Calibrated
 
 MODULE = 'otf_calibrator.diagnosis_process'
 OF_A_CAUSE = ('effects*.yaml', 'calibration_plain', 'calibration_with_effects')
@@ -27,12 +27,12 @@ class DiagnosisJob:
 
     Parameters
     ----------
-    outcome : Outcome
+    outcome : Calibrated
         Its files have been written; those of the diagnosis go beside them when they are whole.
 
     Attributes
     ----------
-    outcome : Outcome
+    outcome : Calibrated
     stage, fraction : str and float
         What is being done, and the share of the whole that is done.
 
@@ -42,7 +42,7 @@ class DiagnosisJob:
         If the process cannot be started.
     """
 
-    def __init__(self, outcome: Outcome) -> None:
+    def __init__(self, outcome: Calibrated) -> None:
         assert outcome.folder is not None, 'an obstacle'
         self.outcome, self._folder = outcome, outcome.folder
         self.stage, self.fraction = 'starting', 0.0

@@ -49,7 +49,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Calibrated:
     """A calibration that succeeded; ``folder`` is None if its files could not be written."""
 
     request: Request
@@ -79,12 +79,12 @@ class Worker:
         self._stop = threading.Event()
         self.stage, self.fraction = '', 0.0
 
-    def start(self, request: Request) -> Future[Outcome]:
+    def start(self, request: Request) -> Future[Calibrated]:
         """Start a calibration; the future raises what went wrong."""
         self.stage, self.fraction = 'aligning', 0.0
         return self._pool.submit(self._calibrate, request)
 
-    def save(self, outcome: Outcome) -> None:
+    def save(self, outcome: Calibrated) -> None:
         """Keep path and samples as a bag beside the results, if that is wanted."""
         recording, folder = outcome.recording, outcome.folder
         if folder and outcome.request.files.save_bag:
@@ -109,7 +109,7 @@ class Worker:
             raise Cancelled('the calibrator is shutting down')
         self.stage, self.fraction = stage, fraction
 
-    def _calibrate(self, request: Request) -> Outcome:
+    def _calibrate(self, request: Request) -> Calibrated:
         machine = load_machine(request.files.machine_file)
         # in the order in which the offline command takes them from a bag
         samples = in_time_order('tracker/point', request.samples.stamp_ns, request.samples.xyz)
@@ -122,8 +122,8 @@ class Worker:
                 write(partial)
             point_latest(base / 'latest', folder.name)
         except OtfError as error:
-            return Outcome(request, recording, result, None, f'files not written: {error}')
-        return Outcome(request, recording, result, folder)
+            return Calibrated(request, recording, result, None, f'files not written: {error}')
+        return Calibrated(request, recording, result, folder)
 
     def _solved(self, recording: Recording, request: Request) -> tuple[CalibrationResult, Writer]:
         """The result and what writes its files."""

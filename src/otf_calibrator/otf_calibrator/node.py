@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
-from otf_calibrator.job import Outcome, check_files
+from otf_calibrator.job import Calibrated, check_files
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.results import ResultPublishers
 from otf_calibrator.session import Session
@@ -108,7 +108,7 @@ class Calibrator(Node):
             self._tell(*diagnosed)
         self._state.publish(self._session)
 
-    def _finish(self, job: Future[Outcome]) -> None:
+    def _finish(self, job: Future[Calibrated]) -> None:
         """Publish what a calibration gave."""
         error = job.exception()
         if error is None:
@@ -130,7 +130,7 @@ class Calibrator(Node):
         self._results.publish_failure(code, text)
         self._state.failed(text)
 
-    def _tell(self, outcome: Outcome, answer: Answer) -> None:
+    def _tell(self, outcome: Calibrated, answer: Answer) -> None:
         """Publish what a diagnosis gave."""
         self._results.publish_gap(outcome, answer)
         self._state.diagnosed(outcome, answer)

@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
-from otf_calibrator.job import Outcome
+from otf_calibrator.job import Calibrated
 from otf_core.model.motions import MOTIONS
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, GapReport
@@ -38,7 +38,7 @@ class ResultPublishers:
             StaticTransformBroadcaster(node) if StaticTransformBroadcaster else None
         )
 
-    def publish(self, outcome: Outcome) -> list[str]:
+    def publish(self, outcome: Calibrated) -> list[str]:
         """Publish a calibration, tables first, the result last; return all warnings."""
         now = self._clock.now().to_msg()
         result, lost = outcome.result, outcome.request.lost
@@ -61,7 +61,7 @@ class ResultPublishers:
         now = self._clock.now().to_msg()
         self._result.publish(convert_result.failure_to_message(exit_code, text, now))
 
-    def publish_gap(self, outcome: Outcome, answer: Answer) -> None:
+    def publish_gap(self, outcome: Calibrated, answer: Answer) -> None:
         """Publish what a diagnosis of a calibrated run gave, or why it gave nothing."""
         now = self._clock.now().to_msg()
         if isinstance(answer, Failure):

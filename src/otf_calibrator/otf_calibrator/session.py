@@ -12,7 +12,7 @@ from concurrent.futures import Future
 
 from otf_calibrator.collector import Collector
 from otf_calibrator.diagnosis_job import Answer, DiagnosisJob
-from otf_calibrator.job import Outcome, Request, Worker
+from otf_calibrator.job import Calibrated, Request, Worker
 from otf_calibrator.params import CalibratorConfig
 from otf_core.config import CalibrationConfig
 
@@ -41,11 +41,11 @@ class Session:
         self._settings = settings
         self.collector = Collector(lambda: settings()[1])
         self.worker = Worker(warn)
-        self._job: Future[Outcome] | None = None
+        self._job: Future[Calibrated] | None = None
         self._verdict: Future[bool] | None = None
         self._judged_run = 0
         self.diagnosis: DiagnosisJob | None = None
-        self._last: Outcome | None = None
+        self._last: Calibrated | None = None
 
     @property
     def busy(self) -> bool:
@@ -72,7 +72,7 @@ class Session:
         collector.taken = True
         return f'calibration of {len(samples)} samples started: {reason}'
 
-    def finished(self) -> Future[Outcome] | None:
+    def finished(self) -> Future[Calibrated] | None:
         """Return a calibration that has come to its end, once."""
         if not self._job or not self._job.done():
             return None
@@ -97,7 +97,7 @@ class Session:
             return False, f'the diagnosis cannot be started: {error}'
         return True, f'diagnosis of run {self._last.result.run_id} started'
 
-    def diagnosed(self) -> tuple[Outcome, Answer] | None:
+    def diagnosed(self) -> tuple[Calibrated, Answer] | None:
         """Return the run whose diagnosis has come to its end, and what it gave, once."""
         answer = self.diagnosis.finished() if self.diagnosis else None
         if answer is None or self.diagnosis is None:

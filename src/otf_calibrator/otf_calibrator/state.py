@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
-from otf_calibrator.job import Outcome
+from otf_calibrator.job import Calibrated
 from otf_calibrator.session import Session
 from otf_msgs.msg import CalibratorState
 from otf_ros import qos
@@ -42,7 +42,7 @@ class StatePublisher:
         self._shown = (-1, False)
         self._at = 0.0
 
-    def done(self, outcome: Outcome) -> None:
+    def done(self, outcome: Calibrated) -> None:
         """Remember that the run was calibrated."""
         place = f'files in {outcome.folder}' if outcome.folder else outcome.problem
         text = f'{summary(outcome.result)}; for another run just drive again; {place}'
@@ -54,7 +54,7 @@ class StatePublisher:
         text = f'{reason}; correct it and call calibrator/calibrate, or drive again'
         self._outcome = (CalibratorState.FAILED, 0.0, text)
 
-    def diagnosed(self, outcome: Outcome, answer: Answer) -> None:
+    def diagnosed(self, outcome: Calibrated, answer: Answer) -> None:
         """Remember what the diagnosis of the run gave."""
         logger = self._node.get_logger()
         if isinstance(answer, Failure):

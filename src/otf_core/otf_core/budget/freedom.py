@@ -21,7 +21,7 @@ from otf_core.solving.joint import JointSolution
 
 Array = NDArray[np.float64]
 
-COVERAGE = 0.95
+COVERAGE_PROBABILITY = 0.95
 """Coverage probability of the expanded uncertainties."""
 
 
@@ -77,4 +77,4 @@ def welch_satterthwaite(variances: Array, freedoms: Array) -> Array:
 
 def coverage_factor(freedom: float) -> float:
     """Coverage factor for 95 %: Student's t for whole degrees of freedom (GUM G.4.1)."""
-    return float(stats.t.ppf(0.5 + 0.5 * COVERAGE, max(1.0, np.floor(freedom))))
+    return float(stats.t.ppf(0.5 + 0.5 * COVERAGE_PROBABILITY, max(1.0, np.floor(freedom))))

@@ -166,7 +166,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
     from otf_core.comparison.compare import compare, load_source
     from otf_core.files.csv_points import read_points_csv
     from otf_core.model.machine import load_machine
-    from otf_core.model.provenance import COVERAGE, provenance
+    from otf_core.model.provenance import STANDARD, provenance
     from otf_core.reports.comparison import format_comparison, write_comparison
 
     given = [arguments.a, arguments.b, arguments.machine, arguments.points]
@@ -179,7 +179,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
         'compare',
         machines=[machine] if machine else [],
         files={'a': arguments.a, 'b': arguments.b, 'points': arguments.points},
-        coverage=f'{COVERAGE}; normalised errors with U = 2 u (k = 2)',
+        coverage=f'{STANDARD}; normalised errors with U = 2 u (k = 2)',
     )
     with out.filled('compare') as folder:
         files = write_comparison(result, folder, about)

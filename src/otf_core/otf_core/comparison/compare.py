@@ -32,7 +32,7 @@ from otf_core.prediction.uncertainty import prediction_rows
 
 Array = NDArray[np.float64]
 
-COVERAGE = 2.0
+COVERAGE_FACTOR = 2.0
 """k of the expanded uncertainties."""
 GRID = 7
 """points per axis."""
@@ -111,7 +111,7 @@ class Comparison:
 
 def normalised_error(difference: Array, u: Array) -> Array:
     """E_n for a difference and its standard uncertainty; nan where both are zero."""
-    limit = COVERAGE * u
+    limit = COVERAGE_FACTOR * u
     known = limit > 1e-12 * max(float(np.abs(difference).max(initial=0.0)), 1e-12)
     return np.asarray(np.where(known, np.abs(difference) / np.where(known, limit, 1.0), np.nan))
 

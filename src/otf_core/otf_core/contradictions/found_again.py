@@ -14,7 +14,7 @@ from otf_core.contradictions.segments import (
     Index,
     Offsets,
     between,
-    estimate,
+    fitted_offsets,
     membership,
     segment_of_samples,
 )
@@ -57,7 +57,7 @@ def find_offsets(model: Model, run: int) -> FoundAgain | None:
     def of(segments: Index, kind: str) -> Offsets:
         share = np.zeros((len(rows), int(segments.max()) + 1))
         share[mine] = membership(pieces, segments)
-        return estimate(rows, model.fit, share, kind)
+        return fitted_offsets(rows, model.fit, share, kind)
 
     kinds = [k for k, width in KINDS.items() if width * count <= MAX_COLUMNS]
     if not kinds:

@@ -103,7 +103,7 @@ def offset_columns(rows: Rows, share: Array, kind: str) -> Array:
     return np.stack(parts, axis=2).reshape(len(tiled), -1)
 
 
-def estimate(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
+def fitted_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
     """Estimate the offsets of segments from what a fit leaves.
 
     Parameters

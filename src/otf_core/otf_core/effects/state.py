@@ -14,7 +14,7 @@ from otf_core.model.machine import AXES, Machine
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import sides_of_travel
 from otf_core.model.tables import ErrorTables
-from otf_core.tracking.curves import Lines, Shape, straight_shape
+from otf_core.tracking.curves import Lines, PathShape, straight_shape
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def state_on_path(
     nodes: Mapping[str, Array],
     tables: ErrorTables | None = None,
     duration: float = 0.0,
-    shape: Shape | None = None,
+    shape: PathShape | None = None,
 ) -> State:
     """Describe points of a path.
 
@@ -49,7 +49,7 @@ def state_on_path(
     tables : ErrorTables, optional
     duration : float, s
         Length of the recording; 0 stands for the time of the last point.
-    shape : Shape, optional
+    shape : PathShape, optional
         Which legs are chords of curves; none without it.
     """
     lines = Lines.of(shape or straight_shape(corners))

@@ -29,7 +29,7 @@ CONVENTION = (
     'error = actual minus nominal, of the target relative to the table, in machine coordinates; '
     'm, rad and s unless a name says otherwise'
 )
-COVERAGE = 'u: standard uncertainty, k = 1'
+STANDARD = 'u: standard uncertainty, k = 1'
 RUN_HASH = (
     'SHA-256 of stamps (int64, ns), points (float64, m) and corner points of the path (float64, '
     'm), little-endian, in the order of time'
@@ -151,7 +151,7 @@ def provenance(
     runs: Sequence[Origin] = (),
     machines: Sequence[Machine] = (),
     files: Mapping[str, str | Path | None] | None = None,
-    coverage: str = COVERAGE,
+    coverage: str = STANDARD,
 ) -> dict[str, Any]:
     """Return the block as plain data.
 

@@ -17,7 +17,7 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.noise.model import Misfit, NoiseModel, misfit_of, scaled
 from otf_core.pieces.pieces import Pieces
-from otf_core.tracking.curves import Shape
+from otf_core.tracking.curves import PathShape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class Observed:
     ----------
     machine : Machine
         As set up in this run.
-    shape : Shape
+    shape : PathShape
         Corner points and curves of the path as driven.
     pieces : Pieces
     pose : RigidTransform
@@ -44,7 +44,7 @@ class Observed:
     """
 
     machine: Machine
-    shape: Shape
+    shape: PathShape
     pieces: Pieces
     pose: RigidTransform
     noise: NoiseModel

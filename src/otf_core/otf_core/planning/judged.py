@@ -9,7 +9,7 @@ from typing import Any
 
 from otf_core.model.plan import Plan
 from otf_core.planning.forecast import Forecast, Setup
-from otf_core.planning.observability import Finding
+from otf_core.planning.observability import Unseen
 from otf_core.planning.planned_budget import PlannedSystematic
 from otf_core.planning.tracker_places import TrackerPlace
 
@@ -44,7 +44,7 @@ class PlanReport:
         How the path came about, one line.
     setup : Setup
     forecast : Forecast
-    findings : tuple of Finding
+    findings : tuple of Unseen
     places : tuple of TrackerPlace
         Ranked places of the tracker.
     advice : tuple of str
@@ -57,7 +57,7 @@ class PlanReport:
     how: str
     setup: Setup
     forecast: Forecast
-    findings: tuple[Finding, ...]
+    findings: tuple[Unseen, ...]
     places: tuple[TrackerPlace, ...]
     advice: tuple[str, ...]
     effects: tuple[EffectForecast, ...] = field(default=())

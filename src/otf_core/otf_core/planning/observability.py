@@ -28,7 +28,7 @@ _SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class Finding:
+class Unseen:
     """One error that a plan does not show, or not everywhere.
 
     Attributes
@@ -124,25 +124,25 @@ def _moves_nothing(result: Forecast, machine: Machine, error: ErrorMotion) -> bo
     return bool(np.abs(influence).max() < 1e-9)
 
 
-def _unseen(result: Forecast, machine: Machine, error: str, limit: float) -> Finding:
+def _unseen(result: Forecast, machine: Machine, error: str, limit: float) -> Unseen:
     motion = ErrorMotion.of(error) if error in MOTIONS else None
     if motion and len(result.nodes[motion.axis]) == 1:
         words = f'{error}: the path does not move {motion.axis}'
-        return Finding(error, (), words, f'lines that move {motion.axis}')
+        return Unseen(error, (), words, f'lines that move {motion.axis}')
     others = imitators(result, error, limit)
     if motion and not motion.is_translation and _moves_nothing(result, machine, motion):
         words = f'{error}: rotation about an axis through the target: it moves nothing'
-        return Finding(error, (), words, _second_offset(AXES[motion.along]))
+        return Unseen(error, (), words, _second_offset(AXES[motion.along]))
     if motion and not chain_shows(machine, error):
         about = AXES[motion.along]
         names = ' and '.join(others) or f'the translations of {motion.axis}'
         words = f'{error}: cannot be told from {names} {offset_in_words(machine)}'
-        return Finding(error, others, words, _second_offset(about))
+        return Unseen(error, others, words, _second_offset(about))
     if others:
         words = f'{error}: this path mixes it up with {" and ".join(others)}'
     else:
         words = f'{error}: it acts along the lines of this path only, or where none is driven'
-    return Finding(error, others, words, 'face and space diagonals in several planes')
+    return Unseen(error, others, words, 'face and space diagonals in several planes')
 
 
 def _second_offset(about: str) -> str:
@@ -150,7 +150,7 @@ def _second_offset(about: str) -> str:
     return f'a second run with a target offset that differs in {across}'
 
 
-def _loose(name: ErrorMotion, positions: Array, nodes: int) -> Finding:
+def _loose(name: ErrorMotion, positions: Array, nodes: int) -> Unseen:
     needs = f'face and space diagonals across {name.axis} there'
     fixed = 2 if name.is_straightness else 1
     if len(positions) >= nodes - fixed:
@@ -158,10 +158,10 @@ def _loose(name: ErrorMotion, positions: Array, nodes: int) -> Finding:
     else:
         where = ', '.join(f'{p:g}' for p in positions)
         words = f'{name}: not determined at {name.axis} = {where} m; interpolated there'
-    return Finding(name, (), words, needs)
+    return Unseen(name, (), words, needs)
 
 
-def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Finding, ...]:
+def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Unseen, ...]:
     """Say what a plan does not show.
 
     Parameters
@@ -173,7 +173,7 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Finding,
 
     Returns
     -------
-    tuple of Finding
+    tuple of Unseen
         Unseen errors first, then motions that are not determined at single nodes, then parts of
         the axis ranges that are not driven.
     """
@@ -184,7 +184,7 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Finding,
     return tuple(found)
 
 
-def _not_driven(result: Forecast, machine: Machine) -> list[Finding]:
+def _not_driven(result: Forecast, machine: Machine) -> list[Unseen]:
     """Ends of the axis ranges beyond the plan: no forecast holds there."""
     found = []
     for axis in AXES:
@@ -195,5 +195,5 @@ def _not_driven(result: Forecast, machine: Machine) -> list[Finding]:
                 f'{axis}: driven from {nodes[0]:g} m to {nodes[-1]:g} m; beyond, up to '
                 f'{1e3 * gap:.1f} mm, tables are held constant and this forecast does not count'
             )
-            found.append(Finding(axis, (), words, 'a smaller margin'))
+            found.append(Unseen(axis, (), words, 'a smaller margin'))
     return found

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.budget import NAMES, Budget
-from otf_core.budget.freedom import COVERAGE
+from otf_core.budget.freedom import COVERAGE_PROBABILITY
 from otf_core.model.evaluation import driven_grid, free_rows
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.tables import ErrorTables
@@ -39,7 +39,7 @@ MANY = 1e6
 
 
 @dataclass(frozen=True)
-class Line:
+class BudgetLine:
     """One quantity of the budget.
 
     Attributes
@@ -72,14 +72,16 @@ def _places(tables: ErrorTables) -> dict[str, slice]:
     return {n: slice(a, b) for n, a, b in zip(NAMES, ends[:-1], ends[1:], strict=True)}
 
 
-def _line(budget: Budget, name: str, unit: str, variances: Array, components: int = 1) -> Line:
+def _line(
+    budget: Budget, name: str, unit: str, variances: Array, components: int = 1
+) -> BudgetLine:
     known = variances[:, variances.sum(axis=0) > 0]
     mean = np.sqrt(components * known.mean(axis=1)) if known.size else np.zeros(len(variances))
     parts = {n: float(v) for n, v in zip(budget.names, mean, strict=True)}
-    return Line(name, unit, float(np.sqrt(np.sum(mean**2))), parts, *budget.expansion(known))
+    return BudgetLine(name, unit, float(np.sqrt(np.sum(mean**2))), parts, *budget.expansion(known))
 
 
-def budget_lines(tables: ErrorTables, budget: Budget) -> list[Line]:
+def budget_lines(tables: ErrorTables, budget: Budget) -> list[BudgetLine]:
     """Lines for everything that is identifiable, and for the grid.
 
     Parameters
@@ -104,7 +106,7 @@ def _finite(value: float) -> int | None:
     return int(value) if value < MANY else None
 
 
-def expanded(tables: ErrorTables, lines: list[Line]) -> dict[str, dict[str, Any]]:
+def expanded(tables: ErrorTables, lines: list[BudgetLine]) -> dict[str, dict[str, Any]]:
     """U, k and dof of every squareness error and motion, as they stand in error_tables.json."""
     found: dict[str, dict[str, Any]] = {}
     by_name = {line.name: line for line in lines}
@@ -160,12 +162,12 @@ def _at_node(tables: ErrorTables, name: str, node: int) -> str:
     return f'{name} at {tables.motions[name].position[node]:g}'
 
 
-def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[Line]) -> dict[str, Any]:
+def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> dict[str, Any]:
     """Budget and correlations as plain data; see docs/uncertainty.md."""
     strong = correlations(tables, budget.covariance)
     return {
         'budget': {
-            'coverage_probability': COVERAGE,
+            'coverage_probability': COVERAGE_PROBABILITY,
             'dof': {
                 n: _finite(v) for n, v in zip(budget.names, budget.freedoms.tolist(), strict=True)
             },
@@ -180,7 +182,7 @@ def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[Line]) -> di
     }
 
 
-def format_budget(tables: ErrorTables, budget: Budget, lines: list[Line]) -> str:
+def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> str:
     """Return the budget as text."""
     sources = [name for name in budget.names if any(n.parts[name] for n in lines)]
     head = ''.join(f'{SHORT.get(name, name):>9}' for name in sources)

@@ -23,7 +23,7 @@ from otf_core.effects.stated import effects_to_list, format_effects
 from otf_core.files.csv_points import tidy, write_csv
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
-from otf_core.model.provenance import COVERAGE, provenance
+from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
 from otf_core.noise.fields import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
@@ -75,7 +75,7 @@ def result_to_dict(result: CalibrationResult, verb: str = 'calibrate') -> dict[s
             verb,
             method=STANDSTILL if result.runs[0].pieces.standstill else OTF,
             runs=result.origin,
-            coverage=f'{COVERAGE}; U: expanded uncertainty for 95 %, k beside it',
+            coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
         ),
     }
     return data

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.comparison.compare import COVERAGE, Comparison, agreement
+from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.evaluation import mean_length
 from otf_core.model.machine import AXES
@@ -67,7 +67,7 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
             ),
             'standard_deviation': dict(zip(AXES, difference.std(axis=0).tolist(), strict=True)),
             'within': agreement(volume.normalised),
-            'coverage_factor': COVERAGE,
+            'coverage_factor': COVERAGE_FACTOR,
         },
     }
     if volume.squareness is not None:

@@ -11,7 +11,7 @@ from typing import Any
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.model.provenance import COVERAGE, provenance
+from otf_core.model.provenance import STANDARD, provenance
 from otf_core.reports.calibration import write_calibration
 from otf_core.reports.gap import write_report
 
@@ -43,7 +43,7 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
             'diagnose',
             method='otf',
             runs=diagnosis.origin,
-            coverage=f'{COVERAGE}; intervals: 95 %',
+            coverage=f'{STANDARD}; intervals: 95 %',
         ),
     }
 

@@ -34,7 +34,7 @@ from otf_core.solving.normal import sum_groups
 from otf_core.solving.reversal import MODELS
 from otf_core.solving.roughness import TRACE
 from otf_core.solving.shape_choice import choose_shapes
-from otf_core.solving.solution import estimate, free_columns, identifiable_blocks
+from otf_core.solving.solution import estimated, free_columns, identifiable_blocks
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, is_reversal, layout, reversal_order
 
@@ -211,7 +211,7 @@ def _held_out_squares(
     prior = block_diag(done.roughness.precision, TRACE / limit**2 * np.eye(loose))
     left = {}
     for model, use in columns.items():
-        values = [estimate(total.less(part), use, prior) for part in parts]
+        values = [estimated(total.less(part), use, prior) for part in parts]
         squares = [
             _squares(system, solved, group, rival, unknowns, np.stack(values, axis=1))
             for system, solved, group, rival in zip(systems, done.runs, fold, rivals, strict=True)

@@ -117,7 +117,7 @@ def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> NDArray[np.int64]
     return np.concatenate([np.arange(part.start, part.stop) for part in parts])
 
 
-def estimate(normal: NormalEquations, use: NDArray[np.int64], prior: Array) -> Array:
+def estimated(normal: NormalEquations, use: NDArray[np.int64], prior: Array) -> Array:
     """Solve for some columns of normal equations, all others zero; see ``solve``.
 
     Parameters

@@ -20,7 +20,7 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
 from otf_core.tracking.arcs import Bulge, bulge_of, with_arcs
-from otf_core.tracking.curves import SHORT_CURVE, Lines, Shape, straight_shape
+from otf_core.tracking.curves import SHORT_CURVE, Lines, PathShape, straight_shape
 from otf_core.tracking.driven import Driven, as_planned, driven_path, sample_chords, visits
 from otf_core.tracking.guide import Guide
 from otf_core.tracking.matching import ENOUGH, LEAST, cut_track
@@ -55,7 +55,7 @@ class Alignment:
         Driven share of the length of the published path.
     last_leg_driven : bool
         True if the track ends at the end of the path.
-    curves : Shape, optional
+    curves : PathShape, optional
         Which legs are chords of curves; none without it.
     published : ndarray of int64, shape (m,), optional
         Leg of the published path of every leg, ``OFF_PATH`` for connecting moves; the same
@@ -71,13 +71,13 @@ class Alignment:
     leg: NDArray[np.int64]
     coverage: float
     last_leg_driven: bool
-    curves: Shape | None = None
+    curves: PathShape | None = None
     published: NDArray[np.int64] | None = None
     rounded: Array | None = None
     bulge: Bulge | None = None
 
     @property
-    def shape(self) -> Shape:
+    def shape(self) -> PathShape:
         """Corner points and curves."""
         return self.curves or straight_shape(self.corners)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.tracking.curves import Lines, Shape, shape_of
+from otf_core.tracking.curves import Lines, PathShape, shape_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -152,12 +152,12 @@ def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge |
     return Bulge(mean, float(np.sqrt(spread)), largest)
 
 
-def with_arcs(lines: Lines) -> tuple[Shape, Index, Index]:
+def with_arcs(lines: Lines) -> tuple[PathShape, Index, Index]:
     """Replace the chords of curves by finer ones along their arcs.
 
     Returns
     -------
-    shape : Shape
+    shape : PathShape
     start : ndarray of int64, shape (m,)
         The first of the chords that stand for each old one.
     parent : ndarray of int64, shape (m2,)

@@ -34,7 +34,7 @@ GROUP_TURN, GROUP_LENGTH = 1.0, 0.5
 
 
 @dataclass(frozen=True)
-class Shape:
+class PathShape:
     """A path of corner points with its curves.
 
     Attributes
@@ -78,19 +78,19 @@ class Lines(Legs):
 
     Attributes
     ----------
-    shape : Shape
+    shape : PathShape
     start : ndarray, shape (m,), m
         Path length from the start of the stretch to the start of the chord.
     total : ndarray, shape (m,), m
         Length of the stretch.
     """
 
-    shape: Shape
+    shape: PathShape
     start: Array
     total: Array
 
     @classmethod
-    def of(cls, shape: Shape) -> Lines:
+    def of(cls, shape: PathShape) -> Lines:
         """Measure the chords of a shape."""
         legs, curved = Legs(shape.corners), shape.curved
         length, reach = legs.length, legs.reach
@@ -138,13 +138,13 @@ def turns(unit: Array) -> Array:
     return np.asarray(np.arctan2(cross, np.einsum('ij,ij->i', unit[:-1], unit[1:])))
 
 
-def straight_shape(corners: Array) -> Shape:
+def straight_shape(corners: Array) -> PathShape:
     """Take every chord as a leg of its own."""
     number = np.arange(len(corners) - 1)
-    return Shape(corners, number, number)
+    return PathShape(corners, number, number)
 
 
-def shape_of(corners: Array) -> Shape:
+def shape_of(corners: Array) -> PathShape:
     """Find the curves of a path.
 
     Parameters
@@ -162,7 +162,7 @@ def shape_of(corners: Array) -> Shape:
     stretch = number[first][np.cumsum(first) - 1]
     few = np.bincount(stretch, minlength=len(number))[stretch] < LEAST
     stretch = np.where(few, number, stretch)
-    return Shape(corners, stretch, _groups(stretch, length, np.concatenate([[0.0], turn])))
+    return PathShape(corners, stretch, _groups(stretch, length, np.concatenate([[0.0], turn])))
 
 
 def _groups(stretch: Index, length: Array, turn: Array) -> Index:

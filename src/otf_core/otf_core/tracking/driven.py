@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.model.path import MIN_LEG, Legs
-from otf_core.tracking.curves import Lines, Shape, shape_of
+from otf_core.tracking.curves import Lines, PathShape, shape_of
 from otf_core.tracking.order import FORWARD, OFF_PATH, Match
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Driven:
 
     Attributes
     ----------
-    shape : Shape
+    shape : PathShape
     chord : ndarray of int64, shape (k,)
         Chord on which each measured leg begins, ``OFF_PATH`` for none.
     last : ndarray of int64, shape (k,)
@@ -57,7 +57,7 @@ class Driven:
         Chord of the published path of every chord, ``OFF_PATH`` for a connecting move.
     """
 
-    shape: Shape
+    shape: PathShape
     chord: Index
     last: Index
     published: Index
@@ -149,14 +149,14 @@ def _link(before: Visit, after: Visit, match: Match, ends: Array, slack: float) 
     return np.asarray(points[off])
 
 
-def driven_path(match: Match, shape: Shape, vertex: Index, slack: float) -> Driven:
+def driven_path(match: Match, shape: PathShape, vertex: Index, slack: float) -> Driven:
     """Path as driven, and the chords of every measured leg.
 
     Parameters
     ----------
     match : Match
         Legs are those between successive vertices.
-    shape : Shape
+    shape : PathShape
         Of the published path.
     vertex : ndarray of int64, shape (v,)
         Corner points by which it was matched.

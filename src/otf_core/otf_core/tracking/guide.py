@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import InputError
 from otf_core.model.path import NominalPath
-from otf_core.tracking.curves import Shape, shape_of
+from otf_core.tracking.curves import PathShape, shape_of
 from otf_core.tracking.matching import find_match
 from otf_core.tracking.order import Match
 from otf_core.tracking.track import Track
@@ -24,12 +24,12 @@ class Guide:
 
     Attributes
     ----------
-    shape : Shape
+    shape : PathShape
     vertex : ndarray of int64, shape (v,)
         Corner points that are matched: curves are thinned.
     """
 
-    shape: Shape
+    shape: PathShape
     vertex: NDArray[np.int64]
 
     @classmethod

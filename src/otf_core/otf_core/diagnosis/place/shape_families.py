@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.place.shapes import (
+    GapShape,
     Maker,
-    Shape,
     amplitude_words,
     direction_words,
     finer_shapes,
@@ -42,12 +42,12 @@ def _in_run(views: Sequence[RunView], view: RunView) -> str:
     return f' in {view.name}' if len(views) > 1 else ''
 
 
-def step_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
+def step_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
     """A step, at first between two legs."""
 
     def maker(run: RunView) -> Maker:
-        def shape(start: float, width: float) -> Shape:
-            return Shape(
+        def shape(start: float, width: float) -> GapShape:
+            return GapShape(
                 'step',
                 lambda v: one((v.time >= start) & (v is run)),
                 lambda c: (
@@ -65,17 +65,17 @@ def step_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
         yield from (maker(view)(float(start), width) for start in starts[::stride])
 
 
-def drift_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
+def drift_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
     """A steady drift, and one that settles."""
 
-    def steady(run: RunView) -> Shape:
+    def steady(run: RunView) -> GapShape:
         def words(c: Array) -> str:
             return f'drift of {direction_words(c, 1e6, "um/min")}{_in_run(views, run)}'
 
-        return Shape('drift', lambda v: one(v.time / 60.0 * (v is run)), words)
+        return GapShape('drift', lambda v: one(v.time / 60.0 * (v is run)), words)
 
     def settling(run: RunView) -> Maker:
-        def shape(power: float, width: float) -> Shape:
+        def shape(power: float, width: float) -> GapShape:
             tau = 2.0**power * float(np.ptp(run.time))
 
             def words(c: Array) -> str:
@@ -84,7 +84,7 @@ def drift_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
                     f'{tau:.2g} s{_in_run(views, run)}'
                 )
 
-            return Shape(
+            return GapShape(
                 'drift',
                 lambda v: one((1.0 - np.exp(-v.time / tau)) * (v is run)),
                 words,
@@ -103,33 +103,33 @@ def _sense(view: RunView, axis: int) -> Array:
     return np.where(np.abs(d) < MOVING, 0.0, np.sign(d))
 
 
-def travel_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
+def travel_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
     """What flips with the sense of travel, alike at all feeds or growing with the feed."""
     speeds = np.concatenate([v.speed for v in views])
     two_feeds = np.quantile(speeds, 0.9) > 1.2 * np.quantile(speeds, 0.1)
 
-    def flipping(axis: int) -> Shape:
+    def flipping(axis: int) -> GapShape:
         def words(c: Array) -> str:
             return (
                 f'flips with the sense of travel of {AXES[axis]}: {direction_words(c)} forward, '
                 'the opposite backward'
             )
 
-        return Shape('sense', lambda v: one(_sense(v, axis)), words)
+        return GapShape('sense', lambda v: one(_sense(v, axis)), words)
 
-    def growing(axis: int) -> Shape:
+    def growing(axis: int) -> GapShape:
         def words(c: Array) -> str:
             return (
                 f'flips with the sense of travel of {AXES[axis]} and grows with its feed: '
                 f'{direction_words(c, 1e5, PER_FEED)} forward'
             )
 
-        return Shape('feed', lambda v: one(v.speed * v.direction[:, axis]), words)
+        return GapShape('feed', lambda v: one(v.speed * v.direction[:, axis]), words)
 
     yield from (flipping(axis) for axis in range(3))
     if two_feeds:
         yield from (growing(axis) for axis in range(3))
-        yield Shape(
+        yield GapShape(
             'feed',
             lambda v: one(v.speed - v.speed.mean()),
             lambda c: f'changes with the feed: {direction_words(c, 1e5, PER_FEED)}',
@@ -145,7 +145,7 @@ def _spacing(view: RunView, axis: int) -> Array:
     return length
 
 
-def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[Shape]:
+def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[GapShape]:
     """Waves along the position of an axis; means over pieces weaken short ones."""
     spacing = {id(v): _spacing(v, axis) for v in views}
     every = np.concatenate(list(spacing.values()))
@@ -154,7 +154,7 @@ def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[Shape]:
     if not moving.size or length < 1e-3:
         return
 
-    def shape(frequency: float, width: float) -> Shape:
+    def shape(frequency: float, width: float) -> GapShape:
         def scales(view: RunView) -> Array:
             weak = np.sinc(frequency * spacing[id(view)])
             return np.asarray(weak[:, None] * wave(2.0 * np.pi * frequency * view.q[:, axis]))
@@ -162,7 +162,7 @@ def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[Shape]:
         def words(c: Array) -> str:
             return f'period {1e3 / frequency:.1f} mm of axis {AXES[axis]}, {amplitude_words(c)}'
 
-        return Shape(f'wave {AXES[axis]}', scales, words, finer_shapes(shape, frequency, width))
+        return GapShape(f'wave {AXES[axis]}', scales, words, finer_shapes(shape, frequency, width))
 
     low, high = WAVES_PER_AXIS / length, 1.0 / (SHORTEST_WAVE * float(np.quantile(moving, 0.1)))
     count = max(2, min(MOST_WAVES, int((high - low) * 2 * length)))
@@ -170,14 +170,14 @@ def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[Shape]:
     yield from (shape(float(f), width) for f in np.linspace(low, high, count))
 
 
-def slow_wave_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
+def slow_wave_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
     """Waves in time, slower than legs."""
     longest = max(float(np.ptp(v.time)) for v in views)
     legs = max(len(v.bounds) for v in views)
 
-    def shape(cycles: float, width: float) -> Shape:
+    def shape(cycles: float, width: float) -> GapShape:
         period = longest / cycles
-        return Shape(
+        return GapShape(
             'slow wave',
             lambda v: wave(2.0 * np.pi / period * v.time),
             lambda c: f'period {period:.3g} s, {amplitude_words(c)}',
@@ -188,12 +188,12 @@ def slow_wave_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
     yield from (shape(float(n), 0.5) for n in cycles)
 
 
-def product_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
+def product_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
     """What changes along one axis with the position of another."""
     q = np.concatenate([v.q for v in views])
     middle, half = 0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0)
 
-    def shape(a: int, b: int) -> Shape:
+    def shape(a: int, b: int) -> GapShape:
         def words(c: Array) -> str:
             return (
                 f'grows with the product of the positions of {AXES[a]} and {AXES[b]}, '
@@ -204,13 +204,13 @@ def product_shapes(views: Sequence[RunView]) -> Iterator[Shape]:
             u = (view.q - middle) / half.clip(1e-3)
             return one(u[:, a] * u[:, b])
 
-        return Shape('product', scales, words)
+        return GapShape('product', scales, words)
 
     pairs = ((0, 1), (0, 2), (1, 2))
     yield from (shape(a, b) for a, b in pairs if min(half[a], half[b]) > 1e-3)
 
 
-def all_shapes(views: Sequence[RunView]) -> list[list[Shape]]:
+def all_shapes(views: Sequence[RunView]) -> list[list[GapShape]]:
     """All shapes, one list a family that is scanned together."""
     families = (step_shapes, drift_shapes, travel_shapes, slow_wave_shapes, product_shapes)
     found = [list(family(views)) for family in families]

@@ -25,7 +25,7 @@ FINER = 4
 
 
 @dataclass(frozen=True)
-class Shape:
+class GapShape:
     """A displacement with coefficients.
 
     Attributes
@@ -35,7 +35,7 @@ class Shape:
         Displacements along X, Y and Z are in proportion to each of the m scales; coefficients
         are those of the first scale, X, Y, Z, then of the next.
     words : callable(coefficients) -> str
-    finer : callable() -> list of Shape, optional
+    finer : callable() -> list of GapShape, optional
         Shapes in between this one and its neighbours, for a shape with a moment, a period or a
         time constant.
     """
@@ -43,14 +43,14 @@ class Shape:
     family: str
     scales: Scales
     words: Callable[[Array], str]
-    finer: Callable[[], list[Shape]] | None = None
+    finer: Callable[[], list[GapShape]] | None = None
 
 
-Maker = Callable[[float, float], Shape]
+Maker = Callable[[float, float], GapShape]
 """Makes a shape from the value of its parameter and the distance to its neighbours."""
 
 
-def finer_shapes(maker: Maker, value: float, width: float) -> Callable[[], list[Shape]]:
+def finer_shapes(maker: Maker, value: float, width: float) -> Callable[[], list[GapShape]]:
     """Shapes about a value of the parameter, once they are asked for."""
     steps = np.arange(-FINER, FINER + 1) / FINER
     return lambda: [maker(float(value + s * width), width / FINER) for s in steps]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.place.shape_families import all_shapes
-from otf_core.diagnosis.place.shapes import Shape
+from otf_core.diagnosis.place.shapes import GapShape
 from otf_core.diagnosis.place.views import RunView
 from otf_core.solving.normal import rows_by_run
 from otf_core.solving.residual_check import check_residuals
@@ -60,12 +60,12 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    shape: Shape
+    shape: GapShape
     white: Array
 
 
 def _candidates(
-    views: Sequence[RunView], shapes: Sequence[Shape], project: Projection
+    views: Sequence[RunView], shapes: Sequence[GapShape], project: Projection
 ) -> list[_Candidate]:
     """Shapes of equal numbers of scales with their whitened columns, less what tables follow."""
     wide = []
@@ -79,7 +79,7 @@ def _candidates(
 
 
 def _screened(
-    views: Sequence[RunView], shapes: Sequence[Shape], residual: Array, project: Projection
+    views: Sequence[RunView], shapes: Sequence[GapShape], residual: Array, project: Projection
 ) -> list[_Candidate]:
     """Most promising of many shapes: exact products with the residual, sizes interpolated."""
     if len(shapes) <= EXACT:
@@ -182,7 +182,7 @@ def _without_means(views: Sequence[RunView]) -> Projection:
 
 
 def _joint_words(
-    views: Sequence[RunView], shapes: Sequence[Shape], residual: Array, project: Projection
+    views: Sequence[RunView], shapes: Sequence[GapShape], residual: Array, project: Projection
 ) -> list[str]:
     """Words with the sizes that shapes have when all are fitted together."""
     if not shapes:
@@ -224,7 +224,7 @@ def find_structures(
         if family
     ]
     found: list[Structure] = []
-    chosen: list[Shape] = []
+    chosen: list[GapShape] = []
     plain, whole = project, residual
     while families and len(found) < MAX_STRUCTURES:
         candidate, value, score = _best(families, views, residual, project)

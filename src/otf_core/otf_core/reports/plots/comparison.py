@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.comparison.compare import COVERAGE, Comparison
+from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison
 from otf_core.model.direct_measurement import MotionReadings
 from otf_core.model.evaluation import mean_length
 from otf_core.model.machine import AXES
@@ -24,7 +24,7 @@ def _draw_motion(
     sides = ((pair.a, pair.u_a, COLOURS[0]), (pair.b, pair.u_b, COLOURS[1]))
     for name, (value, u, colour) in zip(comparison.names, sides, strict=True):
         axes.plot(x, 1e6 * value, '-', color=colour, lw=1.2, label=name)
-        band = COVERAGE * 1e6 * u
+        band = COVERAGE_FACTOR * 1e6 * u
         axes.fill_between(x, 1e6 * value - band, 1e6 * value + band, color=colour, alpha=0.2, lw=0)
     folded = unit_of(motion) == 'm' and any(
         f.axis == motion.axis for f in comparison.common.folded
