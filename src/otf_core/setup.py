@@ -4,8 +4,8 @@ from pathlib import Path
 
 from setuptools import find_packages, setup
 
-INIT = Path(__file__).resolve().parent / 'otf_core' / '__init__.py'
-VERSION = re.search(r"__version__ = '(.+)'", INIT.read_text(encoding='utf-8'))[1]
+FILE = Path(__file__).resolve().parent / 'otf_core' / 'version.py'
+VERSION = re.search(r"__version__ = '(.+)'", FILE.read_text(encoding='utf-8'))[1]
 
 setup(
     name='otf_core',

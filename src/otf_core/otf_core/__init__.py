@@ -21,6 +21,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from otf_core.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from otf_core.api.files import (
         read_bag,
@@ -50,8 +52,6 @@ if TYPE_CHECKING:
     from otf_core.pieces.runs import Recording
     from otf_core.planning.judged import PlanReport
     from otf_core.prediction.predict import Prediction
-
-__version__ = '0.1.0'
 
 _HOMES = {
     'api.files': (

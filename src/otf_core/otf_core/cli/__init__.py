@@ -11,7 +11,6 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
-from otf_core import __version__
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -33,6 +32,7 @@ from otf_core.config import (
 )
 from otf_core.errors import OtfError
 from otf_core.planning.nc import DIALECTS
+from otf_core.version import __version__
 
 LARGEST_SEED = 10_000_000
 Handler = Callable[[argparse.Namespace], int]

@@ -13,8 +13,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from otf_core import __version__
 from otf_core.files.writing import write_text
+from otf_core.version import __version__
 
 MANIFEST = 'manifest.json'
 SCHEMA = 'otf-manifest/1'

@@ -17,13 +17,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from otf_core import __version__
 from otf_core.errors import ConfigError
 from otf_core.files.manifest import file_digest
 from otf_core.files.writing import unreadable
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.version import __version__
 
 CONVENTION = (
     'error = actual minus nominal, of the target relative to the table, in machine coordinates; '

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core import __version__
 from otf_core.calibration.result import CalibrationResult
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.provenance import moment
 from otf_core.model.tables import ErrorTables
+from otf_core.version import __version__
 
 ANGLES = {'C0Y': ('+X', '+Y', 1.0), 'B0Z': ('+X', '+Z', -1.0), 'A0Z': ('+Y', '+Z', 1.0)}
 """Directions between which a squareness error changes the angle, and the sign of the change."""
