@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every effect of the registry keeps to; a new one is tested once it is registered."""
 
-import ast
 import dataclasses
-import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +10,6 @@ import pytest
 from core_cells import some_machine
 from effect_cells import driven_state, some_plan
 
-import otf_core
 from otf_core.blind.draw_effects import draw_effect
 from otf_core.config import SimulationConfig
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo, base, drawing, names_of
@@ -368,42 +365,3 @@ def test_drawn_parameters_lie_within_their_limits(name):
             low, high = bounds[key]
             assert low - 1e-12 * abs(low) <= value <= high + 1e-12 * abs(high), key
     assert len(seen) > 0.5 * len(bounds), 'most of what may be drawn is drawn'
-
-
-# ---------------------------------------------------------------- named nowhere else
-
-ROOT = Path(otf_core.__file__).parents[2]
-HOMONYMS = set(REGISTRY) & {*KEYS, 'target_offset'}
-"""Keys of machine.yaml that are spelled like the effect they declare."""
-SOURCES = sorted(
-    f for f in ROOT.rglob('*.py')
-    if not {'test', 'tests', 'build', 'install'} & set(f.relative_to(ROOT).parts)
-    and not (f.parent.name == 'effects' and f.stem in (*REGISTRY, 'catalogue'))
-)  # fmt: skip
-
-
-def docstrings(tree):
-    """Strings that stand alone: docstrings and descriptions of constants."""
-    return {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
-
-
-@pytest.mark.parametrize('file', SOURCES, ids=[str(f.relative_to(ROOT)) for f in SOURCES])
-def test_no_effect_is_named_outside_its_own_file(file):
-    tree = ast.parse(file.read_text())
-    exempt = docstrings(tree)
-    texts = [
-        n for n in ast.walk(tree)
-        if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in exempt
-    ]  # fmt: skip
-    for node in texts:
-        whole = node.value in REGISTRY
-        words = {w for w in re.findall(r'\w+', node.value) if '_' in w} & set(REGISTRY)
-        named = words | ({node.value} if whole else set())
-        assert not named - HOMONYMS, f'line {node.lineno}: {named}'
-
-
-@pytest.mark.parametrize('file', SOURCES, ids=[str(f.relative_to(ROOT)) for f in SOURCES])
-def test_no_effect_is_taken_from_the_registry_by_a_fixed_name(file):
-    for node in ast.walk(ast.parse(file.read_text())):
-        if isinstance(node, ast.Subscript) and getattr(node.value, 'id', '') == 'REGISTRY':
-            assert not isinstance(node.slice, ast.Constant), f'line {node.lineno}'
