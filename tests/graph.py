@@ -21,6 +21,15 @@ from otf_ros import qos
 
 PATIENCE = 60.0
 """s; far more than anything here takes on a busy computer."""
+LOST = 'failed to send response'
+"""What rclpy says when it answers a client that the node's side has not discovered yet."""
+REACHED = {
+    'configure': 'inactive',
+    'activate': 'active',
+    'deactivate': 'inactive',
+    'cleanup': 'unconfigured',
+    'shutdown': 'finalized',
+}
 
 
 class Graph:
@@ -102,11 +111,21 @@ class Graph:
         client = self._ear.create_client(kind, name)
         try:
             self.wait(client.service_is_ready, f'service {name}')
-            future = client.call_async(request or kind.Request())
-            self.wait(future.done, f'answer of {name}')
-            return future.result()
+            answer = None
+            while answer is None:
+                answer = self._answer(client.call_async(request or kind.Request()), name)
+            return answer
         finally:
             self._ear.destroy_client(client)
+
+    def _answer(self, future, name):
+        """Answer of a service, or None if it was lost on its way."""
+        lost = self._lost_answers()
+        self.wait(lambda: future.done() or self._lost_answers() > lost, f'answer of {name}')
+        return future.result() if future.done() else None
+
+    def _lost_answers(self):
+        return sum(node.log.read_text(errors='replace').count(LOST) for node in self.nodes)
 
     def trigger(self, name):
         """Call a Trigger service."""
@@ -115,7 +134,11 @@ class Graph:
     def transition(self, label):
         """Ask the driver for a lifecycle transition; True if it was made."""
         request = ChangeState.Request(transition=Transition(label=label))
-        return self.call(ChangeState, 'tracker_driver/change_state', request).success
+        lost = self._lost_answers()
+        made = self.call(ChangeState, 'tracker_driver/change_state', request).success
+        if self._lost_answers() > lost:  # asked twice: the second time it may be made already
+            return self.lifecycle_state() == REACHED[label]
+        return made
 
     def lifecycle_state(self):
         """Lifecycle state of the driver."""

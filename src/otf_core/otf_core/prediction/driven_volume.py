@@ -45,7 +45,7 @@ class DrivenVolume:
     def _frame(self) -> tuple[Array, Array, int]:
         """Centre, principal directions (rows), and in how many of them the hull extends."""
         centre = self.corners.mean(axis=0)
-        axes = np.linalg.svd(self.corners - centre)[2]
+        axes = np.linalg.svd(np.linalg.qr(self.corners - centre, mode='r'))[2]
         extent = np.ptp((self.corners - centre) @ axes.T, axis=0)
         return centre, axes, int(np.sum(extent > FLAT))
 
