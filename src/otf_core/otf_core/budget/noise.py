@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from otf_core.noise.model import MISFIT_TIME, NoiseModel, noise_covariance
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
-from otf_core.solving.normal import fill_rows, leg_parts, weighted
+from otf_core.solving.whitener import leg_parts
 
 Array = NDArray[np.float64]
 
@@ -127,11 +127,10 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
         shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, lasts)
         chains = _Chain(size, _times(noise)), _Chain(size, lasts)
         for leg, (low, high) in enumerate(solved.whitener.bounds):
-            rows = np.zeros((len(solved.system.axes), high - low, size))
-            for component, factor in enumerate(solved.whitener.factors[leg]):
-                fill_rows(rows[component], solved.system.design, component * len(run.pieces) + low)
+            rows = solved.system.rows.dense(slice(low, high))
+            for component, inverse in enumerate(solved.whitener.inverses[leg]):
                 parts = leg_parts(solved.system, run.pieces, noise, misfit, component, low, high)
-                part = weighted(factor, rows[component])
+                part = inverse.T @ (inverse @ rows[component])
                 within += part.T @ ((parts[2] + parts[3]) @ part)
                 rows[component] = part
             between += _between(run, solved, leg, rows)

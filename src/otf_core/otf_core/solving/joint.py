@@ -22,11 +22,12 @@ from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import blamed
 from otf_core.solving.noise_fit import FittedNoise, fit_noise
-from otf_core.solving.normal import NormalEquations, Whitener, normal_equations
+from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, identifiable_blocks, solve
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, free_values, pose_block
+from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -318,7 +319,7 @@ def _seen_blocks(
 
 
 def _left(systems: Sequence[System], solution: Solution) -> list[Array]:
-    return [s.deviation - (s.design @ solution.value).reshape(s.deviation.shape) for s in systems]
+    return [s.deviation - s.rows.times(solution.value) for s in systems]
 
 
 def _without_poses(solution: Solution, unknowns: Unknowns, runs: int) -> Solution:
@@ -342,7 +343,7 @@ def _improved(
     """
     pull = np.zeros(unknowns.full)
     for system, whitener, rest in zip(systems, whiteners, _left(systems, solution), strict=True):
-        pull += system.design.T @ whitener.weighted(rest).reshape(-1)
+        pull += system.rows.transposed(whitener.weighted(rest))
     free = free_values(unknowns, solution.value)
     step = unknowns.gauge.T @ pull - rough.precision @ free
     lifted = free_values(unknowns, solution.covariance.T).T  # C as full by free

@@ -38,8 +38,8 @@ from otf_core.noise.model import (
     scaled,
 )
 from otf_core.pieces.pieces import Pieces
-from otf_core.solving.normal import fill_rows, leg_parts
 from otf_core.solving.system import System
+from otf_core.solving.whitener import leg_parts
 
 Array = NDArray[np.float64]
 
@@ -87,11 +87,10 @@ class _Line:
 def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -> list[_Line]:
     bounds = [(low, min(high, low + PIECES)) for low, high in leg_bounds(pieces.leg)]
     chosen = np.unique(np.linspace(0, len(bounds) - 1, LINES).round().astype(int))
-    count, found = len(pieces), []
+    found = []
     for low, high in (bounds[k] for k in chosen):
         for component in range(len(residual)):
-            dense = np.zeros((high - low, system.design.shape[1]))
-            fill_rows(dense, system.design, component * count + low)
+            dense = system.rows.dense(slice(low, high))[component]
             explained = dense @ covariance @ dense.T
             found.append(_Line(component, low, high, residual[component, low:high], explained))
     return found
