@@ -50,6 +50,15 @@ class AxisPart:
     starts: Index
     size: int
 
+    @cached_property
+    def splines(self) -> sparse.csr_array:
+        """Values of all splines, shape (p, size)."""
+        count, width = self.weight.shape
+        places = (self.first[:, None] + np.arange(width)).ravel()
+        ends = np.arange(0, count * width + 1, width)
+        shape = (count, self.size)
+        return sparse.csr_array((self.weight.ravel(), places, ends), shape=shape)
+
     def at(self, place: Index | slice) -> AxisPart:
         """Return the part at some of the places."""
         return replace(
@@ -134,7 +143,7 @@ class Design:
         pose = self.unknowns.blocks[pose_block(self.run)]
         places = [np.arange(pose.start, pose.stop)]
         # a . (dr x p) = dr . (p x a)
-        rows = [-self.axes, -np.cross(self.points, self.axes)]
+        rows = [-self.axes, -crossed(self.points, self.axes)]
         for block, influence in self._few():
             places.append(np.arange(block.start, block.stop))
             rows.append(np.einsum('cpi,pik->cpk', self.axes, influence))
@@ -145,38 +154,69 @@ class Design:
         self._parts  # noqa: B018
         self._columns  # noqa: B018
 
-    def dense(self, pieces: Index | slice, width: int = 0) -> Array:
-        """Rows of some pieces.
+    def dense(self, pieces: Index | slice) -> Array:
+        """Rows of some pieces, shape (c, m, full)."""
+        full = self.unknowns.full
+        return self._filled(pieces, self._windows(pieces), np.arange(full), full)
+
+    def touched(self, pieces: Index, width: int = 0) -> tuple[Index, Array]:
+        """Rows of some pieces by the unknowns that they depend on.
 
         Parameters
         ----------
-        pieces : ndarray of int64 or slice
+        pieces : ndarray of int64
             m of the pieces.
         width : int
             Further columns of zeros behind the unknowns.
 
         Returns
         -------
-        ndarray, shape (c, m, full + width)
+        columns : ndarray of int64, shape (k,)
+            Places of these unknowns in the full vector, ascending.
+        rows : ndarray, shape (c, m, k + width)
         """
+        windows = self._windows(pieces)
+        mask = np.zeros(self.unknowns.full, dtype=bool)
+        mask[self._columns[0]] = True
+        for window in windows:
+            own = np.zeros(window.parts[0].size, dtype=bool)
+            for step in range(window.weights[0].shape[1]):
+                own[window.first + step] = True
+            for start in window.parts[0].starts.tolist():
+                mask[start : start + len(own)] |= own
+        columns = np.flatnonzero(mask)
+        size = len(columns) + width
+        return columns, self._filled(pieces, windows, np.cumsum(mask) - 1, size)
+
+    def _windows(self, pieces: Index | slice) -> list[_Window]:
+        """What the three axes do at some pieces."""
+        groups = zip(*self._parts, strict=True)
+        return [_window([part.at(pieces) for part in parts]) for parts in groups]
+
+    def _filled(
+        self, pieces: Index | slice, windows: Sequence[_Window], place_of: Index, size: int
+    ) -> Array:
+        """Rows (c, m, size) of some pieces, every unknown in the column of its own."""
         axes = self.axes[:, pieces]
-        size = self.unknowns.full + width
         dense = np.zeros((*axes.shape[:2], size))
         places, rows = self._columns
-        dense[:, :, places] = rows[:, pieces]
+        dense[:, :, place_of[places]] = rows[:, pieces]
         flat = dense.reshape(len(axes), -1)
         row = (np.arange(axes.shape[1]) * size)[:, None, None]
-        for parts in zip(*self._parts, strict=True):
-            here = [part.at(pieces) for part in parts]
-            first, weights = _common(here)
-            place = row + (first[:, None] + np.arange(weights[0].shape[1]))[:, None, :]
-            place = place + here[0].starts[:, None]
+        for window in windows:
+            splines = window.first[:, None] + np.arange(window.weights[0].shape[1])
+            place = row + place_of[splines[:, None, :] + window.parts[0].starts[:, None]]
             for values, direction in zip(flat, axes, strict=True):
-                found = _six(direction, here[0].lever) * weights[0][:, None, :]
-                for part, weight in zip(here[1:], weights[1:], strict=True):
-                    found += _six(direction, part.lever) * weight[:, None, :]
-                values[place] = found
+                values[place] = sum(
+                    _six(direction, part.lever) * weight[:, None, :]
+                    for part, weight in zip(window.parts, window.weights, strict=True)
+                )
         return dense
+
+    @property
+    def splines(self) -> Index:
+        """First spline of every axis at every piece, shape (p, 3)."""
+        return np.stack([part.first for part in self._parts[0]], axis=1)
 
     @cached_property
     def csr(self) -> sparse.csr_array:
@@ -189,68 +229,96 @@ class Design:
         ]
         return sparse.csr_array(sparse.vstack(blocks))
 
-    def times(self, value: Array) -> Array:
+    def times(self, value: Array, column: Index | None = None) -> Array:
         """Deviations for values of the unknowns.
 
         Parameters
         ----------
         value : ndarray, shape (full,) or (full, k)
+        column : ndarray of int64, shape (p,), optional
+            Which of the k values counts for each piece.
 
         Returns
         -------
-        ndarray, shape (c, p) or (c, p, k)
+        ndarray, shape (c, p), or (c, p, k) for k values without ``column``
         """
-        if value.ndim > 1:
+        if value.ndim > 1 and column is None:
             return np.stack([self.times(v) for v in value.T], axis=2)
         total = np.zeros_like(self.q)
-        for parts in self._parts:
-            for part in parts:
-                step = np.arange(part.weight.shape[1])
-                own = value[part.starts + (part.first[:, None] + step)[:, :, None]]
-                six = np.einsum('pn,pnk->pk', part.weight, own)
-                total += six[:, :3] + np.cross(six[:, 3:], part.lever)
+        for part in (part for parts in self._parts for part in parts):
+            own = value[part.starts + np.arange(part.size)[:, None]]
+            if column is None:
+                six = part.splines @ own
+            else:
+                wide = part.splines @ own.reshape(part.size, -1)
+                six = wide.reshape(len(column), 6, -1)[np.arange(len(column)), :, column]
+            total += six[:, :3] + crossed(six[:, 3:], part.lever)
         found = np.einsum('cpi,pi->cp', self.axes, total / len(self.shifts))
         places, rows = self._columns
-        return np.asarray(found + rows @ value[places])
+        few = value[places] if column is None else value[places][:, column]
+        if column is None:
+            return np.asarray(found + rows @ few)
+        return np.asarray(found + np.einsum('cpk,kp->cp', rows, few))
 
     def transposed(self, rows: Array) -> Array:
         """Transposed design times rows (c, p) or (c, p, k), shape (full,) or (full, k)."""
-        if rows.ndim > 2:
-            return np.stack([self.transposed(r) for r in np.moveaxis(rows, 2, 0)], axis=1)
-        found = np.zeros(self.unknowns.full)
-        pull = np.einsum('cpi,cp->pi', self.axes, rows) / len(self.shifts)
-        for parts in self._parts:
-            for part in parts:
-                six = np.concatenate([pull, np.cross(part.lever, pull)], axis=1)
-                step = np.arange(part.weight.shape[1])
-                place = part.starts + (part.first[:, None] + step)[:, :, None]
-                values = part.weight[:, :, None] * six[:, None, :]
-                found += np.bincount(place.ravel(), values.ravel(), len(found))
+        wide = rows.reshape(*rows.shape[:2], -1)
+        found = np.zeros((self.unknowns.full, wide.shape[2]))
+        pull = np.einsum('cpi,cpk->pki', self.axes, wide) / len(self.shifts)
+        for part in (part for parts in self._parts for part in parts):
+            six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
+            own = part.splines.T @ six.reshape(len(six), -1)
+            place = part.starts + np.arange(part.size)[:, None]
+            found[place] += np.swapaxes(own.reshape(part.size, -1, 6), 1, 2)
         places, own = self._columns
-        found[places] += np.einsum('cpk,cp->k', own, rows)
-        return found
+        found[places] += np.einsum('cpk,cpj->kj', own, wide, optimize=True)
+        return found.reshape(-1, *rows.shape[2:])
 
 
-def _common(parts: Sequence[AxisPart]) -> tuple[Index, list[Array]]:
-    """First spline (m,) that any of some parts reaches, and their shares from there on."""
+@dataclass(frozen=True)
+class _Window:
+    """Splines of one axis that the shifts of some pieces reach.
+
+    Attributes
+    ----------
+    parts : list of AxisPart
+        One for every shift.
+    first : ndarray of int64, shape (m,)
+        First spline that any of them reaches.
+    weights : list of ndarray, shape (m, n)
+        Shares of it and the following ones in the mean, for every shift.
+    """
+
+    parts: list[AxisPart]
+    first: Index
+    weights: list[Array]
+
+
+def crossed(one: Array, other: Array) -> Array:
+    """Vector products of vectors (..., 3), several times faster than ``numpy.cross``."""
+    (a, b, c), (x, y, z) = np.moveaxis(one, -1, 0), np.moveaxis(other, -1, 0)
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
+
+
+def _window(parts: list[AxisPart]) -> _Window:
     if len(parts) == 1:
-        return parts[0].first, [parts[0].weight]
+        return _Window(parts, parts[0].first, [parts[0].weight])
     first = np.minimum.reduce([part.first for part in parts])
     width = max(int(np.max(p.first - first, initial=0)) + p.weight.shape[1] for p in parts)
     first = np.minimum(first, parts[0].size - width)
-    row, found = np.arange(len(first))[:, None], []
+    row, weights = np.arange(len(first))[:, None], []
     for part in parts:
         weight = np.zeros((len(first), width))
         place = (part.first - first)[:, None] + np.arange(part.weight.shape[1])
         weight[row, place] = part.weight / len(parts)
-        found.append(weight)
-    return first, found
+        weights.append(weight)
+    return _Window(parts, first, weights)
 
 
 def _six(direction: Array, arm: Array) -> Array:
     """Rows (p, 6, 1 or n) of three translations and three rotations along directions (p, 3)."""
     if arm.ndim == 2:
-        return np.concatenate([direction, np.cross(arm, direction)], axis=1)[:, :, None]
-    turned = np.swapaxes(np.cross(arm, direction[:, None, :]), 1, 2)
+        return np.concatenate([direction, crossed(arm, direction)], axis=1)[:, :, None]
+    turned = np.swapaxes(crossed(arm, direction[:, None, :]), 1, 2)
     moved = np.broadcast_to(direction[:, :, None], turned.shape)
     return np.concatenate([moved, turned], axis=1)

@@ -25,7 +25,7 @@ Index = NDArray[np.int64]
 
 WORKERS = 2
 """Sums made side by side, always as many: the order of additions decides the last bits."""
-TOGETHER = 1000
+TOGETHER = 400
 """Pieces whose rows are held at a time."""
 
 
@@ -102,13 +102,13 @@ def sum_groups(
     if extra is not None:
         further = np.concatenate([extra, further], axis=2)
     size = unknowns.full + further.shape[2]
-    batches = list(_batches(whitener, group))
+    batches = list(_batches(system, whitener, group))
 
     def added(own: Sequence[tuple[int, list[int]]]) -> Array:
         total = np.zeros((groups, size, size))
         for g, legs in own:
-            white = _white_rows(system, whitener, legs, further)
-            total[g] += white.T @ white
+            columns, white = _white_rows(system, whitener, legs, further)
+            total[g][np.ix_(columns, columns)] += white.T @ white
         return total
 
     # whatever the batches share is made before the workers start
@@ -122,12 +122,19 @@ def sum_groups(
     return [_free(p, unknowns, int(n)) for p, n in zip(products, rows, strict=True)]
 
 
-def _batches(whitener: Whitener, group: Index) -> Iterator[tuple[int, list[int]]]:
-    """Group and legs of every batch of about ``TOGETHER`` pieces."""
+def _batches(system: System, whitener: Whitener, group: Index) -> Iterator[tuple[int, list[int]]]:
+    """Group and legs of every batch of about ``TOGETHER`` pieces.
+
+    Legs that run over the same splines, as in every lap, stand side by side: their rows depend on
+    few unknowns.
+    """
+    splines = system.rows.splines
+    ends = np.array([splines[[low, high - 1]] for low, high in whitener.bounds])
+    alike = np.lexsort(np.sort(ends, axis=1).reshape(len(ends), -1).T)
     for g in np.unique(group).tolist():
         legs: list[int] = []
         held = 0
-        for leg in np.flatnonzero(group == g).tolist():
+        for leg in alike[group[alike] == g].tolist():
             low, high = whitener.bounds[leg]
             legs.append(leg)
             held += high - low
@@ -138,12 +145,15 @@ def _batches(whitener: Whitener, group: Index) -> Iterator[tuple[int, list[int]]
             yield g, legs
 
 
-def _white_rows(system: System, whitener: Whitener, legs: Sequence[int], further: Array) -> Array:
-    """Whitened rows of some legs, all components, further columns behind the unknowns."""
+def _white_rows(
+    system: System, whitener: Whitener, legs: Sequence[int], further: Array
+) -> tuple[Index, Array]:
+    """Columns, and whitened rows of some legs, all components, further columns at the end."""
     bounds = [whitener.bounds[k] for k in legs]
     own = np.concatenate([np.arange(*b) for b in bounds])
-    rows = system.rows.dense(own, further.shape[2])
-    rows[:, :, -further.shape[2] :] = further[:, own]
+    width = further.shape[2]
+    columns, rows = system.rows.touched(own, width)
+    rows[:, :, -width:] = further[:, own]
     white = np.empty_like(rows)
     start = 0
     for leg, (low, high) in zip(legs, bounds, strict=True):
@@ -151,7 +161,8 @@ def _white_rows(system: System, whitener: Whitener, legs: Sequence[int], further
         for c, inverse in enumerate(whitener.inverses[leg]):
             np.matmul(inverse, rows[c, part], out=white[c, part])
         start = part.stop
-    return white.reshape(-1, white.shape[2])
+    full = system.rows.unknowns.full
+    return np.append(columns, full + np.arange(width)), white.reshape(-1, white.shape[2])
 
 
 def _free(product: Array, unknowns: Unknowns, rows: int) -> NormalEquations:
