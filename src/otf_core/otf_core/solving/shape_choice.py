@@ -3,9 +3,9 @@
 
 Smooth functions over ``INTERVALS`` parts of every axis are compared with tables that are linear
 between the nodes of machine.yaml: a machine that its control compensates with such tables has
-kinks there. Where neighbouring pieces of a line differ by more than the noise allows, the smooth
-functions cannot follow something, and splines over twice as many parts are tried as well. The
-functions with the largest restricted likelihood are taken, the size of the residuals left free:
+kinks there. Where neighbouring pieces of a line differ from the better of both by more than the
+noise allows, it cannot follow something, and splines over twice as many parts are tried as well.
+The functions with the largest restricted likelihood are taken, the size of the residuals left free:
 
     L = -1/2 ( n log S + log det(N + K^-1) + log det K ),   S weighted sum of squares of n rows
 """
@@ -35,7 +35,7 @@ from otf_core.solving.joint import (
     systems_of,
     whiteners_of,
 )
-from otf_core.solving.roughness import Roughness, Search
+from otf_core.solving.roughness import Search
 from otf_core.solving.solution import solve
 from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener
@@ -128,9 +128,10 @@ def choose_shapes(
     start = Start.after(runs[0].machine, first)
     moved = [replace(r, pose=s.pose) for r, s in zip(runs, first.runs, strict=True)]
     tried = {n: _tried(moved, _CHOICES[n](nodes), start, whiteners, limit) for n in FIRST_TRIED}
-    if any(_steps_unexplained(solved) for solved in tried[SMOOTH].runs):
+    best = max(tried, key=lambda name: _likelihood(tried[name]))
+    if any(_steps_unexplained(solved) for solved in tried[best].runs):
         tried[FINER] = _tried(moved, _CHOICES[FINER](nodes), start, whiteners, limit)
-    scores = {name: _likelihood(done.roughness, done.normal.rows) for name, done in tried.items()}
+    scores = {name: _likelihood(done) for name, done in tried.items()}
     best = max(scores, key=lambda name: scores[name])
     evidence = {name: score - scores[best] for name, score in scores.items()}
     return ShapeChoice(tried[best].unknowns.bases, moved, tried[best], evidence)
@@ -175,7 +176,8 @@ def _tried(
     return JointSolution(unknowns, solution, rough, normal, tuple(SolvedRun(*p) for p in parts), 1)
 
 
-def _likelihood(rough: Roughness, rows: int) -> float:
+def _likelihood(done: JointSolution) -> float:
     """Restricted log likelihood with the size of the residuals free."""
+    rough = done.roughness
     volume = -2.0 * rough.log_likelihood - rough.square
-    return -0.5 * (rows * float(np.log(rough.square)) + volume)
+    return -0.5 * (done.normal.rows * float(np.log(rough.square)) + volume)
