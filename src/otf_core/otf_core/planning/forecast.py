@@ -8,6 +8,7 @@ forecast is therefore right where the noise is, and silent about effects that th
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,8 @@ from otf_core.solving.tabulate import by_motion, table_rows
 from otf_core.solving.unknowns import Unknowns, layout
 
 Array = NDArray[np.float64]
+Cut = Callable[[Array], Array]
+"""Boundaries of the pieces of a line, m from its start, for its two ends (2, 3), m."""
 
 BESIDE = 0.3
 """m; distance of the default place of the tracker from the working volume."""
@@ -161,14 +164,19 @@ def beside(machine: Machine) -> Array:
     return np.asarray(place)
 
 
+def as_recorded(nodes: Mapping[str, Array], setup: Setup) -> Cut:
+    """Cut lines into the pieces that a recording is reduced to, for these table nodes, m."""
+    tables, size = tuple(nodes[a] for a in AXES), setup.calibration.piece_length
+    return lambda ends: piece_boundaries(ends, 0, tables, size)
+
+
 def _leg_pieces(
-    times: DriveTimes, ends: Array, leg: int, nodes: tuple[Array, ...], setup: Setup
+    times: DriveTimes, marks: Array, leg: int, setup: Setup
 ) -> tuple[Array, Array, Array, NDArray[np.int64], Array]:
     """Middle (m), mean time, duration (s), samples and length (m) of the pieces of one leg."""
     length, rate = times.length[leg], setup.config.rate
     margin = min(setup.calibration.corner_exclusion, 0.25 * length)
     start, end = times.at(leg, np.array([margin, length - margin]))
-    marks = piece_boundaries(ends, 0, nodes, setup.calibration.piece_length)
     moment = np.clip(times.at(leg, marks), max(start, SPEED_WINDOW), None)
     moment = np.minimum(moment, min(end, times.moving[leg] - SPEED_WINDOW))
     moment += times.start[leg]
@@ -180,17 +188,16 @@ def _leg_pieces(
     return middle[kept], mean[kept], count[kept] / rate, count[kept], width[kept]
 
 
-def lay_out(
-    starts: Array, ends: Array, times: DriveTimes, nodes: dict[str, Array], setup: Setup
-) -> Pieces:
-    """Path pieces that recordings of single legs would be reduced to.
+def lay_out(starts: Array, ends: Array, times: DriveTimes, cut: Cut, setup: Setup) -> Pieces:
+    """Path pieces of single legs.
 
     Parameters
     ----------
     starts, ends : ndarray, shape (n, 3), m
     times : DriveTimes
         Of these legs.
-    nodes : mapping of axis to ndarray, m
+    cut : callable
+        Such as ``as_recorded``.
     setup : Setup
 
     Returns
@@ -198,11 +205,8 @@ def lay_out(
     Pieces
         Nominal points in a tracker frame parallel to the machine frame.
     """
-    tables = tuple(nodes[a] for a in AXES)
     legs = np.flatnonzero(times.length > MIN_LEG)
-    parts = [
-        _leg_pieces(times, np.stack([starts[j], ends[j]]), int(j), tables, setup) for j in legs
-    ]
+    parts = [_leg_pieces(times, cut(np.stack([starts[j], ends[j]])), int(j), setup) for j in legs]
     middle, time, duration, count, width = (np.concatenate(p) for p in zip(*parts, strict=True))
     leg = np.repeat(legs, [len(p[0]) for p in parts])
     direction = (ends[leg] - starts[leg]) / times.length[leg, None]
@@ -225,12 +229,10 @@ def lay_out(
     )
 
 
-def forecast_pieces(plan: Plan, nodes: dict[str, Array], setup: Setup) -> Pieces:
-    """Path pieces that a recording of the plan would be reduced to; see ``lay_out``."""
-    points = plan.path.points
-    return lay_out(
-        points[:-1], points[1:], drive_times(plan, setup.config.acceleration), nodes, setup
-    )
+def forecast_pieces(plan: Plan, cut: Cut, setup: Setup) -> Pieces:
+    """Path pieces of a plan; see ``lay_out``."""
+    points, times = plan.path.points, drive_times(plan, setup.config.acceleration)
+    return lay_out(points[:-1], points[1:], times, cut, setup)
 
 
 def tracker_pose(setup: Setup) -> RigidTransform:
@@ -254,7 +256,8 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     points = plan.path.points
     nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
     unknowns = layout(smooth_bases(nodes))
-    pieces, pose = forecast_pieces(plan, nodes, setup), tracker_pose(setup)
+    pieces = forecast_pieces(plan, as_recorded(nodes, setup), setup)
+    pose = tracker_pose(setup)
     judged = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
     whitener = Whitener.of(judged, pieces, setup.noise)
     normal = normal_equations(judged, unknowns, whitener)

@@ -20,7 +20,7 @@ from otf_core.planning.nc import on_increment
 from otf_core.planning.observability import findings
 from otf_core.planning.optimised import PathOptimiser
 from otf_core.planning.planned_budget import planned_systematic
-from otf_core.planning.tracker_places import advice, check_place, compare_places, rough
+from otf_core.planning.tracker_places import advice, check_place, compare_places, judge_places
 from otf_core.threads import one_thread
 
 
@@ -125,8 +125,8 @@ def make_plan(
         check_place(plan, setup)
         found: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
-        places = compare_places(plan, setup)
-        own = forecast(plan, rough(setup)).mean_grid_u
+        judge = judge_places(plan, setup, found.solution.accepted)
+        places, own = compare_places(plan, setup, judge), judge(setup.place)
         effects = tuple(
             EffectForecast(e['effect'], e['words'], e)
             for e in forecast_effects(plan, setup, found)
