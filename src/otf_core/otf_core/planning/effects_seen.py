@@ -3,16 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.catalogue import Tried, best_sight, effects_without, try_shapes
+from otf_core.diagnosis.engine.catalogue import (
+    Tried,
+    Visibility,
+    best_sight,
+    effects_without,
+    shapes_of,
+    try_shapes,
+)
 from otf_core.diagnosis.engine.rows import Rows, rows_of
-from otf_core.effects import REGISTRY
+from otf_core.effects import REGISTRY, Effect
 from otf_core.planning.planned_budget import Planned
 
 Array = NDArray[np.float64]
@@ -46,16 +53,12 @@ class Trace:
     rich: Array
 
     @classmethod
-    def of(cls, tried: Sequence[Tried]) -> Trace | None:
-        """For the shapes of an effect; None if none leaves anything."""
-        most = max((int(t.acts.sum()) for t in tried), default=0)
-        whole = [t for t in tried if most and t.acts.sum() == most]
-        if not whole:
-            return None
-        first, last = (t.white[:, t.acts] / t.size[t.acts] for t in (whole[0], whole[-1]))
-        values, vectors = np.linalg.eigh(last.T @ last)
+    def of(cls, first: Tried, last: Tried) -> Trace:
+        """For the first and the last shape of an effect."""
+        simple, rich = (t.white[:, t.acts] / t.size[t.acts] for t in (first, last))
+        values, vectors = np.linalg.eigh(rich.T @ rich)
         seen = values > 1e-9 * values[-1]
-        return cls(first, last @ (vectors[:, seen] / np.sqrt(values[seen])))
+        return cls(simple, rich @ (vectors[:, seen] / np.sqrt(values[seen])))
 
     def imitated_by(self, other: Trace) -> bool:
         """Tell whether another effect can leave every trace of this one."""
@@ -69,6 +72,23 @@ def not_told_apart(traces: Mapping[str, Trace]) -> dict[str, tuple[str, ...]]:
         name: tuple(n for n, other in traces.items() if n != name and own.imitated_by(other))
         for name, own in traces.items()
     }
+
+
+def _seen(rows: Rows, effect: Effect) -> tuple[Visibility, Trace | None]:
+    """How well an effect is seen, and its trace; columns of one shape at a time."""
+    chosen, stand_in = shapes_of(rows, effect, {})
+    seen, whole = [], []
+    for shape in chosen or stand_in:
+        for tried in try_shapes(rows, effect, [shape]):
+            seen.append(tried.visibility())
+            terms = int(tried.acts.sum())
+            if not whole or terms > whole[0].acts.sum():
+                whole = [tried, tried]
+            elif terms == whole[0].acts.sum():
+                whole[1] = tried
+    if not chosen or not whole or not whole[0].acts.any():
+        return best_sight(seen), None
+    return best_sight(seen), Trace.of(whole[0], whole[1])
 
 
 def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
@@ -87,13 +107,9 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
     """
     visible, traces = {}, {}
     for effect in effects_without(()):
-        tried, certain = try_shapes(rows, effect, {})
-        sight = best_sight(tried)
-        trace = Trace.of(tried) if certain and sight.visible else None
-        visible[effect.name] = sight
-        if trace is not None:
+        visible[effect.name], trace = _seen(rows, effect)
+        if visible[effect.name].visible and trace is not None:
             traces[effect.name] = trace
-        del tried  # columns of one effect at a time
     apart = not_told_apart(traces)
     entries = []
     for name, sight in visible.items():

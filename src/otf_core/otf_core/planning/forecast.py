@@ -38,6 +38,10 @@ Array = NDArray[np.float64]
 Cut = Callable[[Array], Array]
 """Boundaries of the pieces of a line, m from its start, for its two ends (2, 3), m."""
 
+PART = 0.25
+"""Part of an interval of the splines that a piece may span in a forecast at most."""
+TOO_MANY = 2.0
+"""Times as many pieces as that makes, in a recording, from which on they are not all laid out."""
 BESIDE = 0.3
 """m; distance of the default place of the tracker from the working volume."""
 
@@ -164,6 +168,39 @@ def beside(machine: Machine) -> Array:
     return np.asarray(place)
 
 
+def equal_pieces(knots: Mapping[str, Array], part: float, shortest: float) -> Cut:
+    """Cut lines into equal pieces, for splines over equally spaced knots.
+
+    Parameters
+    ----------
+    knots : mapping of axis to ndarray, m
+    part : float
+        Of an interval between knots, that no piece is longer than.
+    shortest : float
+        m; no piece needs to be shorter.
+    """
+
+    def cut(ends: Array) -> Array:
+        step = ends[1] - ends[0]
+        length = float(np.linalg.norm(step))
+        axes = zip(step, (knots[a] for a in AXES), strict=True)
+        spans = [abs(along) / (part * (at[1] - at[0])) for along, at in axes if len(at) > 1]
+        parts = min(max(spans), length / shortest)
+        return np.linspace(0.0, length, max(1, int(np.ceil(parts - 1e-9))) + 1)
+
+    return cut
+
+
+def as_needed(recorded: Cut, equal: Cut) -> Cut:
+    """Pieces of a recording, or equal ones where a large machine has ``TOO_MANY`` of them."""
+
+    def cut(ends: Array) -> Array:
+        own, enough = recorded(ends), equal(ends)
+        return own if len(own) - 1 < TOO_MANY * (len(enough) - 1) else enough
+
+    return cut
+
+
 def as_recorded(nodes: Mapping[str, Array], setup: Setup) -> Cut:
     """Cut lines into the pieces that a recording is reduced to, for these table nodes, m."""
     tables, size = tuple(nodes[a] for a in AXES), setup.calibration.piece_length
@@ -256,7 +293,8 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     points = plan.path.points
     nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
     unknowns = layout(smooth_bases(nodes))
-    pieces = forecast_pieces(plan, as_recorded(nodes, setup), setup)
+    equal = equal_pieces(unknowns.knots, PART, setup.calibration.piece_length)
+    pieces = forecast_pieces(plan, as_needed(as_recorded(nodes, setup), equal), setup)
     pose = tracker_pose(setup)
     judged = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
     whitener = Whitener.of(judged, pieces, setup.noise)

@@ -7,7 +7,7 @@ are seen, not which. So the errors judged are those that are seen from the place
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -21,7 +21,7 @@ from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.plan import Plan
 from otf_core.planning.candidate_lines import INTERVALS
-from otf_core.planning.forecast import BESIDE, Cut, Setup, forecast_pieces, tracker_pose
+from otf_core.planning.forecast import BESIDE, Setup, equal_pieces, forecast_pieces, tracker_pose
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.solving.normal import Whitener, normal_equations
 from otf_core.solving.roughness import expected_precision
@@ -94,20 +94,6 @@ def advice(places: list[TrackerPlace], own: float) -> list[str]:
     ]
 
 
-def _pieces_of_splines(knots: Mapping[str, Array], shortest: float) -> Cut:
-    """Cut lines into equal pieces, each ``_PART`` of an interval of the splines at most."""
-
-    def cut(ends: Array) -> Array:
-        step = ends[1] - ends[0]
-        length = float(np.linalg.norm(step))
-        axes = zip(step, (knots[a] for a in AXES), strict=True)
-        spans = [abs(along) / (_PART * (at[1] - at[0])) for along, at in axes if len(at) > 1]
-        parts = min(max(spans), length / shortest)
-        return np.linspace(0.0, length, max(1, int(np.ceil(parts - 1e-9))) + 1)
-
-    return cut
-
-
 def judge_places(plan: Plan, setup: Setup, accepted: tuple[str, ...]) -> Callable[[Array], float]:
     """Set up the comparison of places for one plan.
 
@@ -135,7 +121,7 @@ def judge_places(plan: Plan, setup: Setup, accepted: tuple[str, ...]) -> Callabl
     tables = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, grid)
     free = free_rows(tables.reshape(-1, tables.shape[2]), grid)
     rows = free @ table_rows(unknowns, nodes)
-    cut = _pieces_of_splines(unknowns.knots, setup.calibration.piece_length)
+    cut = equal_pieces(unknowns.knots, _PART, setup.calibration.piece_length)
     pieces = forecast_pieces(plan, cut, setup)
 
     def mean_grid_u(place: Array) -> float:

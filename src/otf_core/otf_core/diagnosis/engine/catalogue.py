@@ -128,30 +128,22 @@ def collect_options(
     options: dict[str, list[Option]] = {}
     visible: dict[str, Visibility] = {}
     for effect in effects:
-        tried, certain = try_shapes(rows, effect, shapes)
-        options[effect.name] = [o for t in tried for o in t.options()] if certain else []
-        visible[effect.name] = best_sight(tried)
+        chosen, stand_in = shapes_of(rows, effect, shapes)
+        tried = try_shapes(rows, effect, chosen or stand_in)
+        options[effect.name] = [o for t in tried for o in t.options()] if chosen else []
+        visible[effect.name] = best_sight([t.visibility() for t in tried])
     return options, visible
 
 
-def try_shapes(
-    rows: Rows, effect: Effect, shapes: Mapping[str, Sequence[Shape]]
-) -> tuple[list[Tried], bool]:
-    """Columns of the shapes of an effect; False if they stand for shapes that data would give."""
-    chosen, stand_in = _shapes(rows, effect, shapes)
-    return _tried(rows, effect, chosen or stand_in), bool(chosen)
-
-
-def best_sight(tried: Sequence[Tried]) -> Visibility:
+def best_sight(seen: Sequence[Visibility]) -> Visibility:
     """How well the data see an effect in the shape that they see best."""
-    seen = [t.visibility() for t in tried]
     return Visibility(
         max((v.share for v in seen), default=0.0),
         min((v.smallest for v in seen), default=np.inf),
     )
 
 
-def _shapes(
+def shapes_of(
     rows: Rows, effect: Effect, found: Mapping[str, Sequence[Shape]]
 ) -> tuple[Sequence[Shape], Sequence[Shape]]:
     """Shapes to try, and what stands for them where there are none."""
@@ -211,7 +203,7 @@ class Tried:
         return Visibility(float(np.median(ratio)), float(np.median(found)))
 
 
-def _tried(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[Tried]:
+def try_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[Tried]:
     """Columns of all shapes, whitened and projected at once."""
     terms = [rows.terms(effect, shape) for shape in shapes]
     kept = [(s, t) for s, t in zip(shapes, terms, strict=True) if t.names]
