@@ -19,7 +19,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import table_nodes
 from otf_core.planning.drive_time import DriveTimes, leg_time
-from otf_core.planning.forecast import Setup, lay_out, tracker_pose
+from otf_core.planning.forecast import Setup, as_recorded, lay_out, tracker_pose
 from otf_core.solving.normal import NormalEquations, sum_groups
 from otf_core.solving.roughness import expected_precision
 from otf_core.solving.shape_choice import smooth_bases
@@ -95,7 +95,7 @@ def _line_matrices(
     # far apart in time: each line is driven on its own
     begin = np.arange(len(length)) * (moving.max() + 100.0)
     times = DriveTimes(length, peak, moving, begin, setup.config.acceleration, 0.0)
-    pieces = lay_out(starts, ends, times, unknowns.knots, setup)
+    pieces = lay_out(starts, ends, times, as_recorded(unknowns.knots, setup), setup)
     system = build_system(setup.machine, pieces, tracker_pose(setup), unknowns, nodal_lever=nodal)
     whitener = Whitener.of(system, pieces, setup.noise)
     group = pieces.leg[[low for low, _ in whitener.bounds]]

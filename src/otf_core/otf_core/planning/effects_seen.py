@@ -3,19 +3,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.catalogue import Visibility, collect_options, effects_without
-from otf_core.diagnosis.engine.evidence import Option
+from otf_core.diagnosis.engine.catalogue import (
+    Tried,
+    Visibility,
+    best_sight,
+    effects_without,
+    shapes_of,
+    try_shapes,
+)
 from otf_core.diagnosis.engine.rows import Rows, rows_of
-from otf_core.effects import REGISTRY
-from otf_core.model.plan import Plan
-from otf_core.planning.forecast import Forecast, Setup
-from otf_core.planning.planned_budget import planned_solution
+from otf_core.effects import REGISTRY, Effect
+from otf_core.planning.planned_budget import Planned
 
 Array = NDArray[np.float64]
 
@@ -23,55 +28,76 @@ SAME = 0.97
 """Share of the squared trace that another effect can leave as well: not told apart."""
 
 
-def forecast_rows(plan: Plan, setup: Setup, found: Forecast) -> Rows:
-    """Rows of the pieces that a recording of the plan would give, with zero deviations."""
-    observed, done, _ = planned_solution(plan, setup, found)
-    return rows_of([observed], done, setup.calibration.unidentifiable_above)
+def forecast_rows(planned: Planned, limit: float) -> Rows:
+    """Rows of the pieces that a recording of a plan would give, with zero deviations."""
+    observed, done, _ = planned
+    return rows_of([observed], done, limit)
 
 
-def _whole(options: Sequence[Option]) -> list[Option]:
-    """Options with all terms, one per shape."""
-    most = max((o.take.size for o in options), default=0)
-    return [o for o in options if o.take.size == most]
+@dataclass(frozen=True)
+class Trace:
+    """What an effect leaves in the rows beyond tables and poses.
+
+    An effect is told from another if it acts in its simplest form, the first of its shapes, and
+    the other takes up what it can in its richest, the last.
+
+    Attributes
+    ----------
+    simple : ndarray, shape (r, k)
+        Columns of the first shape with all terms, each of unit size where it acts.
+    rich : ndarray, shape (r, m)
+        Orthonormal columns that span those of the last shape.
+    """
+
+    simple: Array
+    rich: Array
+
+    @classmethod
+    def of(cls, first: Tried, last: Tried) -> Trace:
+        """For the first and the last shape of an effect."""
+        simple, rich = (t.white[:, t.acts] / t.size[t.acts] for t in (first, last))
+        values, vectors = np.linalg.eigh(rich.T @ rich)
+        seen = values > 1e-9 * values[-1]
+        return cls(simple, rich @ (vectors[:, seen] / np.sqrt(values[seen])))
+
+    def imitated_by(self, other: Trace) -> bool:
+        """Tell whether another effect can leave every trace of this one."""
+        shared = other.rich.T @ self.simple
+        return float(np.sum(shared**2)) > SAME * float(np.sum(self.simple**2))
 
 
-def _imitates(own: Option, other: Option) -> bool:
-    """Tell whether another effect can leave every trace of this one."""
-    mine, theirs = own.own / own.size, other.own / other.size
-    values, vectors = np.linalg.eigh(theirs.T @ theirs)
-    seen = values > 1e-9 * values[-1]
-    shared = (mine.T @ theirs) @ vectors[:, seen] / np.sqrt(values[seen])
-    return float(np.sum(shared**2)) > SAME * float(np.sum(mine**2))
-
-
-def not_told_apart(
-    options: Mapping[str, Sequence[Option]], visible: Mapping[str, Visibility]
-) -> dict[str, tuple[str, ...]]:
+def not_told_apart(traces: Mapping[str, Trace]) -> dict[str, tuple[str, ...]]:
     """Effects that could be taken for each effect."""
-    seen = [n for n, v in visible.items() if v.visible and options[n]]
-    found = {}
-    for name in seen:
-        others = []
-        for other in seen:
-            if other == name:
-                continue
-            pairs = [
-                (a, b) for a in _whole(options[name])[:1] for b in _whole(options[other])[-1:]
-            ]
-            if any(_imitates(a, b) for a, b in pairs):
-                others.append(other)
-        found[name] = tuple(others)
-    return found
+    return {
+        name: tuple(n for n, other in traces.items() if n != name and own.imitated_by(other))
+        for name, own in traces.items()
+    }
 
 
-def forecast_effects(plan: Plan, setup: Setup, found: Forecast) -> list[dict[str, Any]]:
+def _seen(rows: Rows, effect: Effect) -> tuple[Visibility, Trace | None]:
+    """How well an effect is seen, and its trace; columns of one shape at a time."""
+    chosen, stand_in = shapes_of(rows, effect, {})
+    seen, whole = [], []
+    for shape in chosen or stand_in:
+        for tried in try_shapes(rows, effect, [shape]):
+            seen.append(tried.visibility())
+            terms = int(tried.acts.sum())
+            if not whole or terms > whole[0].acts.sum():
+                whole = [tried, tried]
+            elif terms == whole[0].acts.sum():
+                whole[1] = tried
+    if not chosen or not whole or not whole[0].acts.any():
+        return best_sight(seen), None
+    return best_sight(seen), Trace.of(whole[0], whole[1])
+
+
+def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
     """Judge every effect of the catalogue for a plan.
 
     Parameters
     ----------
-    plan : Plan
-    setup : Setup
-    found : Forecast
+    rows : Rows
+        See ``forecast_rows``.
 
     Returns
     -------
@@ -79,9 +105,12 @@ def forecast_effects(plan: Plan, setup: Setup, found: Forecast) -> list[dict[str
         effect, visible, smallest_um (root mean square displacement that would be found),
         not_told_from, needs, words.
     """
-    rows = forecast_rows(plan, setup, found)
-    options, visible = collect_options(rows, effects_without(()), {})
-    apart = not_told_apart(options, visible)
+    visible, traces = {}, {}
+    for effect in effects_without(()):
+        visible[effect.name], trace = _seen(rows, effect)
+        if visible[effect.name].visible and trace is not None:
+            traces[effect.name] = trace
+    apart = not_told_apart(traces)
     entries = []
     for name, sight in visible.items():
         others = apart.get(name, ())

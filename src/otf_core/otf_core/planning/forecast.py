@@ -8,6 +8,7 @@ forecast is therefore right where the noise is, and silent about effects that th
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,7 +36,13 @@ from otf_core.solving.unknowns import Unknowns, layout
 from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
+Cut = Callable[[Array], Array]
+"""Boundaries of the pieces of a line, m from its start, for its two ends (2, 3), m."""
 
+PART = 0.25
+"""Part of an interval of the splines that a piece may span in a forecast at most."""
+TOO_MANY = 2.0
+"""Times as many pieces as that makes, in a recording, from which on they are not all laid out."""
 BESIDE = 0.3
 """m; distance of the default place of the tracker from the working volume."""
 
@@ -162,14 +169,52 @@ def beside(machine: Machine) -> Array:
     return np.asarray(place)
 
 
+def equal_pieces(knots: Mapping[str, Array], part: float, shortest: float) -> Cut:
+    """Cut lines into equal pieces, for splines over equally spaced knots.
+
+    Parameters
+    ----------
+    knots : mapping of axis to ndarray, m
+    part : float
+        Of an interval between knots, that no piece is longer than.
+    shortest : float
+        m; no piece needs to be shorter.
+    """
+
+    def cut(ends: Array) -> Array:
+        step = ends[1] - ends[0]
+        length = float(np.linalg.norm(step))
+        axes = zip(step, (knots[a] for a in AXES), strict=True)
+        spans = [abs(along) / (part * (at[1] - at[0])) for along, at in axes if len(at) > 1]
+        parts = min(max(spans), length / shortest)
+        return np.linspace(0.0, length, max(1, int(np.ceil(parts - 1e-9))) + 1)
+
+    return cut
+
+
+def as_needed(recorded: Cut, equal: Cut) -> Cut:
+    """Pieces of a recording, or equal ones where a large machine has ``TOO_MANY`` of them."""
+
+    def cut(ends: Array) -> Array:
+        own, enough = recorded(ends), equal(ends)
+        return own if len(own) - 1 < TOO_MANY * (len(enough) - 1) else enough
+
+    return cut
+
+
+def as_recorded(nodes: Mapping[str, Array], setup: Setup) -> Cut:
+    """Cut lines into the pieces that a recording is reduced to, for these table nodes, m."""
+    tables, size = tuple(nodes[a] for a in AXES), setup.calibration.piece_length
+    return lambda ends: piece_boundaries(ends, 0, tables, size)
+
+
 def _leg_pieces(
-    times: DriveTimes, ends: Array, leg: int, nodes: tuple[Array, ...], setup: Setup
+    times: DriveTimes, marks: Array, leg: int, setup: Setup
 ) -> tuple[Array, Array, Array, NDArray[np.int64], Array]:
     """Middle (m), mean time, duration (s), samples and length (m) of the pieces of one leg."""
     length, rate = times.length[leg], setup.config.rate
     margin = min(setup.calibration.corner_exclusion, 0.25 * length)
     start, end = times.at(leg, np.array([margin, length - margin]))
-    marks = piece_boundaries(ends, 0, nodes, setup.calibration.piece_length)
     moment = np.clip(times.at(leg, marks), max(start, SPEED_WINDOW), None)
     moment = np.minimum(moment, min(end, times.moving[leg] - SPEED_WINDOW))
     moment += times.start[leg]
@@ -181,17 +226,16 @@ def _leg_pieces(
     return middle[kept], mean[kept], count[kept] / rate, count[kept], width[kept]
 
 
-def lay_out(
-    starts: Array, ends: Array, times: DriveTimes, nodes: dict[str, Array], setup: Setup
-) -> Pieces:
-    """Path pieces that recordings of single legs would be reduced to.
+def lay_out(starts: Array, ends: Array, times: DriveTimes, cut: Cut, setup: Setup) -> Pieces:
+    """Path pieces of single legs.
 
     Parameters
     ----------
     starts, ends : ndarray, shape (n, 3), m
     times : DriveTimes
         Of these legs.
-    nodes : mapping of axis to ndarray, m
+    cut : callable
+        Such as ``as_recorded``.
     setup : Setup
 
     Returns
@@ -199,11 +243,8 @@ def lay_out(
     Pieces
         Nominal points in a tracker frame parallel to the machine frame.
     """
-    tables = tuple(nodes[a] for a in AXES)
     legs = np.flatnonzero(times.length > MIN_LEG)
-    parts = [
-        _leg_pieces(times, np.stack([starts[j], ends[j]]), int(j), tables, setup) for j in legs
-    ]
+    parts = [_leg_pieces(times, cut(np.stack([starts[j], ends[j]])), int(j), setup) for j in legs]
     middle, time, duration, count, width = (np.concatenate(p) for p in zip(*parts, strict=True))
     leg = np.repeat(legs, [len(p[0]) for p in parts])
     direction = (ends[leg] - starts[leg]) / times.length[leg, None]
@@ -226,12 +267,10 @@ def lay_out(
     )
 
 
-def forecast_pieces(plan: Plan, nodes: dict[str, Array], setup: Setup) -> Pieces:
-    """Path pieces that a recording of the plan would be reduced to; see ``lay_out``."""
-    points = plan.path.points
-    return lay_out(
-        points[:-1], points[1:], drive_times(plan, setup.config.acceleration), nodes, setup
-    )
+def forecast_pieces(plan: Plan, cut: Cut, setup: Setup) -> Pieces:
+    """Path pieces of a plan; see ``lay_out``."""
+    points, times = plan.path.points, drive_times(plan, setup.config.acceleration)
+    return lay_out(points[:-1], points[1:], times, cut, setup)
 
 
 def tracker_pose(setup: Setup) -> RigidTransform:
@@ -255,7 +294,9 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     points = plan.path.points
     nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
     unknowns = layout(smooth_bases(nodes))
-    pieces, pose = forecast_pieces(plan, nodes, setup), tracker_pose(setup)
+    equal = equal_pieces(unknowns.knots, PART, setup.calibration.piece_length)
+    pieces = forecast_pieces(plan, as_needed(as_recorded(nodes, setup), equal), setup)
+    pose = tracker_pose(setup)
     judged = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
     whitener = Whitener.of(judged, pieces, setup.noise)
     normal = normal_equations(judged, unknowns, whitener)

@@ -13,14 +13,14 @@ from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.model import NoiseModel
 from otf_core.planning.creator import plan_path
-from otf_core.planning.effects_seen import forecast_effects
+from otf_core.planning.effects_seen import forecast_effects, forecast_rows
 from otf_core.planning.forecast import Forecast, Setup, forecast
 from otf_core.planning.judged import EffectForecast, PlanReport
 from otf_core.planning.nc.programs import on_increment
 from otf_core.planning.observability import findings
 from otf_core.planning.optimised import PathOptimiser
-from otf_core.planning.planned_budget import planned_systematic
-from otf_core.planning.tracker_places import advice, check_place, compare_places, rough
+from otf_core.planning.planned_budget import planned_solution, planned_systematic
+from otf_core.planning.tracker_places import advice, check_place, compare_places, judge_places
 from otf_core.threads import one_thread
 
 
@@ -125,13 +125,12 @@ def make_plan(
         check_place(plan, setup)
         found: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
-        places = compare_places(plan, setup)
-        own = forecast(plan, rough(setup)).mean_grid_u
-        effects = tuple(
-            EffectForecast(e['effect'], e['words'], e)
-            for e in forecast_effects(plan, setup, found)
-        )
-        systematic = planned_systematic(plan, setup, found)
+        judge = judge_places(plan, setup, found.solution.accepted)
+        places, own = compare_places(plan, setup, judge), judge(setup.place)
+        planned = planned_solution(plan, setup, found)
+        rows = forecast_rows(planned, limit)
+        effects = tuple(EffectForecast(e['effect'], e['words'], e) for e in forecast_effects(rows))
+        systematic = planned_systematic(planned, found)
     return PlanReport(
         plan,
         how,

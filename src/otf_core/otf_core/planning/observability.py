@@ -107,7 +107,8 @@ def imitators(result: Forecast, error: str, limit: float) -> tuple[str, ...]:
     blocks = [unknowns.free_blocks[n] for n in result.solution.accepted]
     use = np.concatenate([np.arange(b.start, b.stop) for b in blocks])
     prior = TIE_BREAK * smoothness(unknowns)[np.ix_(use, use)]
-    share = linalg.solve(matrix[np.ix_(use, use)] + prior, matrix[use, free] @ bow, assume_a='pos')
+    factor = linalg.cho_factor(matrix[np.ix_(use, use)] + prior, lower=True, check_finite=False)
+    share = linalg.cho_solve(factor, matrix[use, free] @ bow, check_finite=False)
     coefficient = np.zeros(unknowns.free)
     coefficient[use] = share
     found = []

@@ -30,9 +30,11 @@ from otf_core.tracking.curves import straight_shape
 Array = NDArray[np.float64]
 
 
-def planned_solution(
-    plan: Plan, setup: Setup, found: Forecast
-) -> tuple[Observed, JointSolution, ErrorTables]:
+Planned = tuple[Observed, JointSolution, ErrorTables]
+"""What a plan shows, and solution and tables with zero deviations."""
+
+
+def planned_solution(plan: Plan, setup: Setup, found: Forecast) -> Planned:
     """What the plan shows, and solution and tables with zero deviations."""
     observed = Observed(
         machine=setup.machine,
@@ -97,17 +99,17 @@ class PlannedSystematic:
         }
 
 
-def planned_systematic(plan: Plan, setup: Setup, found: Forecast) -> PlannedSystematic:
+def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
     """Forecast the grid with declared contributions, and with typical ones for the others.
 
     Parameters
     ----------
-    plan : Plan
-    setup : Setup
+    planned : tuple of Observed, JointSolution, ErrorTables
+        See ``planned_solution``.
     found : Forecast
-        Of this plan.
+        Of the same plan.
     """
-    run, done, tables = planned_solution(plan, setup, found)
+    run, done, tables = planned
     rows = table_rows(found.unknowns, found.nodes)
 
     def added(sources: Sequence[Any], runs: Sequence[Observed]) -> Array:
@@ -118,7 +120,7 @@ def planned_systematic(plan: Plan, setup: Setup, found: Forecast) -> PlannedSyst
         return total
 
     def mean(covariance: Array) -> float:
-        free = grid_uncertainty(setup.machine, found.nodes, covariance, found.grid)[1]
+        free = grid_uncertainty(run.machine, found.nodes, covariance, found.grid)[1]
         return float(np.linalg.norm(free, axis=1).mean())
 
     keys = missing_keys([run])

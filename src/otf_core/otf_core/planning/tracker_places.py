@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where to put the tracker: places around and above the volume, compared by forecast."""
+"""Where to put the tracker: places around and above the volume, compared by forecast.
+
+Rows are perpendicular to the path wherever the tracker stands: a place changes how well errors
+are seen, not which. So the errors judged are those that are seen from the place assumed.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -10,14 +15,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
+from otf_core.model.evaluation import covered_grid, free_rows
 from otf_core.model.machine import AXES, Machine
+from otf_core.model.motions import MOTIONS
+from otf_core.model.nodes import table_nodes
 from otf_core.model.plan import Plan
-from otf_core.planning.forecast import BESIDE, Setup, forecast
+from otf_core.planning.candidate_lines import INTERVALS
+from otf_core.planning.forecast import BESIDE, Setup, equal_pieces, forecast_pieces, tracker_pose
+from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.solving.normal import Whitener, normal_equations
+from otf_core.solving.roughness import expected_precision
+from otf_core.solving.shape_choice import smooth_bases
+from otf_core.solving.solution import solve
+from otf_core.solving.system import build_system
+from otf_core.solving.tabulate import table_rows
+from otf_core.solving.unknowns import layout
 
 Array = NDArray[np.float64]
 
-_PIECE = 0.02
-"""m; length of pieces that suffices to compare places."""
+_PART = 0.5
+"""Part of an interval of the splines that a piece may span to compare places."""
+_JUDGED = 5
+"""Points per axis of the grid that places are compared on, at most."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +49,7 @@ class TrackerPlace:
         Beam origin in the machine frame.
     words : str
     mean_grid_u : float
-        m; forecast with tables no finer than ``candidate_lines.INTERVALS`` per axis.
+        m; forecast with splines of ``candidate_lines.INTERVALS`` parts per axis.
     shortest, longest : float
         m; beam over the path.
     """
@@ -60,7 +79,7 @@ def advice(places: list[TrackerPlace], own: float) -> list[str]:
     places : list of TrackerPlace
         Ranked.
     own : float
-        m; mean grid uncertainty from the place that the plan is made for, likewise rough.
+        m; mean grid uncertainty from the place that the plan is made for, judged likewise.
     """
     if not places:
         return ['no place around the volume keeps all beams within the range limits']
@@ -75,13 +94,45 @@ def advice(places: list[TrackerPlace], own: float) -> list[str]:
     ]
 
 
-def rough(setup: Setup) -> Setup:
-    """Return a set-up that is quick to judge and good enough to compare places."""
-    return replace(
-        setup,
-        calibration=replace(setup.calibration, piece_length=_PIECE),
-        config=replace(setup.config, grid=min(setup.config.grid, 5)),
+def judge_places(plan: Plan, setup: Setup, accepted: tuple[str, ...]) -> Callable[[Array], float]:
+    """Set up the comparison of places for one plan.
+
+    Parameters
+    ----------
+    plan : Plan
+    setup : Setup
+    accepted : tuple of str
+        Blocks of unknowns that the plan shows, see ``Forecast.solution``.
+
+    Returns
+    -------
+    callable(place) -> float
+        Mean grid uncertainty, m, with the tracker at a place (3,), m.
+    """
+    machine, limit, points = (
+        setup.machine,
+        setup.calibration.unidentifiable_above,
+        plan.path.points,
     )
+    nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
+    unknowns = layout(smooth_bases(nodes, INTERVALS))
+    prior = expected_precision(unknowns, limit, setup.config.error_size)
+    grid = covered_grid(machine, points, min(setup.config.grid, _JUDGED))
+    tables = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, grid)
+    free = free_rows(tables.reshape(-1, tables.shape[2]), grid)
+    rows = free @ table_rows(unknowns, nodes)
+    cut = equal_pieces(unknowns.knots, _PART, setup.calibration.piece_length)
+    pieces = forecast_pieces(plan, cut, setup)
+
+    def mean_grid_u(place: Array) -> float:
+        seen = replace(pieces, xyz=pieces.xyz + (setup.place - place))
+        system = build_system(machine, seen, tracker_pose(setup.at(place)), unknowns)
+        normal = normal_equations(system, unknowns, Whitener.of(system, seen, setup.noise))
+        covariance = solve(normal, unknowns, limit, accepted, prior).covariance
+        variance = np.einsum('ij,ij->i', rows @ covariance, rows).reshape(-1, 3).sum(axis=1)
+        return float(np.sqrt(np.maximum(variance, 0.0)).mean())
+
+    return mean_grid_u
 
 
 def check_place(plan: Plan, setup: Setup) -> None:
@@ -126,7 +177,9 @@ def candidate_places(machine: Machine, near: float) -> list[tuple[Array, str]]:
     return found
 
 
-def compare_places(plan: Plan, setup: Setup) -> list[TrackerPlace]:
+def compare_places(
+    plan: Plan, setup: Setup, judge: Callable[[Array], float]
+) -> list[TrackerPlace]:
     """Rank places of the tracker for one plan.
 
     Parameters
@@ -134,6 +187,8 @@ def compare_places(plan: Plan, setup: Setup) -> list[TrackerPlace]:
     plan : Plan
     setup : Setup
         Its own place is left out.
+    judge : callable
+        See ``judge_places``.
 
     Returns
     -------
@@ -141,12 +196,11 @@ def compare_places(plan: Plan, setup: Setup) -> list[TrackerPlace]:
         Best first; places whose beams leave the range limits are not listed. That the beam is
         free and the target looks at the tracker is not checked.
     """
-    limits, quick = setup.config, rough(setup)
+    limits = setup.config
     near = max(BESIDE, limits.min_range)
     found = []
     for place, words in candidate_places(setup.machine, near):
         shortest, longest = beam_lengths(plan, place)
         if shortest >= limits.min_range and longest <= limits.max_range:
-            u = forecast(plan, quick.at(place)).mean_grid_u
-            found.append(TrackerPlace(place, words, u, shortest, longest))
+            found.append(TrackerPlace(place, words, judge(place), shortest, longest))
     return sorted(found, key=lambda p: p.mean_grid_u)

@@ -5,7 +5,7 @@ Smooth functions over ``INTERVALS`` parts of every axis are compared with tables
 between the nodes of machine.yaml: a machine that its control compensates with such tables has
 kinks there. Where neighbouring pieces of a line differ from the better of both by more than the
 noise allows, it cannot follow something, and splines over twice as many parts are tried as well.
-The functions with the largest restricted likelihood are taken, the size of the residuals left free:
+The functions with the largest restricted likelihood are taken, the size of the residuals free:
 
     L = -1/2 ( n log S + log det(N + K^-1) + log det K ),   S weighted sum of squares of n rows
 """

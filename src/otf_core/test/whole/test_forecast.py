@@ -28,6 +28,7 @@ from otf_core.planning.tracker_places import (
     candidate_places,
     check_place,
     compare_places,
+    judge_places,
 )
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.sim.cell import random_tables, simulate
@@ -186,11 +187,15 @@ def test_part_of_a_range_that_is_not_driven_is_named_and_not_judged():
     np.testing.assert_allclose(grid.max(axis=0), machine.upper - 0.01)
 
 
+def judged(plan, setup):
+    return judge_places(plan, setup, forecast(plan, setup).solution.accepted)
+
+
 def test_places_lie_outside_the_volume_and_nearer_is_better():
     machine = some_machine()
     plan = small_plan(machine)
     setup = Setup.of(machine, config=ForecastConfig(grid=3))
-    ranked = compare_places(plan, setup)
+    ranked = compare_places(plan, setup, judged(plan, setup))
     assert [p.mean_grid_u for p in ranked] == sorted(p.mean_grid_u for p in ranked)
     assert len(ranked) == len(candidate_places(machine, 0.3)) == 22
     for p in ranked:
@@ -207,11 +212,22 @@ def test_places_beyond_the_range_limits_are_left_out():
     machine = some_machine()
     plan = small_plan(machine)
     limits = ForecastConfig(grid=2, min_range=0.2, max_range=0.65)
-    ranked = compare_places(plan, Setup.of(machine, config=limits))
+    setup = Setup.of(machine, config=limits)
+    ranked = compare_places(plan, setup, judged(plan, setup))
     assert 0 < len(ranked) < 22
     assert max(p.longest for p in ranked) <= 0.65
-    none = compare_places(plan, Setup.of(machine, config=replace(limits, max_range=0.3)))
+    setup = Setup.of(machine, config=replace(limits, max_range=0.3))
+    none = compare_places(plan, setup, judged(plan, setup))
     assert none == []
+
+
+def test_place_is_judged_as_the_whole_forecast_judges_it():
+    machine = some_machine()
+    plan = small_plan(machine)
+    for place in ([0.1, -0.5, 0.2], [-0.4, 0.3, 0.5]):
+        setup = Setup.of(machine, np.array(place), config=ForecastConfig(grid=3))
+        found = judged(plan, Setup.of(machine, config=setup.config))(setup.place)
+        assert found == pytest.approx(forecast(plan, setup).mean_grid_u, rel=0.03)
 
 
 def test_beam_lengths_are_to_the_lines_not_only_the_corners():

@@ -128,19 +128,22 @@ def collect_options(
     options: dict[str, list[Option]] = {}
     visible: dict[str, Visibility] = {}
     for effect in effects:
-        name = effect.name
-        chosen, stand_in = _shapes(rows, effect, shapes)
-        tried = _tried(rows, effect, chosen or stand_in)
-        options[name] = [o for t in tried for o in t.options()] if chosen else []
-        seen = [t.visibility() for t in tried]
-        visible[name] = Visibility(
-            max((v.share for v in seen), default=0.0),
-            min((v.smallest for v in seen), default=np.inf),
-        )
+        chosen, stand_in = shapes_of(rows, effect, shapes)
+        tried = try_shapes(rows, effect, chosen or stand_in)
+        options[effect.name] = [o for t in tried for o in t.options()] if chosen else []
+        visible[effect.name] = best_sight([t.visibility() for t in tried])
     return options, visible
 
 
-def _shapes(
+def best_sight(seen: Sequence[Visibility]) -> Visibility:
+    """How well the data see an effect in the shape that they see best."""
+    return Visibility(
+        max((v.share for v in seen), default=0.0),
+        min((v.smallest for v in seen), default=np.inf),
+    )
+
+
+def shapes_of(
     rows: Rows, effect: Effect, found: Mapping[str, Sequence[Shape]]
 ) -> tuple[Sequence[Shape], Sequence[Shape]]:
     """Shapes to try, and what stands for them where there are none."""
@@ -151,7 +154,7 @@ def _shapes(
 
 
 @dataclass(frozen=True)
-class _Tried:
+class Tried:
     """Columns of one shape of an effect: ``plain``, whitened, and with the tables taken off."""
 
     effect: Effect
@@ -166,12 +169,17 @@ class _Tried:
         """Root mean square of the columns where they act, shape (k,), m."""
         return column_size(self.plain)
 
+    @property
+    def acts(self) -> NDArray[np.bool_]:
+        """Terms that move the target across the path, shape (k,)."""
+        return self.size > NO_TRACE
+
     def options(self) -> list[Option]:
         """Options for all terms that act, and for those of each axis."""
         size = self.size
         found = []
         for subset in axis_subsets(self.terms):
-            take = subset[size[subset] > NO_TRACE]
+            take = subset[self.acts[subset]]
             if take.size:
                 own = self.white[:, take]
                 found.append(
@@ -185,7 +193,7 @@ class _Tried:
     def visibility(self) -> Visibility:
         """How well the data see this shape."""
         size = self.size
-        acts = size > NO_TRACE
+        acts = self.acts
         if not acts.any():
             return Visibility(0.0, np.inf)
         whole = np.einsum('ij,ij->j', self.whole, self.whole)[acts]
@@ -195,7 +203,7 @@ class _Tried:
         return Visibility(float(np.median(ratio)), float(np.median(found)))
 
 
-def _tried(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[_Tried]:
+def try_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[Tried]:
     """Columns of all shapes, whitened and projected at once."""
     terms = [rows.terms(effect, shape) for shape in shapes]
     kept = [(s, t) for s, t in zip(shapes, terms, strict=True) if t.names]
@@ -208,5 +216,5 @@ def _tried(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[_Tried]:
     for shape, term in kept:
         part = slice(start, start + len(term.names))
         start = part.stop
-        found.append(_Tried(effect, shape, term, plain[:, part], whole[:, part], white[:, part]))
+        found.append(Tried(effect, shape, term, plain[:, part], whole[:, part], white[:, part]))
     return found
