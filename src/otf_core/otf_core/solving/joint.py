@@ -275,7 +275,7 @@ def solve_jointly(
     normal = summed(systems, unknowns, whiteners)
     rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
-    left = left_by(systems, solution)
+    left, rows = left_by(systems, solution), [s.rows for s in systems]
     change = np.inf
     for iteration in range(2, config.max_iterations + 1):
         motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
@@ -287,9 +287,11 @@ def solve_jointly(
         change = max(float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True))
         progress('solving', iteration / (iteration + 1))
         if change < config.alignment_stop:
+            guessed = start is None or start.tables is None
+            if not guessed:  # rows as they are in the normal equations
+                systems = [replace(s, rows=r) for s, r in zip(systems, rows, strict=True)]
             solved = zip(poses, systems, whiteners, left, strict=True)
             done = tuple(SolvedRun(*parts) for parts in solved)
-            guessed = start is None or start.tables is None
             return JointSolution(unknowns, solution, rough, normal, done, iteration, guessed)
     names = ', '.join(run.name for run in runs if run.name)
     raise InputError(
