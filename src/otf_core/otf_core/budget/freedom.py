@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import stdtrit
 
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills
 from otf_core.pieces.runs import Run
@@ -77,4 +77,4 @@ def welch_satterthwaite(variances: Array, freedoms: Array) -> Array:
 
 def coverage_factor(freedom: float) -> float:
     """Coverage factor for 95 %: Student's t for whole degrees of freedom (GUM G.4.1)."""
-    return float(stats.t.ppf(0.5 + 0.5 * COVERAGE_PROBABILITY, max(1.0, np.floor(freedom))))
+    return float(stdtrit(max(1.0, np.floor(freedom)), 0.5 + 0.5 * COVERAGE_PROBABILITY))
