@@ -9,11 +9,10 @@ have pieces of their own kind, see ``curve_pieces``.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
@@ -156,11 +155,11 @@ def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: f
     marks = np.unique(np.concatenate(cuts))
     marks = marks[(marks >= 0) & (marks <= length)]
     marks = marks[np.concatenate([[True], np.diff(marks) > 1e-6])]
-    parts = [
-        np.linspace(a, b, max(1, int(np.ceil((b - a) / size))), endpoint=False)
-        for a, b in pairwise(marks)
-    ]
-    return np.concatenate([*parts, [length]])
+    span = np.diff(marks)
+    parts = np.maximum(np.ceil(span / size), 1.0).astype(np.int64)
+    place = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    inner = place * np.repeat(span / parts, parts) + np.repeat(marks[:-1], parts)
+    return np.append(inner, length)
 
 
 def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfig) -> Array:
@@ -196,11 +195,16 @@ class _Means:
 def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     """Samples far from the running median of their leg, by robust standard deviation.
 
-    The ends of a leg are continued by point reflection, which keeps the slope; the end sample,
-    about which it is reflected, is compared with the extrapolated median instead.
+    No sample is further from its median than the samples around it are apart, so where these
+    are all within ``GROSS`` there is nothing to look for. The ends of a leg are continued by
+    point reflection, which keeps the slope; the end sample, about which it is reflected, is
+    compared with the extrapolated median instead.
     """
+    bounds = leg_bounds(leg)
+    if all(_apart(offset[low:high]) < GROSS for low, high in bounds):
+        return np.zeros(len(offset), dtype=bool)
     rest = np.zeros_like(offset)
-    for low, high in leg_bounds(leg):
+    for low, high in bounds:
         if high - low <= MEDIAN_HALF:
             rest[low:high] = offset[low:high] - np.median(offset[low:high], axis=0)
             continue
@@ -214,6 +218,16 @@ def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     distance = np.linalg.norm(rest, axis=1)
     sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
     return np.asarray(distance > max(limit * sigma, GROSS))
+
+
+def _apart(offset: Array) -> float:
+    """Bound on the distance of the samples of a leg (n, 3), m, from their running median."""
+    size = 2 * MEDIAN_HALF + 1
+    if len(offset) <= size:
+        return float(np.linalg.norm(np.ptp(offset, axis=0))) * (3.0 if len(offset) > 1 else 1.0)
+    spread = maximum_filter1d(offset, size, axis=0) - minimum_filter1d(offset, size, axis=0)
+    reach = spread[[MEDIAN_HALF, -MEDIAN_HALF - 1]].max(axis=0)
+    return float(np.linalg.norm(np.maximum(spread.max(axis=0), 3.0 * reach)))
 
 
 def samples_on_lines(
