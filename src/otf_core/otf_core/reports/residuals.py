@@ -27,7 +27,7 @@ def residual_arrays(runs: Sequence[RunResult]) -> dict[str, NDArray[np.generic]]
     Returns
     -------
     dict of str to ndarray
-        ``run``, ``leg``, ``count``, shape (n,); ``time``, s; ``speed``, m/s; ``q``, shape (n, 3), m;
+        ``run``, ``leg``, ``count``, shape (n,); ``time``, s; ``speed``, m/s; ``q``, (n, 3), m;
         ``axes``, shape (n, c, 3), unit vectors; ``deviation``, ``residual``, shape (n, c), m.
     """
     pieces = [run.pieces for run in runs]
