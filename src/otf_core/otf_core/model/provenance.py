@@ -64,9 +64,9 @@ class Origin:
     machine: Machine | None = None
 
 
-def _raw(values: NDArray[Any], kind: str) -> NDArray[np.uint8]:
+def _raw(values: NDArray[Any], kind: str) -> memoryview:
     """Bytes of an array in a stated type, without a copy where it has that already."""
-    return np.ascontiguousarray(values, kind).reshape(-1).view(np.uint8)
+    return np.ascontiguousarray(values, kind).reshape(-1).view(np.uint8).data
 
 
 def origin_of(
