@@ -77,7 +77,8 @@ def not_told_apart(traces: Mapping[str, Trace]) -> dict[str, tuple[str, ...]]:
 def _seen(rows: Rows, effect: Effect) -> tuple[Visibility, Trace | None]:
     """How well an effect is seen, and its trace; columns of one shape at a time."""
     chosen, stand_in = shapes_of(rows, effect, {})
-    seen, whole = [], []
+    seen: list[Visibility] = []
+    whole: list[Tried] = []
     for shape in chosen or stand_in:
         for tried in try_shapes(rows, effect, [shape]):
             seen.append(tried.visibility())
