@@ -16,7 +16,7 @@ SIMULATING = {
 }
 NODES = sorted(SOURCE.glob('*/*/node.py'))
 ROS_FREE = [
-    *SOURCE.glob('otf_tracker_driver/otf_tracker_driver/backends/*.py'),
+    *SOURCE.glob('otf_tracker_driver/otf_tracker_driver/*/*.py'),
     *SOURCE.glob('*/*/params.py'),
     SOURCE / 'otf_calibrator/otf_calibrator/collector.py',
     *SOURCE.glob('otf_calibrator/otf_calibrator/diagnosis_*.py'),

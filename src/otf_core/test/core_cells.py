@@ -22,11 +22,12 @@ from otf_core.noise.model import NoiseModel
 from otf_core.pieces.pieces import Pieces
 from otf_core.planning.creator import plan_path
 from otf_core.sim.drive import Drive
-from otf_core.solving.normal import NormalEquations, Whitener, normal_equations
+from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.shape_choice import linear_bases
 from otf_core.solving.solution import TIE_BREAK, Solution, identifiable_blocks, smoothness, solve
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, layout
+from otf_core.solving.whitener import Whitener
 
 CONTRACT_CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
 RANGES = ((0.0, 0.3), (0.0, 0.25), (-0.2, 0.0))

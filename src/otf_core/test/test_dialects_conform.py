@@ -16,7 +16,8 @@ from otf_core import cli
 from otf_core.errors import ConfigError
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-from otf_core.planning.nc import DIALECTS, base, on_increment, program
+from otf_core.planning.nc import DIALECTS, programs
+from otf_core.planning.nc.programs import on_increment, program
 
 every_dialect = pytest.mark.parametrize('name', DIALECTS)
 NASTY = ['MILL (NEW); 5% [A] {B} Fräse µm', '', 'x' * 200]
@@ -147,7 +148,7 @@ def test_program_is_plain_short_lines(name):
 @every_dialect
 def test_dialect_is_one_file_with_a_name_and_a_target(name):
     dialect = DIALECTS[name]
-    module = Path(base.__file__).with_name(f'{name}.py')
+    module = Path(programs.__file__).with_name(f'{name}.py')
     assert dialect.name == name and module.exists()
     assert type(dialect).__module__ == f'otf_core.planning.nc.{name}'
     assert re.fullmatch(r'\w+\.\w+', dialect.file_name)

@@ -25,9 +25,9 @@ from otf_core.noise.model import (
 )
 from otf_core.solving.basis import cubic
 from otf_core.solving.noise_fit import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
-from otf_core.solving.normal import Whitener, leg_parts
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import layout
+from otf_core.solving.whitener import Whitener, leg_parts
 
 RANGE = NoiseComponent(1e-6, 1e-6 * np.sqrt(0.5), 0.3)
 ANGLE = NoiseComponent(2e-6, 2e-6 * np.sqrt(0.4), 0.3)

@@ -18,7 +18,6 @@ from otf_core.model.evaluation import lattice
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import MotionTable, tables_to_dict
 from otf_core.prediction.driven_volume import (
-    DrivenVolume,
     driven_from_dict,
     driven_volume,
     table_ranges,
@@ -294,7 +293,8 @@ def test_flat_volumes_hold_what_lies_in_them(size):
 @pytest.mark.parametrize(
     'driven',
     [3, {'margin': 0.1}, {'corners': [[0, 0]]}, {'corners': [[0, 0, None]]},
-     {'corners': [[0, 0, 0]], 'margin': -1}, {'corners': 'cube'}],
+     {'corners': [[0, 0, 0]], 'margin': -1}, {'corners': 'cube'},
+     {'corners': [[0, 0, 0]], 'planes': [[1, 0, 0]]}, {'corners': [[0, 0, 0]], 'planes': []}],
 )  # fmt: skip
 def test_a_wrong_driven_volume_is_named(driven):
     with pytest.raises(ConfigError, match=r'tables.json: driven: expected corners'):
@@ -303,11 +303,30 @@ def test_a_wrong_driven_volume_is_named(driven):
 
 def test_a_driven_volume_in_the_file_counts_beside_the_tables(tmp_path):
     tables = zero_tables(some_machine())
-    prism = DrivenVolume(lattice(tables.machine, 2)[:-1], 0.01)
+    corners = lattice(tables.machine, 2)[:-1]
     q = np.array([[0.1, 0.1, -0.1], [0.29, 0.24, -0.01]])
     assert predict(written(tmp_path, tables), q).inside.tolist() == [True, True]
-    file = written(tmp_path, tables, driven=prism.to_dict())
-    assert predict(file, q).inside.tolist() == [True, False]
+    for prism in (
+        {'corners': corners.tolist(), 'margin': 0.01},
+        driven_volume(corners, 0.01).to_dict(),
+    ):
+        file = written(tmp_path, tables, driven=prism)
+        assert predict(file, q).inside.tolist() == [True, False]
+
+
+def test_planes_in_the_file_say_the_same_as_its_corners():
+    rng = np.random.default_rng(2)
+    volume = driven_volume(rng.normal(size=(60, 3)), 0.01)
+    data = volume.to_dict()
+    planes = np.array(data.pop('planes'))
+    assert len(planes) > 10
+    np.testing.assert_allclose(np.linalg.norm(planes[:, :3], axis=1), 1.0)
+    touched = np.abs(volume.corners @ planes[:, :3].T + planes[:, 3]) < 1e-12
+    assert np.all(touched.sum(axis=0) >= 3) and np.all(touched.sum(axis=1) >= 3)
+    probes = 1.2 * rng.normal(size=(5000, 3))
+    of_corners = driven_from_dict(data, 'tables.json').holds(probes)
+    np.testing.assert_array_equal(volume.holds(probes), of_corners)
+    assert 0.2 < of_corners.mean() < 0.9
 
 
 def test_a_calibration_writes_what_was_driven(calibrated, cell, tmp_path):

@@ -18,7 +18,7 @@ from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.engine.spectral import Line
 from otf_core.effects import REGISTRY, Effect, Terms
 from otf_core.noise.model import MODEL_FLOOR, Misfit, NoiseModel
-from otf_core.solving.normal import Whitener
+from otf_core.solving.whitener import Whitener
 
 
 class Made(Effect):

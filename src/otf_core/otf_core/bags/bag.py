@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from otf_core.bags.bag_source import locate
 from otf_core.bags.bag_writer import write_recording
 from otf_core.bags.cdr import decode_path, decode_points
+from otf_core.bags.column import Column
 from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.sample_order import in_time_order, usable_path
 from otf_core.bags.topics import PATH, POINT, Topic
@@ -104,9 +105,9 @@ class _Recording:
 
     def __init__(self, source: str | Path, wanted: tuple[Topic, ...]) -> None:
         self._where = str(source)
-        self._stamp_ns = [np.empty(0, np.int64)]
-        self._xyz = [np.empty((0, 3))]
-        self._log_time = [np.empty(0, np.int64)]
+        self._stamp_ns = Column(np.empty(0, np.int64))
+        self._xyz = Column(np.empty((0, 3)))
+        self._log_time = Column(np.empty(0, np.int64))
         self._paths: list[NDArray[np.float64]] = []
         self._last_path: bytes | None = None
         self._points = 0
@@ -129,9 +130,9 @@ class _Recording:
             stamp_ns, xyz = decode_points(
                 block.buffer, block.start, block.size, POINT.frame, self._points
             )
-            self._stamp_ns.append(stamp_ns)
-            self._xyz.append(xyz)
-            self._log_time.append(block.log_time)
+            self._stamp_ns.add(stamp_ns)
+            self._xyz.add(xyz)
+            self._log_time.add(block.log_time)
             self._points += stamp_ns.size
             return
         for start, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
@@ -144,11 +145,13 @@ class _Recording:
                 self._paths.append(points)
 
     def samples(self) -> Samples:
-        """Return the points in time order."""
-        stamp_ns, xyz = np.concatenate(self._stamp_ns), np.concatenate(self._xyz)
-        log_time = np.concatenate(self._log_time)
-        if np.any(np.diff(log_time) < 0):
-            order = np.argsort(log_time, kind='stable')
+        """Return the points in time order; the recording does not keep them."""
+        log_time = self._log_time.joined()
+        as_received = bool(np.all(log_time[1:] >= log_time[:-1]))
+        order = None if as_received else np.argsort(log_time, kind='stable')
+        del log_time
+        stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
+        if order is not None:
             stamp_ns, xyz = stamp_ns[order], xyz[order]
         return in_time_order(f'{self._where}: {POINT.name}', stamp_ns, xyz)
 

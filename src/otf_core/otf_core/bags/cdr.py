@@ -10,6 +10,7 @@ padding come before x. Checked against rosbags 0.11 (serde/cdr.py).
 from __future__ import annotations
 
 import struct
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,17 +28,22 @@ Index = NDArray[np.int64]
 
 
 def gather(buffer: Bytes, at: Index, width: int) -> NDArray[np.void]:
-    """Copy ``width`` bytes from every position in ``at``; shape (n,), items of raw bytes.
+    """``width`` bytes from every position in ``at``; shape (n,), items of raw bytes.
 
-    The caller has made sure that ``at + width`` stays inside the buffer.
+    A view where all positions are one step apart, else a copy. The caller has made sure that
+    ``at + width`` stays inside the buffer.
     """
     if not at.size:
         return np.empty(0, f'V{width}')
+    step = int(at[1] - at[0]) if at.size > 1 else 1
+    if step > 0 and np.all(at[1:] - at[:-1] == step):
+        return np.ndarray(at.shape, f'V{width}', buffer, int(at[0]), (step,))
     count = buffer.size - width + 1
     windows = np.ndarray((count,), f'V{width}', buffer, strides=(1,))
     return np.asarray(windows[at])
 
 
+@cache
 def point_dtype(frame: str, order: str) -> np.dtype[np.void]:
     """Layout of a PointStamped with this frame_id; ``order`` is ``<`` or ``>``."""
     length = len(frame.encode())
@@ -95,8 +101,9 @@ def decode_points(
     stamp_ns, xyz = np.empty(start.size, np.int64), np.empty((start.size, 3))
     bad = code > 1
     for value, order in ((1, '<'), (0, '>')):
-        chosen = code == value
-        part = (rows if chosen.all() else rows[chosen]).view(point_dtype(frame, order))
+        of_order = code == value
+        chosen = slice(None) if of_order.all() else of_order
+        part = rows[chosen].view(point_dtype(frame, order))
         if part.size:
             stamp_ns[chosen] = part['sec'].astype(np.int64) * SECOND_NS + part['nanosec']
             xyz[chosen] = part['xyz']

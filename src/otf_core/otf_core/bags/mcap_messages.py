@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of one MCAP file as blocks of positions, without a Python object per message.
 
-Every record is opcode (1 byte), length (uint64), content; so the positions of all records follow
-from the lengths alone, in the file as in a decompressed chunk. Everything else is numpy. The file
-is mapped, never read whole, and no length it states is believed before it was checked.
+The positions of all records follow from their lengths alone, in the file as in a decompressed
+chunk (``mcap_records``). Everything else is numpy. The file is mapped, and what was read of it is
+given back chunk by chunk; no length it states is believed before it was checked.
 Source: mcap.dev/spec as implemented by mcap 1.6 (records.py, stream_reader.py).
 """
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -26,12 +27,16 @@ from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 
 from otf_core.bags.cdr import Bytes, Index, gather
+from otf_core.bags.mcap_records import RECORD_HEAD, record_starts
 from otf_core.errors import InputError
 
 MAGIC = b'\x89MCAP0\r\n'
 MAX_CHUNK = 1 << 30
 """Bytes; a chunk that claims to unpack to more is taken for damaged."""
-RECORD_HEAD = 9
+BATCH = 100_000
+"""Messages of one block at most: a file without chunks is one buffer."""
+CRC_BLOCK = 1 << 24
+"""Bytes that are mapped at once for the checksum of the data section."""
 MESSAGE_HEAD = np.dtype(
     [
         ('opcode', 'u1'),
@@ -64,29 +69,6 @@ class MessageBlock:
     start: Index
     size: Index
     log_time: Index
-
-
-def record_starts(buffer: Bytes, begin: int, end: int) -> Index:
-    """Positions of all records from begin on, and ``end`` as the last item.
-
-    Raises
-    ------
-    ValueError
-        If the lengths do not lead exactly to the end.
-    """
-    unpack = struct.Struct('<BQ').unpack_from
-    view, starts, at = buffer.data, [], begin
-    last_head = end - RECORD_HEAD
-    while at <= last_head:
-        opcode, length = unpack(view, at)
-        if not opcode:
-            raise ValueError(f'no record at byte {at}')
-        starts.append(at)
-        at += RECORD_HEAD + length
-    if at != end:
-        raise ValueError(f'the record at byte {starts[-1] if starts else at} is cut off')
-    starts.append(end)
-    return np.array(starts, np.int64)
 
 
 class McapMessages:
@@ -123,8 +105,9 @@ class McapMessages:
             record = data[at + RECORD_HEAD : end]
             if opcode == Opcode.CHUNK:
                 yield from self._chunk(self._parse(Chunk, record))
+                self._give_back()
             elif opcode == Opcode.DATA_END:
-                self._check_data_crc(data[:at], self._parse(DataEnd, record).data_section_crc)
+                self._check_data_crc(data, at, self._parse(DataEnd, record).data_section_crc)
             elif opcode == Opcode.STATISTICS:
                 stated = self._parse(Statistics, record).message_count
             else:
@@ -137,9 +120,11 @@ class McapMessages:
         try:
             if not self._file.stat().st_size:
                 raise InputError(f'{self._file}: is empty; nothing was recorded')
-            data = np.memmap(self._file, np.uint8, 'r')
+            with self._file.open('rb') as file:
+                self._pages = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except OSError as error:
             raise InputError(f'{self._file}: cannot be read ({error.strerror})') from None
+        data = np.frombuffer(self._pages, np.uint8)
         if bytes(data[: len(MAGIC)]) != MAGIC:
             raise InputError(f'{self._file}: is no MCAP file (it does not begin with its mark)')
         if data.size < 2 * len(MAGIC) or bytes(data[-len(MAGIC) :]) != MAGIC:
@@ -147,7 +132,11 @@ class McapMessages:
                 f'{self._file}: is cut off after {data.size} bytes (the mark at the end is '
                 f'missing); copy it again or end the recording properly, or {RECOVER}'
             )
-        return np.asarray(data)
+        return data
+
+    def _give_back(self) -> None:
+        """Let go of the pages of the file that were read; what is needed again is read again."""
+        self._pages.madvise(mmap.MADV_DONTNEED)
 
     def _damaged(self, what: str) -> NoReturn:
         raise InputError(f'{self._file}: is damaged, {what}; copy it again, or {RECOVER}')
@@ -165,8 +154,14 @@ class McapMessages:
             # OverflowError: mcap asks for as many bytes as a damaged length states
             self._damaged(f'a {kind.__name__} record cannot be decoded')
 
-    def _check_data_crc(self, data: Bytes, stated: int) -> None:
-        if stated and zlib.crc32(data.data) != stated:
+    def _check_data_crc(self, data: Bytes, end: int, stated: int) -> None:
+        if not stated:
+            return
+        found = 0
+        for at in range(0, end, CRC_BLOCK):
+            found = zlib.crc32(data[at : min(at + CRC_BLOCK, end)].data, found)
+            self._give_back()
+        if found != stated:
             self._damaged('the checksum of the data section is wrong')
 
     def _register(self, opcode: int, record: Bytes) -> None:
@@ -223,6 +218,11 @@ class McapMessages:
         size = np.diff(starts)[chosen] - MESSAGE_HEAD.itemsize
         if np.any(size < 0):
             self._damaged(f'the message at byte {at[size < 0][0]} is too short')
+        for first in range(0, at.size, BATCH):
+            batch = slice(first, first + BATCH)
+            yield from self._batch(buffer, at[batch], size[batch])
+
+    def _batch(self, buffer: Bytes, at: Index, size: Index) -> Iterator[MessageBlock]:
         head = gather(buffer, at, MESSAGE_HEAD.itemsize).view(MESSAGE_HEAD)
         self._count += at.size
         present = set(np.unique(head['channel']).tolist())
@@ -231,7 +231,8 @@ class McapMessages:
         for topic in self._wanted:
             ids = [i for i in present if self._channels[i] == topic]
             if ids:
-                pick = np.isin(head['channel'], ids)
+                alone = len(ids) == len(present)
+                pick = slice(None) if alone else np.isin(head['channel'], ids)
                 log_time = head['log_time'][pick].astype(np.int64)
                 start = at[pick] + MESSAGE_HEAD.itemsize
                 yield MessageBlock(topic, buffer, start, size[pick], log_time)

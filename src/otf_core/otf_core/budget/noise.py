@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from otf_core.noise.model import MISFIT_TIME, NoiseModel, noise_covariance
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
-from otf_core.solving.normal import leg_parts, weighted
+from otf_core.solving.whitener import leg_parts
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -100,19 +100,11 @@ class _Chain:
         return np.asarray(half + half.T)
 
 
-def _weighted_rows(run: Observed, solved: SolvedRun, leg: int) -> tuple[Array, Index]:
+def _weighted_rows(solved: SolvedRun, leg: int) -> tuple[Array, Index]:
     """W A of a line, shape (c, m, k), and the k unknowns that it depends on."""
-    design, (low, high) = solved.system.design, solved.whitener.bounds[leg]
-    parts = [
-        design[k * len(run.pieces) + low : k * len(run.pieces) + high]
-        for k in range(len(solved.system.axes))
-    ]
-    use = np.unique(np.concatenate([part.indices for part in parts]))
-    rows = np.zeros((len(parts), high - low, use.size))
-    for dense, part, factor in zip(rows, parts, solved.whitener.factors[leg], strict=True):
-        row = np.repeat(np.arange(high - low), np.diff(part.indptr))
-        dense[row, np.searchsorted(use, part.indices)] = part.data
-        dense[:] = weighted(factor, dense)
+    use, rows = solved.system.rows.touched(np.arange(*solved.whitener.bounds[leg]))
+    for own, inverse in zip(rows, solved.whitener.inverses[leg], strict=True):
+        own[:] = inverse.T @ (inverse @ own)
     return rows, use
 
 
@@ -146,7 +138,7 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
         shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, lasts)
         chains = _Chain(size, _times(noise)), _Chain(size, lasts)
         for leg, (low, high) in enumerate(solved.whitener.bounds):
-            rows, use = _weighted_rows(run, solved, leg)
+            rows, use = _weighted_rows(solved, leg)
             place, own = np.ix_(use, use), np.zeros((use.size, use.size))
             for component, part in enumerate(rows):
                 parts = leg_parts(solved.system, run.pieces, noise, misfit, component, low, high)

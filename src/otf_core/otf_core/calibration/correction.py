@@ -264,7 +264,7 @@ def solve_with_effects(
         if largest > ROUGH:
             solved = solve_with_reversal(clean, nodes, config, progress)
             continue
-        start = Start.after(solved.done)
+        start = Start.after(clean[0].machine, solved.done)
         again = solve_robustly(clean, solved.done.unknowns, config, progress, start)
         solved = ReversalSolution(*again, solved.choice, solved.plain)
     return solved, found

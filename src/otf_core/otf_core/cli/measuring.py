@@ -4,18 +4,16 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from otf_core.cli.options import output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
-from otf_core.pieces.finding import GATE
-from otf_core.pieces.runs import Recording
 
 if TYPE_CHECKING:
     from otf_core.calibration.result import CalibrationResult
+    from otf_core.pieces.runs import Recording
 
 
 def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
@@ -30,6 +28,7 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     """
     from otf_core.bags.bag import read_bag
     from otf_core.model.machine import load_machine
+    from otf_core.pieces.runs import Recording
 
     bags, files = arguments.bag, arguments.machine
     if len(files) not in (1, len(bags)):
@@ -96,6 +95,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     config = parameters(CalibrationConfig, arguments)
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import REGISTRY
+    from otf_core.pieces.finding import GATE
     from otf_core.reports.diagnosis import format_diagnosis, write_diagnosis
     from otf_core.sim.twin import twin_recording
 
@@ -115,6 +115,8 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 
 def run_noise(arguments: argparse.Namespace) -> int:
     """Tracker noise in the standstills of a bag."""
+    from pathlib import Path
+
     from otf_core.bags.bag import read_points
     from otf_core.model.provenance import origin_of, provenance
     from otf_core.noise.report import noise_report

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from otf_core.config import ParameterInfo, Parameters
 from otf_core.errors import ConfigError
-from otf_core.files.output import OutputFolder
+
+if TYPE_CHECKING:
+    from otf_core.files.output import OutputFolder
 
 CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
 """Options stated in another unit than the parameter, as machine users do: name, factor."""
@@ -50,6 +52,8 @@ def add_out(parser: argparse.ArgumentParser, text: str) -> None:
 
 def output_folder(arguments: argparse.Namespace, *inputs: str, **words: str) -> OutputFolder:
     """Check --out before any work; ``inputs`` are files and folders that the verb reads."""
+    from otf_core.files.output import OutputFolder
+
     return OutputFolder(arguments.out, overwrite=arguments.overwrite, inputs=inputs, **words)
 
 

@@ -6,9 +6,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from otf_core.errors import OtfError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 QUALITY_GATE_FAILED = 4
 

@@ -6,12 +6,13 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return '; did you mean X?' for the known word nearest to one, or nothing."""
+    from difflib import get_close_matches
+
     near = get_close_matches(word, list(known), 1)
     return f'; did you mean {near[0]}?' if near else ''
 

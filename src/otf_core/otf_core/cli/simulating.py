@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 from otf_core.cli.options import output_folder, parameters
@@ -147,6 +146,8 @@ def run_validate(arguments: argparse.Namespace) -> int:
 
 def run_blind(arguments: argparse.Namespace) -> int:
     """Blind trial: draw and seal cells, diagnose them, score."""
+    from pathlib import Path
+
     from otf_core.blind.seal import holds_trial
     from otf_core.blind.trial import list_files, run_leave_one_out, run_trial
 

@@ -7,35 +7,37 @@ import math
 import re
 import reprlib
 from collections.abc import Hashable, Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn
-
-import yaml
 
 from otf_core.errors import ConfigError
 from otf_core.files.writing import unreadable
 
 
-class _Loader(yaml.SafeLoader):
+@cache
+def _loader() -> Any:
     """Safe loader that reads 5e-07 as a number (YAML 1.2) and refuses duplicate keys."""
+    import yaml  # loaded on use: what reads JSON alone needs none
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if isinstance(key, Hashable) and key in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key '{key}' appears twice", key_node.start_mark
-                )
-            seen.add(key)
-        return super().construct_mapping(node, deep)
+    class Loader(yaml.SafeLoader):
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
+            seen = set()
+            for key_node, _ in node.value:
+                key = self.construct_object(key_node, deep=True)
+                if isinstance(key, Hashable) and key in seen:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"key '{key}' appears twice", key_node.start_mark
+                    )
+                seen.add(key)
+            return super().construct_mapping(node, deep)
 
-
-_Loader.add_implicit_resolver(
-    'tag:yaml.org,2002:float',
-    re.compile(r'^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$'),
-    list('-+.0123456789'),
-)
+    Loader.add_implicit_resolver(
+        'tag:yaml.org,2002:float',
+        re.compile(r'^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$'),
+        list('-+.0123456789'),
+    )
+    return Loader
 
 
 _WORDS = reprlib.Repr()
@@ -75,12 +77,14 @@ def parse_yaml(data: bytes, path: str | Path) -> Any:
     ConfigError
         If it is no text or no YAML; says line and column.
     """
+    import yaml
+
     try:
         text = data.decode('utf-8')
     except UnicodeDecodeError:
         raise ConfigError(f'{path}: not a text file; expected YAML in UTF-8') from None
     try:
-        return yaml.load(text, Loader=_Loader)
+        return yaml.load(text, Loader=_loader())
     except RecursionError:
         raise ConfigError(f'{path}: not usable YAML: nested too deeply') from None
     except (TypeError, ValueError) as error:

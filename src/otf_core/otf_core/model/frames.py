@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -44,6 +43,8 @@ class RigidTransform:
         translation : ndarray, shape (3,), m
         rotation_vector : ndarray, shape (3,), rad
         """
+        from scipy.spatial.transform import Rotation  # loaded on use: predicting needs none
+
         turn = Rotation.from_rotvec(rotation_vector).as_matrix()
         return RigidTransform(turn @ self.rotation, turn @ self.translation + translation)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from otf_core.errors import ShapeError
 from otf_core.model.machine import AXES, Machine
@@ -132,6 +131,8 @@ def exact_position(tables: ErrorTables, q: Points) -> Points:
     ndarray, shape (n, 3), m
         In the machine frame; equals q where all errors are zero.
     """
+    from scipy.spatial.transform import Rotation  # loaded on use: predicting needs none
+
     q = _checked(q)
     machine, directions = tables.machine, _axis_directions(tables)
     point = np.tile(machine.target_offset, (len(q), 1))

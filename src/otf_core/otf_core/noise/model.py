@@ -239,23 +239,29 @@ def noise_covariance(
     Parameters
     ----------
     noise : NoiseModel
-    shares, other : ndarray, shape (3, m)
-        Of the one and of the other row, see ``beam_shares``.
-    windows : tuple of time, duration (s) and count, each of shape (m,)
+    shares, other : ndarray, shape (3, ..., m)
+        Of the one and of the other row, see ``beam_shares``; of one line, or of several alike.
+    windows : tuple of time, duration (s) and count, each of shape (..., m)
         See ``mean_covariance``.
 
     Returns
     -------
-    white, slow : ndarray, shape (m, m), m^2
+    white, slow : ndarray, shape (..., m, m), m^2
     """
     time, duration, count = windows
-    white = np.einsum('k,km,km->m', noise.white**2, shares, other) / count
-    slow = np.zeros((len(time), len(time)))
+    white = np.einsum('k,k...m,k...m->...m', noise.white**2, shares, other) / count
+    slow = np.zeros((*shares.shape[1:], time.shape[-1]))
     for tau in sorted({c.correlation_time for c in noise if c.slow}):
-        level = np.array([c.slow if c.correlation_time == tau else 0.0 for c in noise])[:, None]
-        amplitude = (level * shares).T @ (level * other)
+        level = np.array([c.slow if c.correlation_time == tau else 0.0 for c in noise])
+        one, two = (np.moveaxis(s, 0, -1) * level for s in (shares, other))
+        amplitude = one @ np.swapaxes(two, -1, -2)
         slow += amplitude * mean_covariance(0.0, tau, time, duration, count)
-    return np.diag(white), slow
+    return _diagonal(white), slow
+
+
+def _diagonal(values: Array) -> Array:
+    """Diagonal matrices (..., m, m) of values (..., m)."""
+    return values[..., None] * np.eye(values.shape[-1])
 
 
 def covariance_parts(
@@ -267,24 +273,24 @@ def covariance_parts(
     ----------
     noise : NoiseModel
     misfit : Misfit
-    shares : ndarray, shape (3, m)
-        Of range and angle noise, see ``beam_shares``.
-    windows : tuple of time, duration (s) and count, each of shape (m,)
+    shares : ndarray, shape (3, ..., m)
+        Of range and angle noise, see ``beam_shares``; of one line, or of several alike.
+    windows : tuple of time, duration (s) and count, each of shape (..., m)
         See ``mean_covariance``.
 
     Returns
     -------
-    white, slow : ndarray, shape (m, m), m^2
+    white, slow : ndarray, shape (..., m, m), m^2
         Noise of the tracker.
-    independent, lasting : ndarray, shape (m, m), m^2
+    independent, lasting : ndarray, shape (..., m, m), m^2
         The parts of the misfit.
     """
     time, duration, count = windows
     white, slow = noise_covariance(noise, shares, shares, windows)
-    lasting = np.zeros_like(slow)
+    lasting = np.zeros((*time.shape, time.shape[-1]))
     if misfit.slow:
         lasting = misfit.slow**2 * mean_covariance(0.0, MISFIT_TIME, time, duration, count)
-    independent = misfit.independent**2 * np.eye(len(time))
+    independent = misfit.independent**2 * _diagonal(np.ones(time.shape))
     return white, slow, independent, lasting
 
 
@@ -299,22 +305,25 @@ def mean_covariance(
         White share of the variance.
     correlation_time : float
         s, of the rest.
-    time, duration : ndarray, shape (m,), s
+    time, duration : ndarray, shape (..., m), s
         Centres and lengths of the windows, which do not overlap.
-    count : ndarray, shape (m,)
+    count : ndarray, shape (..., m)
         Samples in each.
 
     Returns
     -------
-    ndarray, shape (m, m)
+    ndarray, shape (..., m, m)
         Exact for windows sampled densely.
     """
     x = np.maximum(duration / correlation_time, 1e-6)
     half = np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x)
-    gap = np.abs(time[:, None] - time[None, :]) / correlation_time
-    matrix = np.exp(-gap) * np.minimum(half[:, None] * half[None, :], np.exp(0.999 * gap))
+    gap = np.abs(time[..., :, None] - time[..., None, :]) / correlation_time
+    matrix = np.exp(-gap) * np.minimum(
+        half[..., :, None] * half[..., None, :], np.exp(0.999 * gap)
+    )
     own = np.where(x < 1e-3, 1.0 - x / 3.0, 2.0 * (x - 1.0 + np.exp(-x)) / x**2)
-    np.fill_diagonal(matrix, own)
+    diagonal = np.arange(time.shape[-1])
+    matrix[..., diagonal, diagonal] = own
     matrix *= 1.0 - white
-    matrix[np.diag_indices_from(matrix)] += white / count
-    return matrix
+    matrix[..., diagonal, diagonal] += white / count
+    return np.asarray(matrix)

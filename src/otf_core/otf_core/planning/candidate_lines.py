@@ -20,12 +20,13 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import table_nodes
 from otf_core.planning.drive_time import DriveTimes, leg_time
 from otf_core.planning.forecast import Setup, as_recorded, lay_out, tracker_pose
-from otf_core.solving.normal import NormalEquations, Whitener, sum_groups
+from otf_core.solving.normal import NormalEquations, sum_groups
 from otf_core.solving.roughness import expected_precision
 from otf_core.solving.shape_choice import smooth_bases
 from otf_core.solving.solution import identifiable_blocks
 from otf_core.solving.system import build_system, model_rows
 from otf_core.solving.unknowns import Unknowns, layout
+from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

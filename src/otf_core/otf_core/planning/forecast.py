@@ -26,13 +26,14 @@ from otf_core.noise.model import NoiseModel
 from otf_core.pieces.pieces import SPEED_WINDOW, Pieces, piece_boundaries
 from otf_core.planning.drive_time import DriveTimes, drive_times
 from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.solving.normal import NormalEquations, Whitener, normal_equations
+from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import expected_precision
 from otf_core.solving.shape_choice import smooth_bases
 from otf_core.solving.solution import Solution, determined_by_data, identifiable_blocks, solve
 from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import by_motion, table_rows
 from otf_core.solving.unknowns import Unknowns, layout
+from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 Cut = Callable[[Array], Array]

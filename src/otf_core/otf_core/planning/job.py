@@ -16,7 +16,7 @@ from otf_core.planning.creator import plan_path
 from otf_core.planning.effects_seen import forecast_effects, forecast_rows
 from otf_core.planning.forecast import Forecast, Setup, forecast
 from otf_core.planning.judged import EffectForecast, PlanReport
-from otf_core.planning.nc import on_increment
+from otf_core.planning.nc.programs import on_increment
 from otf_core.planning.observability import findings
 from otf_core.planning.optimised import PathOptimiser
 from otf_core.planning.planned_budget import planned_solution, planned_systematic

@@ -21,10 +21,10 @@ from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.planning.forecast import Forecast, Setup, grid_uncertainty, tracker_pose
 from otf_core.solving.joint import JointSolution, SolvedRun, tables_of
-from otf_core.solving.normal import Whitener
 from otf_core.solving.roughness import Roughness
 from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import table_rows
+from otf_core.solving.whitener import Whitener
 from otf_core.tracking.curves import straight_shape
 
 Array = NDArray[np.float64]

@@ -23,13 +23,14 @@ from otf_core.model.plan import Plan
 from otf_core.planning.candidate_lines import INTERVALS
 from otf_core.planning.forecast import BESIDE, Setup, equal_pieces, forecast_pieces, tracker_pose
 from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.solving.normal import Whitener, normal_equations
+from otf_core.solving.normal import normal_equations
 from otf_core.solving.roughness import expected_precision
 from otf_core.solving.shape_choice import smooth_bases
 from otf_core.solving.solution import solve
 from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import table_rows
 from otf_core.solving.unknowns import layout
+from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 

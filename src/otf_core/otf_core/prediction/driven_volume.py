@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The volume that was driven: the convex hull of the path pieces that the tables come from.
 
-``driven`` in error_tables.json: ``corners`` of the hull (m, machine frame) and ``margin`` (m):
-pieces end before the corners of the path, so the hull is taken that much larger. Beside it
-counts, axis by axis, the range of the tables.
+``driven`` in error_tables.json: ``corners`` of the hull (m, machine frame), its ``planes``
+(outward unit normal and offset in m: n . p + d <= 0 in the hull; made of the corners where a file
+holds none) and ``margin`` (m): pieces end before the corners of the path, so the hull is taken
+that much larger. Beside it counts, axis by axis, the range of the tables.
 """
 
 from __future__ import annotations
@@ -37,54 +38,63 @@ class DrivenVolume:
     corners : ndarray, shape (n, 3), m
     margin : float
         m; points this close to the hull count as inside.
+    planes : ndarray, shape (k, 4), 1 and m
+        Outward unit normal and offset of what bounds the hull; two for a direction in which it is
+        flat.
     """
 
     corners: Array
     margin: float
-
-    def _frame(self) -> tuple[Array, Array, int]:
-        """Centre, principal directions (rows), and in how many of them the hull extends."""
-        centre = self.corners.mean(axis=0)
-        axes = np.linalg.svd(np.linalg.qr(self.corners - centre, mode='r'))[2]
-        extent = np.ptp((self.corners - centre) @ axes.T, axis=0)
-        return centre, axes, int(np.sum(extent > FLAT))
+    planes: Array
 
     def holds(self, q: Array) -> NDArray[np.bool_]:
         """Tell for points (n, 3), m, whether they lie in the hull, the margin included."""
-        from scipy.spatial import ConvexHull
-
-        centre, axes, size = self._frame()
-        points, corners = ((p - centre) @ axes.T for p in (q, self.corners))
-        near = np.all(np.abs(points[:, size:]) <= self.margin, axis=1)
-        if size == 0:
-            return np.asarray(near)
-        if size == 1:
-            low, high = corners[:, 0].min(), corners[:, 0].max()
-            out = np.maximum(low - points[:, 0], points[:, 0] - high)
-        else:
-            planes = ConvexHull(corners[:, :size]).equations
-            out = np.max(points[:, :size] @ planes[:, :-1].T + planes[:, -1], axis=1)
-        return np.asarray(near & (out <= self.margin))
+        out = np.max(q @ self.planes[:, :3].T + self.planes[:, 3], axis=1)
+        return np.asarray(out <= self.margin)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the volume as plain data, as in error_tables.json."""
-        return {'corners': self.corners.tolist(), 'margin': self.margin}
+        rows = {'corners': self.corners.tolist(), 'planes': self.planes.tolist()}
+        return {**rows, 'margin': self.margin}
+
+
+def _frame(points: Array) -> tuple[Array, Array, int]:
+    """Centre, principal directions (rows), and in how many of them the points extend."""
+    centre = points.mean(axis=0)
+    axes = np.linalg.svd(np.linalg.qr(points - centre, mode='r'))[2]
+    extent = np.ptp((points - centre) @ axes.T, axis=0)
+    return centre, axes, int(np.sum(extent > FLAT))
+
+
+def _hull(points: Array) -> tuple[Array, Array]:
+    """Which points are the corners of their hull, ascending, and its planes, shape (k, 4)."""
+    from scipy.spatial import ConvexHull  # loaded on use: predicting needs none
+
+    centre, axes, size = _frame(points)
+    local = (points - centre) @ axes.T
+    flat = [np.r_[sign * axes[k], 0.0] for k in range(size, 3) for sign in (1.0, -1.0)]
+    if size > 1:
+        hull = ConvexHull(local[:, :size])
+        kept = np.sort(hull.vertices)
+        faces = np.unique(hull.equations, axis=0)  # qhull cuts a face into triangles
+        planes = np.column_stack([faces[:, :-1] @ axes[:size], faces[:, -1]])
+    elif size == 1:
+        ends = np.array([local[:, 0].argmax(), local[:, 0].argmin()])
+        kept = np.sort(ends)
+        planes = np.array(
+            [[*s * axes[0], -s * local[k, 0]] for s, k in zip((1, -1), ends, strict=True)]
+        )
+    else:
+        kept, planes = np.zeros(1, dtype=int), np.empty((0, 4))
+    planes = np.concatenate([planes, np.reshape(flat, (-1, 4))])
+    planes[:, 3] -= planes[:, :3] @ centre
+    return kept, planes
 
 
 def driven_volume(points: Array, margin: float) -> DrivenVolume:
     """Volume of points (n, 3), m: only the corners of their hull are kept."""
-    from scipy.spatial import ConvexHull
-
-    whole = DrivenVolume(points, margin)
-    centre, axes, size = whole._frame()
-    flat = ((points - centre) @ axes.T)[:, :size]
-    if size > 1:
-        kept = ConvexHull(flat).vertices
-    elif size == 1:
-        kept = np.array([flat[:, 0].argmin(), flat[:, 0].argmax()])
-    else:
-        kept = np.zeros(1, dtype=int)
-    return DrivenVolume(points[np.sort(kept)], margin)
+    corners = points[_hull(points)[0]]
+    return DrivenVolume(corners, margin, _hull(corners)[1])
 
 
 def driven_from_dict(data: Any, where: str) -> DrivenVolume | None:
@@ -97,19 +107,30 @@ def driven_from_dict(data: Any, where: str) -> DrivenVolume | None:
     """
     if data is None:
         return None
-    wrong = ConfigError(f'{where}: driven: expected corners (lists of x, y, z in m) and margin')
+    wrong = ConfigError(
+        f'{where}: driven: expected corners (lists of x, y, z in m) and margin; planes, if any, '
+        f'as lists of four numbers'
+    )
     if not isinstance(data, Mapping):
         raise wrong
     try:
         corners = np.asarray(data['corners'], dtype=float)
+        planes = None if 'planes' not in data else np.asarray(data['planes'], dtype=float)
         margin = float(data.get('margin', 0.0))
     except (KeyError, TypeError, ValueError):
         raise wrong from None
-    if corners.ndim != 2 or corners.shape[1] != 3 or not np.all(np.isfinite(corners)):
+    if not (_is_rows(corners, 3) and np.isfinite(margin) and margin >= 0):
         raise wrong
-    if not (np.isfinite(margin) and margin >= 0):
+    if planes is None:
+        planes = _hull(corners)[1]
+    if not _is_rows(planes, 4):
         raise wrong
-    return DrivenVolume(corners, margin)
+    return DrivenVolume(corners, margin, planes)
+
+
+def _is_rows(values: Array, width: int) -> bool:
+    """Tell whether these are rows of finite numbers."""
+    return values.ndim == 2 and values.shape[1] == width and bool(np.all(np.isfinite(values)))
 
 
 def table_ranges(tables: ErrorTables) -> tuple[Array, Array]:

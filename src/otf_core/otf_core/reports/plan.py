@@ -24,7 +24,8 @@ from otf_core.model.provenance import provenance
 from otf_core.noise.fields import noise_to_fields
 from otf_core.planning.forecast import Forecast
 from otf_core.planning.judged import PlanReport
-from otf_core.planning.nc import Dialect, program
+from otf_core.planning.nc import Dialect
+from otf_core.planning.nc.programs import program
 from otf_core.planning.plan_json import SCHEMA
 
 

@@ -66,7 +66,7 @@ def across(solved: SolvedRun, columns: Array) -> Array:
 def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
     parts = [
-        solved.system.design.T @ solved.whitener.weighted(part).reshape(-1, part.shape[2])
+        solved.system.rows.transposed(solved.whitener.weighted(part))
         for solved, part in zip(done.runs, columns, strict=True)
     ]
     return np.asarray(sum(parts))

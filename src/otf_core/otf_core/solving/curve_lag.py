@@ -49,8 +49,7 @@ def lags(runs: Sequence[Observed], done: JointSolution) -> list[tuple[float, flo
         ]  # of all runs: they share the tables
         columns[number] = across(solved, run.pieces.bend[:, :, None])
         change = sensitivity(done, columns)
-        shape = solved.system.deviation.shape
-        left = columns[number][..., 0] - (solved.system.design @ change[:, 0]).reshape(shape)
+        left = columns[number][..., 0] - solved.system.rows.times(change[:, 0])
         weights = solved.whitener.weighted(columns[number])[..., 0]
         own = float(np.sum(weights * left))
         if own <= 0.0:

@@ -22,11 +22,12 @@ from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import blamed
 from otf_core.solving.noise_fit import FittedNoise, fit_noise
-from otf_core.solving.normal import NormalEquations, Whitener, normal_equations
+from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, identifiable_blocks, solve
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, free_values, pose_block
+from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -74,9 +75,11 @@ class JointSolution:
     solution : Solution
     roughness : Roughness
     normal : NormalEquations
-        Of the first iteration, or of the last, see ``settled``.
+        Of the first iteration.
     runs : tuple of SolvedRun
     iterations : int
+    guessed : bool
+        The first iteration knew no tables, see ``settled``.
     """
 
     unknowns: Unknowns
@@ -85,6 +88,7 @@ class JointSolution:
     normal: NormalEquations
     runs: tuple[SolvedRun, ...]
     iterations: int
+    guessed: bool = False
 
 
 @dataclass(frozen=True)
@@ -97,15 +101,19 @@ class Start:
         See ``roughness.Roughness``.
     accepted : tuple of str
         Blocks that the data determine.
+    tables : ErrorTables, optional
+        For the positions on the paths.
     """
 
     logs: Mapping[str, Array]
     accepted: tuple[str, ...]
+    tables: ErrorTables | None = None
 
     @classmethod
-    def after(cls, done: JointSolution) -> Start:
+    def after(cls, machine: Machine, done: JointSolution) -> Start:
         """What a solution found."""
-        return cls(done.roughness.logs, done.solution.accepted)
+        tables = tables_of(machine, done.unknowns, done.solution)
+        return cls(done.roughness.logs, done.solution.accepted, tables)
 
 
 def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> ErrorTables:
@@ -131,12 +139,13 @@ def tables_of(machine: Machine, unknowns: Unknowns, solution: Solution) -> Error
     return ErrorTables(machine, motions, squareness)
 
 
-def _systems(
+def systems_of(
     runs: Sequence[Observed],
     poses: Sequence[RigidTransform],
     unknowns: Unknowns,
     tables: ErrorTables | None,
 ) -> list[System]:
+    """Rows of all runs at some poses, at positions on the paths for some tables."""
     return [
         build_system(run.machine, run.pieces, pose, unknowns, tables, run=k)
         for k, (run, pose) in enumerate(zip(runs, poses, strict=True))
@@ -157,11 +166,19 @@ def solve_robustly(
     config: CalibrationConfig,
     progress: Progress,
     start: Start | None = None,
+    first: JointSolution | None = None,
 ) -> tuple[list[AnyRun], JointSolution]:
     """Solve, leave out pieces far from the solution, fit the noise, solve again.
 
     Bursts of bad samples longer than the window of the outlier test, and corners rounded beyond
     ``corner_exclusion``, show as pieces many robust standard deviations off.
+
+    Parameters
+    ----------
+    runs, unknowns, config, progress, start
+        As of ``solve_jointly``.
+    first : JointSolution, optional
+        First solution, if there is one.
 
     Returns
     -------
@@ -171,8 +188,8 @@ def solve_robustly(
     """
     runs = list(runs)
     for _ in range(MAX_REPETITIONS):
-        done = solve_jointly(runs, unknowns, config, progress, start)
-        start = Start.after(done)
+        done = first or solve_jointly(runs, unknowns, config, progress, start)
+        start, first = Start.after(runs[0].machine, done), None
         drop = [
             _far_pieces(s.residual, r.pieces.leg, config.outlier_limit)
             for s, r in zip(done.runs, runs, strict=True)
@@ -252,27 +269,30 @@ def solve_jointly(
     """
     machine, limit = runs[0].machine, config.unidentifiable_above
     poses = [run.pose for run in runs]
-    systems = _systems(runs, poses, unknowns, None)
-    whiteners = _whiteners(runs, systems)
-    accepted = start.accepted if start else _seen_blocks(runs, unknowns, whiteners, limit)
+    systems = systems_of(runs, poses, unknowns, start.tables if start else None)
+    whiteners = whiteners_of(runs, systems)
+    accepted = start.accepted if start else seen_blocks(runs, unknowns, whiteners, limit)
     normal = summed(systems, unknowns, whiteners)
     rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
-    left = _left(systems, solution)
+    left, rows = left_by(systems, solution), [s.rows for s in systems]
     change = np.inf
     for iteration in range(2, config.max_iterations + 1):
         motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
         poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
         solution = _without_poses(solution, unknowns, len(runs))
-        systems = _systems(runs, poses, unknowns, tables_of(machine, unknowns, solution))
+        systems = systems_of(runs, poses, unknowns, tables_of(machine, unknowns, solution))
         solution = _improved(solution, unknowns, rough, systems, whiteners)
-        before, left = left, _left(systems, solution)
+        before, left = left, left_by(systems, solution)
         change = max(float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True))
         progress('solving', iteration / (iteration + 1))
         if change < config.alignment_stop:
+            guessed = start is None or start.tables is None
+            if not guessed:  # rows as they are in the normal equations
+                systems = [replace(s, rows=r) for s, r in zip(systems, rows, strict=True)]
             solved = zip(poses, systems, whiteners, left, strict=True)
             done = tuple(SolvedRun(*parts) for parts in solved)
-            return JointSolution(unknowns, solution, rough, normal, done, iteration)
+            return JointSolution(unknowns, solution, rough, normal, done, iteration, guessed)
     names = ', '.join(run.name for run in runs if run.name)
     raise InputError(
         f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
@@ -281,7 +301,7 @@ def solve_jointly(
 
 
 def settled(done: JointSolution, limit: float) -> JointSolution:
-    """Take the covariance at the last positions on the paths instead of the first.
+    """Take the covariance at the last positions on the paths, if the first were guessed.
 
     They differ by 1e-4 of the noise, but contributions that are alike for the whole run are so
     much larger than the noise that they would come out wrong by up to 1 %.
@@ -292,13 +312,17 @@ def settled(done: JointSolution, limit: float) -> JointSolution:
     limit : float
         m and rad; ``unidentifiable_above``.
     """
+    if not done.guessed:
+        return done
     parts = [s.system for s in done.runs], done.unknowns, [s.whitener for s in done.runs]
     normal, old = summed(*parts), done.solution
     last = solve(normal, done.unknowns, limit, old.accepted, done.roughness.precision)
-    return replace(done, normal=normal, solution=replace(old, covariance=last.covariance))
+    solution = replace(old, covariance=last.covariance)
+    return replace(done, normal=normal, solution=solution, guessed=False)
 
 
-def _whiteners(runs: Sequence[Observed], systems: Sequence[System]) -> list[Whitener]:
+def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Whitener]:
+    """Whiteners of all runs for their noise as far as it is known."""
     found = []
     for system, run in zip(systems, runs, strict=True):
         with blamed(run.name):
@@ -306,7 +330,7 @@ def _whiteners(runs: Sequence[Observed], systems: Sequence[System]) -> list[Whit
     return found
 
 
-def _seen_blocks(
+def seen_blocks(
     runs: Sequence[Observed], unknowns: Unknowns, whiteners: Sequence[Whitener], limit: float
 ) -> tuple[str, ...]:
     """Blocks of unknowns that the data determine."""
@@ -317,8 +341,9 @@ def _seen_blocks(
     return identifiable_blocks(summed(judged, unknowns, whiteners), unknowns, limit)
 
 
-def _left(systems: Sequence[System], solution: Solution) -> list[Array]:
-    return [s.deviation - (s.design @ solution.value).reshape(s.deviation.shape) for s in systems]
+def left_by(systems: Sequence[System], solution: Solution) -> list[Array]:
+    """What a solution leaves of the deviations of every run, (c, p), m."""
+    return [s.deviation - s.rows.times(solution.value) for s in systems]
 
 
 def _without_poses(solution: Solution, unknowns: Unknowns, runs: int) -> Solution:
@@ -341,8 +366,8 @@ def _improved(
     move by C (A^T W (y - A x) - K^-1 x).
     """
     pull = np.zeros(unknowns.full)
-    for system, whitener, rest in zip(systems, whiteners, _left(systems, solution), strict=True):
-        pull += system.design.T @ whitener.weighted(rest).reshape(-1)
+    for system, whitener, rest in zip(systems, whiteners, left_by(systems, solution), strict=True):
+        pull += system.rows.transposed(whitener.weighted(rest))
     free = free_values(unknowns, solution.value)
     step = unknowns.gauge.T @ pull - rough.precision @ free
     lifted = free_values(unknowns, solution.covariance.T).T  # C as full by free

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from otf_core.model.path import leg_bounds
 from otf_core.noise.model import (
@@ -34,11 +33,13 @@ from otf_core.noise.model import (
     SLOW,
     WHITE,
     NoiseModel,
+    Windows,
+    covariance_parts,
     misfit_of,
+    noise_covariance,
     scaled,
 )
 from otf_core.pieces.pieces import Pieces
-from otf_core.solving.normal import fill_rows, leg_parts
 from otf_core.solving.system import System
 
 Array = NDArray[np.float64]
@@ -74,56 +75,63 @@ class FittedNoise:
 
 
 @dataclass(frozen=True)
-class _Line:
-    """A part of a line of one component: where it is, residual, and A V A^T."""
+class _Lines:
+    """Parts of lines, n of them of m pieces, all c components.
 
-    component: int
-    low: int
-    high: int
+    Attributes
+    ----------
+    shares : ndarray, shape (3, c, n, m)
+        See ``noise.beam_shares``.
+    windows : tuple of time, duration (s) and count, each of shape (n, m)
+    residual : ndarray, shape (c, n, m), m
+    explained : ndarray, shape (c, n, m, m), m^2
+        A V A^T.
+    """
+
+    shares: Array
+    windows: Windows
     residual: Array
     explained: Array
 
 
-def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -> list[_Line]:
+def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -> list[_Lines]:
     bounds = [(low, min(high, low + PIECES)) for low, high in leg_bounds(pieces.leg)]
     chosen = np.unique(np.linspace(0, len(bounds) - 1, LINES).round().astype(int))
-    count, found = len(pieces), []
-    for low, high in (bounds[k] for k in chosen):
-        for component in range(len(residual)):
-            dense = np.zeros((high - low, system.design.shape[1]))
-            fill_rows(dense, system.design, component * count + low)
-            explained = dense @ covariance @ dense.T
-            found.append(_Line(component, low, high, residual[component, low:high], explained))
+    low, high = np.array(bounds)[chosen].T
+    found = []
+    for size in np.unique(high - low):
+        own = low[high - low == size, None] + np.arange(size)
+        dense = [system.rows.dense(line) for line in own]
+        explained = np.stack([d @ covariance @ np.swapaxes(d, 1, 2) for d in dense], axis=1)
+        windows = (pieces.time[own], pieces.duration[own], pieces.count[own])
+        found.append(_Lines(system.shares[:, :, own], windows, residual[:, own], explained))
     return found
 
 
-def _derivatives(
-    system: System, pieces: Pieces, noise: NoiseModel, logs: Array, line: _Line
-) -> list[Array]:
+def _derivatives(noise: NoiseModel, logs: Array, lines: _Lines) -> list[Array]:
     now, misfit = scaled(noise, logs), misfit_of(logs)
-    place = (line.component, line.low, line.high)
-    white, slow, independent, lasting = leg_parts(system, pieces, now, misfit, *place)
+    white, slow, independent, lasting = covariance_parts(now, misfit, lines.shares, lines.windows)
     longer = scaled(now, _LONGER)
-    other = leg_parts(system, pieces, longer, misfit, *place)[1]
-    return [white, slow, (other - slow) / _DERIVATIVE, independent, lasting]
+    other = noise_covariance(longer, lines.shares, lines.shares, lines.windows)[1]
+    parts = [white, slow, (other - slow) / _DERIVATIVE, independent, lasting]
+    return [np.broadcast_to(part, slow.shape) for part in parts]
 
 
-def _slopes(
-    system: System, pieces: Pieces, noise: NoiseModel, logs: Array, lines: list[_Line]
-) -> tuple[Array, Array]:
+def _slopes(noise: NoiseModel, logs: Array, groups: list[_Lines]) -> tuple[Array, Array]:
     """Score and information of the logarithms, prior left out."""
     score, information = np.zeros(5), np.zeros((5, 5))
-    for line in lines:
-        parts = _derivatives(system, pieces, noise, logs, line)
-        total = parts[WHITE] + parts[SLOW] + parts[INDEPENDENT] + parts[LASTING]
-        inverse = linalg.cho_solve(linalg.cho_factor(total, lower=True), np.eye(len(total)))
-        P = inverse - inverse @ line.explained @ inverse
-        pull = inverse @ line.residual
+    for lines in groups:
+        parts = _derivatives(noise, logs, lines)
+        inverse = np.linalg.inv(parts[WHITE] + parts[SLOW] + parts[INDEPENDENT] + parts[LASTING])
+        P = inverse - inverse @ lines.explained @ inverse
+        pull = inverse @ lines.residual[..., None]
         moved = [P @ K for K in parts]
         for i, K in enumerate(parts):
-            score[i] += 0.5 * float(pull @ K @ pull - np.trace(moved[i]))
+            trace = float(np.trace(moved[i], axis1=-2, axis2=-1).sum())
+            score[i] += 0.5 * (float(np.sum(pull * (K @ pull))) - trace)
+            turned = np.swapaxes(moved[i], -1, -2)
             for j in range(i + 1):
-                information[i, j] += 0.5 * float(np.sum(moved[i] * moved[j].T))
+                information[i, j] += 0.5 * float(np.sum(turned * moved[j]))
     return score, information + np.tril(information, -1).T
 
 
@@ -157,7 +165,7 @@ def fit_noise(
     logs = prior.copy() if start is None else start
     lines = _lines(system, pieces, residual, covariance)
     for _ in range(STEPS):
-        score, information = _slopes(system, pieces, noise, logs, lines)
+        score, information = _slopes(noise, logs, lines)
         score -= (logs - prior) / PRIOR**2
         information += np.diag(1.0 / PRIOR**2)
         step = np.linalg.solve(information, score)

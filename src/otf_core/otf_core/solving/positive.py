@@ -47,7 +47,9 @@ class Positive:
     @property
     def inverse(self) -> Array:
         """Inverse matrix, shape (n, n)."""
-        return self.solve(np.eye(len(self._scale)))
+        half = np.tril(linalg.lapack.dpotri(self._factor, lower=1)[0])
+        whole = half + np.tril(half, -1).T
+        return np.asarray(whole * self._scale[:, None] * self._scale)
 
     @property
     def log_determinant(self) -> float:

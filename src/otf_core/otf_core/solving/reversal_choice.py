@@ -102,7 +102,7 @@ def solve_with_reversal(
     """
     shapes = choose_shapes(runs, nodes, config, progress)
     plain = layout(shapes.bases, len(runs))
-    kept, done = solve_robustly(shapes.runs, plain, config, progress, shapes.start)
+    kept, done = solve_robustly(shapes.runs, plain, config, progress, first=shapes.done)
     choice = choose(kept, done, config)
     if choice.model == 'none':
         return ReversalSolution(kept, done, choice, (kept, done))
@@ -242,9 +242,8 @@ def _squares(
     """Sum of squares of each leg of a run with the values (columns, folds) of its fold."""
     size = [high - low for low, high in solved.whitener.bounds]
     number = np.repeat(np.arange(len(size)), size)
-    predicted = (system.design @ (unknowns.gauge @ values[: unknowns.free])).reshape(
-        *system.deviation.shape, FOLDS
-    ) + rival @ values[unknowns.free :]
-    of_fold = np.take_along_axis(predicted, fold[number][None, :, None], axis=2)[..., 0]
-    white = solved.whitener.whiten(system.deviation - of_fold)
+    of_piece = fold[number]
+    predicted = system.rows.times(unknowns.gauge @ values[: unknowns.free], of_piece)
+    predicted += np.einsum('cpk,kp->cp', rival, values[unknowns.free :][:, of_piece])
+    white = solved.whitener.whiten(system.deviation - predicted)
     return np.asarray(np.bincount(number, (white**2).sum(axis=0), len(size)), dtype=float)

@@ -3,9 +3,9 @@
 
 Smooth functions over ``INTERVALS`` parts of every axis are compared with tables that are linear
 between the nodes of machine.yaml: a machine that its control compensates with such tables has
-kinks there. Where neighbouring pieces of a line differ by more than the noise allows, the smooth
-functions cannot follow something, and splines over twice as many parts are tried as well. The
-functions with the largest restricted likelihood are taken, the size of the residuals left free:
+kinks there. Where neighbouring pieces of a line differ from the better of both by more than the
+noise allows, it cannot follow something, and splines over twice as many parts are tried as well.
+The functions with the largest restricted likelihood are taken, the size of the residuals free:
 
     L = -1/2 ( n log S + log det(N + K^-1) + log det K ),   S weighted sum of squares of n rows
 """
@@ -28,44 +28,53 @@ from otf_core.solving.joint import (
     Progress,
     SolvedRun,
     Start,
+    left_by,
+    seen_blocks,
     solve_jointly,
     summed,
-    tables_of,
+    systems_of,
+    whiteners_of,
 )
-from otf_core.solving.roughness import Roughness, Search
-from otf_core.solving.system import build_system
+from otf_core.solving.roughness import Search
+from otf_core.solving.solution import solve
 from otf_core.solving.unknowns import layout
+from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 Bases = dict[str, Basis]
 
 SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
 STRAIGHT = 'straight between nodes'
+FIRST_TRIED = (SMOOTH, STRAIGHT)
 INTERVALS = 20
 """Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
 SIGNIFICANT = 4.0
 """Standard deviations of the mean."""
 NOTABLE = 0.05
 """Share of the variance of a step between pieces."""
+FEW = 6000
+"""Pieces that the first solution is made of, which finds poses and positions on the paths."""
+GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
 class ShapeChoice(Generic[AnyRun]):
-    """Functions for the error motions, and runs with poses to start from.
+    """Functions for the error motions, and what was solved with them.
 
     Attributes
     ----------
     bases : mapping of axis to Basis
     runs : list of Observed
-        With the poses of the first solution.
-    start : Start
+        With poses to start from.
+    done : JointSolution
+        One linear solution, noise as it was known before.
     evidence : mapping of name to float
         Restricted log likelihood of everything that was tried, less the best.
     """
 
     bases: Bases
     runs: list[AnyRun]
-    start: Start
+    done: JointSolution
     evidence: Mapping[str, float]
 
 
@@ -110,21 +119,22 @@ def choose_shapes(
     config : CalibrationConfig
     progress : callable(stage, fraction)
     """
-    bases = smooth_bases(nodes)
-    done = solve_jointly(runs, layout(bases, len(runs)), config, progress)
-    moved = [replace(r, pose=s.pose) for r, s in zip(runs, done.runs, strict=True)]
-    names = [SMOOTH, STRAIGHT]
-    if any(_steps_unexplained(solved) for solved in done.runs):
-        names.append(FINER)
-    tried: dict[str, tuple[float, Bases, Roughness]] = {}
-    for name in names:
-        trial = _CHOICES[name](nodes)
-        rough = _tried(moved, trial, done, config)
-        tried[name] = (_likelihood(rough, done.normal.rows), trial, rough)
-    best = max(tried.values(), key=lambda entry: entry[0])
-    evidence = {name: score - best[0] for name, (score, _, _) in tried.items()}
-    start = Start(best[2].logs, done.solution.accepted)
-    return ShapeChoice(best[1], moved, start, evidence)
+    smooth, limit = layout(smooth_bases(nodes), len(runs)), config.unidentifiable_above
+    poses = [run.pose for run in runs]
+    whiteners = whiteners_of(runs, systems_of(runs, poses, smooth, None))
+    start = Start({}, seen_blocks(runs, smooth, whiteners, limit))
+    few = _thinned(runs)
+    first = solve_jointly(few, smooth, config, progress, start)
+    start = Start.after(runs[0].machine, first)
+    moved = [replace(r, pose=s.pose) for r, s in zip(runs, first.runs, strict=True)]
+    tried = {n: _tried(moved, _CHOICES[n](nodes), start, whiteners, limit) for n in FIRST_TRIED}
+    best = max(tried, key=lambda name: _likelihood(tried[name]))
+    if any(_steps_unexplained(solved) for solved in tried[best].runs):
+        tried[FINER] = _tried(moved, _CHOICES[FINER](nodes), start, whiteners, limit)
+    scores = {name: _likelihood(done) for name, done in tried.items()}
+    best = max(scores, key=lambda name: scores[name])
+    evidence = {name: score - scores[best] for name, score in scores.items()}
+    return ShapeChoice(tried[best].unknowns.bases, moved, tried[best], evidence)
 
 
 _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
@@ -134,22 +144,40 @@ _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
 }
 
 
+def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
+    """Some legs of every run, spread evenly: enough for poses and first tables."""
+    share, found = FEW // len(runs), []
+    for run in runs:
+        number = np.cumsum(np.append(0, np.diff(run.pieces.leg) != 0))
+        # multiples of the golden section keep no step with the laps of a path
+        order = np.argsort((np.arange(number[-1] + 1) * GOLDEN) % 1.0)
+        size = np.cumsum(np.bincount(number)[order])
+        kept = order[: int(np.searchsorted(size, share)) + 1]
+        drop = ~np.isin(number, kept)
+        found.append(replace(run, pieces=run.pieces.without(drop)) if drop.any() else run)
+    return found
+
+
 def _tried(
-    runs: Sequence[Observed], bases: Bases, done: JointSolution, config: CalibrationConfig
-) -> Roughness:
-    """Roughness of one linear solution at given poses and positions."""
+    runs: Sequence[Observed],
+    bases: Bases,
+    start: Start,
+    whiteners: Sequence[Whitener],
+    limit: float,
+) -> JointSolution:
+    """One linear solution at given poses and positions."""
     unknowns = layout(bases, len(runs))
-    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
-    systems = [
-        build_system(r.machine, r.pieces, r.pose, unknowns, tables, run=k)
-        for k, r in enumerate(runs)
-    ]
-    normal = summed(systems, unknowns, [s.whitener for s in done.runs])
-    search = Search(normal, unknowns, done.solution.accepted, config.unidentifiable_above)
-    return search.run(done.roughness.logs)
+    systems = systems_of(runs, [r.pose for r in runs], unknowns, start.tables)
+    normal = summed(systems, unknowns, whiteners)
+    rough = Search(normal, unknowns, start.accepted, limit).run(start.logs)
+    solution = solve(normal, unknowns, limit, start.accepted, rough.precision)
+    left = left_by(systems, solution)
+    parts = zip([r.pose for r in runs], systems, whiteners, left, strict=True)
+    return JointSolution(unknowns, solution, rough, normal, tuple(SolvedRun(*p) for p in parts), 1)
 
 
-def _likelihood(rough: Roughness, rows: int) -> float:
+def _likelihood(done: JointSolution) -> float:
     """Restricted log likelihood with the size of the residuals free."""
+    rough = done.roughness
     volume = -2.0 * rough.log_likelihood - rough.square
-    return -0.5 * (rows * float(np.log(rough.square)) + volume)
+    return -0.5 * (done.normal.rows * float(np.log(rough.square)) + volume)

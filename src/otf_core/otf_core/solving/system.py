@@ -16,13 +16,13 @@ from scipy import sparse
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, motion_influence, squareness_influence
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.model import beam_shares, path_frame
 from otf_core.pieces.pieces import Pieces
-from otf_core.solving.reversal import reversal_columns
-from otf_core.solving.unknowns import Unknowns, pose_block
+from otf_core.solving.design import Design
+from otf_core.solving.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 
@@ -39,8 +39,8 @@ class System:
         Directions of the c rows of every piece: a2 and a3, or three at standstill.
     deviation : ndarray, shape (c, p), m
         Measured minus nominal along the axes.
-    design : sparse array, shape (c p, full)
-        Derivatives of the deviations; rows of the first axis of all pieces, then the next.
+    rows : Design
+        Derivatives of the deviations.
     shares : ndarray, shape (3, c, p)
         Of the noise of range and angles in the deviations, see ``noise.beam_shares``.
     """
@@ -48,8 +48,13 @@ class System:
     q: Array
     axes: Array
     deviation: Array
-    design: sparse.csr_array
+    rows: Design
     shares: Array
+
+    @property
+    def design(self) -> sparse.csr_array:
+        """All derivatives, shape (c p, full): rows of the first axis, then of the next."""
+        return self.rows.csr
 
 
 def nominal_positions(
@@ -94,49 +99,6 @@ def _axes(pieces: Pieces, pose: RigidTransform) -> Array:
     return np.stack([beam, horizontal, vertical])
 
 
-def _design(
-    machine: Machine,
-    unknowns: Unknowns,
-    run: int,
-    q: Array,
-    points: Array,
-    axes: Array,
-    pieces: Pieces,
-    nodal_lever: bool,
-) -> sparse.csr_array:
-    count, components, pose = len(q), len(axes), unknowns.blocks[pose_block(run)].start
-    row = np.arange(count)
-    rows, columns, values = [], [], []
-
-    def add(influence: Array, column: NDArray[np.int64], factor: Array | float) -> None:
-        for k in range(components):
-            rows.append(row + k * count)
-            columns.append(column)
-            values.append(np.einsum('ij,ij->i', axes[k], influence) * factor)
-
-    for k in range(3):
-        unit = np.broadcast_to(np.eye(3)[k], q.shape)
-        add(unit, np.full(count, pose + k), -1.0)
-        add(np.cross(np.eye(3)[k], points), np.full(count, pose + 3 + k), -1.0)
-    for name in SQUARENESS:
-        add(squareness_influence(name, q), np.full(count, unknowns.blocks[name].start), 1.0)
-    places = {a: unknowns.bases[a].places(q[:, k]) for k, a in enumerate(AXES)}
-    for name in MOTIONS:
-        basis, axis = unknowns.bases[name.axis], name.place
-        first, weight = places[name.axis]
-        start, influence = unknowns.blocks[name].start, motion_influence(machine, name, q)
-        for step in range(basis.nonzero):
-            if nodal_lever:
-                lever_q = q.copy()
-                lever_q[:, axis] = basis.centres[first + step]
-                influence = motion_influence(machine, name, lever_q)
-            add(influence, start + first + step, weight[:, step])
-    for name, influence in reversal_columns(machine, q, pieces.direction, pieces.side, unknowns):
-        add(influence, np.full(count, unknowns.blocks[name].start), 1.0)
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return sparse.csr_array(sparse.coo_array(entries, shape=(components * count, unknowns.full)))
-
-
 def build_system(
     machine: Machine,
     pieces: Pieces,
@@ -175,19 +137,26 @@ def build_system(
     axes = _axes(pieces, pose)
     # a piece is a mean over samples, not the value at its centre: from a curved motion the two
     # differ by h^2 f'' / 24; the mean of f at both Gauss points is right to the third order
-    shifts = [np.zeros(3)]
+    shifts: tuple[Array, ...] = (np.zeros(3),)
     if len(pieces.spread) and not nodal_lever:
         reach = pieces.spread[:, None] * pieces.direction
-        shifts = [reach, -reach]
-    halves = [
-        _design(machine, unknowns, run, q + s, points + s, axes, pieces, nodal_lever)
-        for s in shifts
-    ]
+        shifts = (reach, -reach)
     return System(
         q=q,
         axes=axes,
         deviation=np.einsum('kij,ij->ki', axes, points - q),
-        design=sparse.csr_array(sum(halves[1:], start=halves[0]) / len(halves)),
+        rows=Design(
+            machine,
+            unknowns,
+            run,
+            q,
+            points,
+            axes,
+            shifts,
+            pieces.direction,
+            pieces.side,
+            nodal_lever,
+        ),
         shares=beam_shares(pieces.xyz, pose, axes),
     )
 

@@ -29,11 +29,12 @@ from otf_core.pieces.runs import Recording
 from otf_core.pieces.standstill_method import prepare_stops
 from otf_core.reports.calibration import format_result, write_calibration
 from otf_core.sim.cell import simulate
-from otf_core.solving.normal import Whitener, normal_equations
+from otf_core.solving.normal import normal_equations
 from otf_core.solving.shape_choice import linear_bases
 from otf_core.solving.solution import identifiable_blocks
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import is_reversal, layout
+from otf_core.solving.whitener import Whitener
 
 CHAIN = 'w-Y-b-X-Z-t'
 BACKLASH = {'B_X': 5e-6, 'B_Y': -3e-6, 'B_Z': 2e-6}

@@ -24,9 +24,10 @@ from otf_core.pieces.runs import Run
 from otf_core.solving.columns import across, name_in_run, piece_state, sensitivity
 from otf_core.solving.folds import fold_of, leg_numbers
 from otf_core.solving.joint import JointSolution, settled, summed, tables_of
-from otf_core.solving.normal import Whitener, rows_by_run
+from otf_core.solving.normal import rows_by_run
 from otf_core.solving.sample_states import sample_state
 from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
+from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -15,7 +15,7 @@ from scipy.linalg import cholesky
 
 from otf_core.model.path import leg_bounds
 from otf_core.noise.model import TYPICAL_CORRELATION_TIME
-from otf_core.solving.normal import Whitener
+from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -72,13 +72,13 @@ class RunView:
     def whitener(self) -> Whitener:
         """Frees rows of the correlation of the noise, scaled so that it gives ``expected``."""
         given = self.factors or tuple(self._typical(low, high) for low, high in self.bounds)
-        plain = Whitener(self.bounds, given)
+        plain = Whitener.from_factors(self.bounds, given)
         scale = self.expected / plain.expected
         scaled = [
             tuple(factor * scale[c, low:high, None] for c, factor in enumerate(leg))
             for (low, high), leg in zip(self.bounds, given, strict=True)
         ]
-        return Whitener(self.bounds, tuple(scaled))
+        return Whitener.from_factors(self.bounds, scaled)
 
     def _typical(self, low: int, high: int) -> tuple[Array, ...]:
         gap = np.abs(self.time[low:high, None] - self.time[None, low:high])

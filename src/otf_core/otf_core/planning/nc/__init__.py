@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """NC programs of a plan: one file per dialect, one line here each. There is no generic one."""
 
-from otf_core.planning.nc.base import Dialect, on_increment, program
+from otf_core.planning.nc.base import Dialect
 from otf_core.planning.nc.fanuc import Fanuc
 from otf_core.planning.nc.heidenhain import Heidenhain
 from otf_core.planning.nc.linuxcnc import LinuxCnc
@@ -12,4 +12,4 @@ DIALECTS: dict[str, Dialect] = {
     d.name: d for d in (Sinumerik(), Fanuc(), Heidenhain(), LinuxCnc(), TwinCat())
 }
 
-__all__ = ['DIALECTS', 'Dialect', 'on_increment', 'program']
+__all__ = ['DIALECTS', 'Dialect']

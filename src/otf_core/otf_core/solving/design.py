@@ -1,0 +1,324 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Derivatives of the rows of all pieces by the unknowns, never all of them at once.
+
+A row is a . J(q) for the direction a of the row: motions of one axis share the splines of its
+position, and a rotation acts as r . (L x a) for its lever arm L. So products with a vector need
+the error vector of every piece only, and dense rows are made for a few legs at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from otf_core.model.kinematics import lever, squareness_influence
+from otf_core.model.machine import AXES, Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.solving.reversal import reversal_columns
+from otf_core.solving.unknowns import Unknowns, pose_block
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class AxisPart:
+    """What the motions of one axis do at some places.
+
+    Attributes
+    ----------
+    first : ndarray of int64, shape (p,)
+        First spline that differs from zero at each place.
+    weight : ndarray, shape (p, n)
+        Values of this and the following ones.
+    lever : ndarray, shape (p, 3) or (p, n, 3), m
+        Lever arm of the rotations, for every spline where they differ.
+    starts : ndarray of int64, shape (6,)
+        Places of the blocks of the three translations and three rotations, full vector.
+    size : int
+        Splines of the axis.
+    """
+
+    first: Index
+    weight: Array
+    lever: Array
+    starts: Index
+    size: int
+
+    @cached_property
+    def splines(self) -> sparse.csr_array:
+        """Values of all splines, shape (p, size)."""
+        count, width = self.weight.shape
+        places = (self.first[:, None] + np.arange(width)).ravel()
+        ends = np.arange(0, count * width + 1, width)
+        shape = (count, self.size)
+        return sparse.csr_array((self.weight.ravel(), places, ends), shape=shape)
+
+    def at(self, place: Index | slice) -> AxisPart:
+        """Return the part at some of the places."""
+        return replace(
+            self, first=self.first[place], weight=self.weight[place], lever=self.lever[place]
+        )
+
+
+@dataclass(frozen=True)
+class Design:
+    """Derivatives of the deviations, means over the samples of every piece.
+
+    Attributes
+    ----------
+    machine : Machine
+    unknowns : Unknowns
+    run : int
+        Which pose block the rows belong to.
+    q, points : ndarray, shape (p, 3), m
+        Nominal positions and measured points of the pieces, machine frame.
+    axes : ndarray, shape (c, p, 3)
+        Directions of the rows.
+    shifts : tuple of ndarray, shape (p, 3) or (3,), m
+        Places within a piece whose values are averaged, from its centre.
+    travel : ndarray, shape (p, 3)
+        Unit direction of travel or approach.
+    side : ndarray, shape (p, 3)
+        See ``reversal.reversal_columns``.
+    nodal_lever : bool
+        See ``system.build_system``.
+    """
+
+    machine: Machine
+    unknowns: Unknowns
+    run: int
+    q: Array
+    points: Array
+    axes: Array
+    shifts: tuple[Array, ...]
+    travel: Array
+    side: Array
+    nodal_lever: bool = False
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and unknowns."""
+        return self.axes.shape[0] * self.axes.shape[1], self.unknowns.full
+
+    @cached_property
+    def _parts(self) -> list[list[AxisPart]]:
+        """The three axes at every shift."""
+        return [[self._part(k, self.q + shift) for k in range(3)] for shift in self.shifts]
+
+    def _part(self, axis: int, q: Array) -> AxisPart:
+        name = AXES[axis]
+        basis = self.unknowns.bases[name]
+        first, weight = basis.places(q[:, axis])
+        arm = lever(self.machine, name, q)
+        if self.nodal_lever:
+            nodal = np.repeat(q[:, None, :], basis.nonzero, axis=1)
+            nodal[:, :, axis] = basis.centres[first[:, None] + np.arange(basis.nonzero)]
+            arm = lever(self.machine, name, nodal.reshape(-1, 3)).reshape(nodal.shape)
+        starts = np.array([self.unknowns.blocks[m].start for m in MOTIONS if m.axis == name])
+        return AxisPart(first, weight, arm, starts, basis.size)
+
+    def _few(self) -> Iterator[tuple[slice, Array]]:
+        """Blocks of few columns: squareness and reversal, with displacements (p, 3, k)."""
+        blocks = self.unknowns.blocks
+        for name in SQUARENESS:
+            parts = [squareness_influence(name, self.q + s) for s in self.shifts]
+            yield blocks[name], np.mean(parts, axis=0)[:, :, None]
+        if self.unknowns.reversal:
+            found = [dict(self._reversal(self.q + shift)) for shift in self.shifts]
+            for name in found[0]:
+                yield blocks[name], np.mean([f[name] for f in found], axis=0)[:, :, None]
+
+    def _reversal(self, q: Array) -> Iterator[tuple[str, Array]]:
+        return reversal_columns(self.machine, q, self.travel, self.side, self.unknowns)
+
+    @cached_property
+    def _columns(self) -> tuple[Index, Array]:
+        """Places (k,) and rows (c, p, k) of pose, squareness and reversal."""
+        pose = self.unknowns.blocks[pose_block(self.run)]
+        places = [np.arange(pose.start, pose.stop)]
+        # a . (dr x p) = dr . (p x a)
+        rows = [-self.axes, -crossed(self.points, self.axes)]
+        for block, influence in self._few():
+            places.append(np.arange(block.start, block.stop))
+            rows.append(np.einsum('cpi,pik->cpk', self.axes, influence))
+        return np.concatenate(places), np.concatenate(rows, axis=2)
+
+    def prepare(self) -> None:
+        """Make what all rows share; afterwards ``dense`` may be called from several threads."""
+        self._parts  # noqa: B018
+        self._columns  # noqa: B018
+
+    def dense(self, pieces: Index | slice) -> Array:
+        """Rows of some pieces, shape (c, m, full)."""
+        full = self.unknowns.full
+        return self._filled(pieces, self._windows(pieces), np.arange(full), full)
+
+    def touched(self, pieces: Index, width: int = 0) -> tuple[Index, Array]:
+        """Rows of some pieces by the unknowns that they depend on.
+
+        Parameters
+        ----------
+        pieces : ndarray of int64
+            m of the pieces.
+        width : int
+            Further columns of zeros behind the unknowns.
+
+        Returns
+        -------
+        columns : ndarray of int64, shape (k,)
+            Places of these unknowns in the full vector, ascending.
+        rows : ndarray, shape (c, m, k + width)
+        """
+        windows = self._windows(pieces)
+        mask = np.zeros(self.unknowns.full, dtype=bool)
+        mask[self._columns[0]] = True
+        for window in windows:
+            own = np.zeros(window.parts[0].size, dtype=bool)
+            for step in range(window.weights[0].shape[1]):
+                own[window.first + step] = True
+            for start in window.parts[0].starts.tolist():
+                mask[start : start + len(own)] |= own
+        columns = np.flatnonzero(mask)
+        size = len(columns) + width
+        return columns, self._filled(pieces, windows, np.cumsum(mask) - 1, size)
+
+    def _windows(self, pieces: Index | slice) -> list[_Window]:
+        """What the three axes do at some pieces."""
+        groups = zip(*self._parts, strict=True)
+        return [_window([part.at(pieces) for part in parts]) for parts in groups]
+
+    def _filled(
+        self, pieces: Index | slice, windows: Sequence[_Window], place_of: Index, size: int
+    ) -> Array:
+        """Rows (c, m, size) of some pieces, every unknown in the column of its own."""
+        axes = self.axes[:, pieces]
+        dense = np.zeros((*axes.shape[:2], size))
+        places, rows = self._columns
+        dense[:, :, place_of[places]] = rows[:, pieces]
+        flat = dense.reshape(len(axes), -1)
+        row = (np.arange(axes.shape[1]) * size)[:, None, None]
+        for window in windows:
+            splines = window.first[:, None] + np.arange(window.weights[0].shape[1])
+            place = row + place_of[splines[:, None, :] + window.parts[0].starts[:, None]]
+            for values, direction in zip(flat, axes, strict=True):
+                values[place] = sum(
+                    _six(direction, part.lever) * weight[:, None, :]
+                    for part, weight in zip(window.parts, window.weights, strict=True)
+                )
+        return dense
+
+    @property
+    def splines(self) -> Index:
+        """First spline of every axis at every piece, shape (p, 3)."""
+        return np.stack([part.first for part in self._parts[0]], axis=1)
+
+    @cached_property
+    def csr(self) -> sparse.csr_array:
+        """All rows as a sparse matrix, shape (c p, full): rows of one direction, then the next."""
+        count = self.axes.shape[1]
+        blocks = [
+            sparse.csr_array(dense)
+            for c in range(len(self.axes))
+            for dense in (self.dense(slice(low, low + 1024))[c] for low in range(0, count, 1024))
+        ]
+        return sparse.csr_array(sparse.vstack(blocks))
+
+    def times(self, value: Array, column: Index | None = None) -> Array:
+        """Deviations for values of the unknowns.
+
+        Parameters
+        ----------
+        value : ndarray, shape (full,) or (full, k)
+        column : ndarray of int64, shape (p,), optional
+            Which of the k values counts for each piece.
+
+        Returns
+        -------
+        ndarray, shape (c, p), or (c, p, k) for k values without ``column``
+        """
+        if value.ndim > 1 and column is None:
+            return np.stack([self.times(v) for v in value.T], axis=2)
+        total = np.zeros_like(self.q)
+        for part in (part for parts in self._parts for part in parts):
+            own = value[part.starts + np.arange(part.size)[:, None]]
+            if column is None:
+                six = part.splines @ own
+            else:
+                wide = part.splines @ own.reshape(part.size, -1)
+                six = wide.reshape(len(column), 6, -1)[np.arange(len(column)), :, column]
+            total += six[:, :3] + crossed(six[:, 3:], part.lever)
+        found = np.einsum('cpi,pi->cp', self.axes, total / len(self.shifts))
+        places, rows = self._columns
+        few = value[places] if column is None else value[places][:, column]
+        if column is None:
+            return np.asarray(found + rows @ few)
+        return np.asarray(found + np.einsum('cpk,kp->cp', rows, few))
+
+    def transposed(self, rows: Array) -> Array:
+        """Transposed design times rows (c, p) or (c, p, k), shape (full,) or (full, k)."""
+        wide = rows.reshape(*rows.shape[:2], -1)
+        found = np.zeros((self.unknowns.full, wide.shape[2]))
+        pull = np.einsum('cpi,cpk->pki', self.axes, wide) / len(self.shifts)
+        for part in (part for parts in self._parts for part in parts):
+            six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
+            own = part.splines.T @ six.reshape(len(six), -1)
+            place = part.starts + np.arange(part.size)[:, None]
+            found[place] += np.swapaxes(own.reshape(part.size, -1, 6), 1, 2)
+        places, own = self._columns
+        found[places] += np.einsum('cpk,cpj->kj', own, wide, optimize=True)
+        return found.reshape(-1, *rows.shape[2:])
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Splines of one axis that the shifts of some pieces reach.
+
+    Attributes
+    ----------
+    parts : list of AxisPart
+        One for every shift.
+    first : ndarray of int64, shape (m,)
+        First spline that any of them reaches.
+    weights : list of ndarray, shape (m, n)
+        Shares of it and the following ones in the mean, for every shift.
+    """
+
+    parts: list[AxisPart]
+    first: Index
+    weights: list[Array]
+
+
+def crossed(one: Array, other: Array) -> Array:
+    """Vector products of vectors (..., 3), several times faster than ``numpy.cross``."""
+    (a, b, c), (x, y, z) = np.moveaxis(one, -1, 0), np.moveaxis(other, -1, 0)
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
+
+
+def _window(parts: list[AxisPart]) -> _Window:
+    if len(parts) == 1:
+        return _Window(parts, parts[0].first, [parts[0].weight])
+    first = np.minimum.reduce([part.first for part in parts])
+    width = max(int(np.max(p.first - first, initial=0)) + p.weight.shape[1] for p in parts)
+    first = np.minimum(first, parts[0].size - width)
+    row, weights = np.arange(len(first))[:, None], []
+    for part in parts:
+        weight = np.zeros((len(first), width))
+        place = (part.first - first)[:, None] + np.arange(part.weight.shape[1])
+        weight[row, place] = part.weight / len(parts)
+        weights.append(weight)
+    return _Window(parts, first, weights)
+
+
+def _six(direction: Array, arm: Array) -> Array:
+    """Rows (p, 6, 1 or n) of three translations and three rotations along directions (p, 3)."""
+    if arm.ndim == 2:
+        return np.concatenate([direction, crossed(arm, direction)], axis=1)[:, :, None]
+    turned = np.swapaxes(crossed(arm, direction[:, None, :]), 1, 2)
+    moved = np.broadcast_to(direction[:, :, None], turned.shape)
+    return np.concatenate([moved, turned], axis=1)

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frees rows of the correlation of their noise (generalised least squares).
+
+Pieces of one leg share slow noise, so their covariance is a full matrix; legs are separated by
+corners and count as independent. Legs of as many pieces are treated together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
+
+from otf_core.errors import InputError
+from otf_core.model.path import leg_bounds
+from otf_core.noise.model import Misfit, NoiseModel, covariance_parts
+from otf_core.pieces.pieces import Pieces
+from otf_core.solving.system import System
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+NO_MISFIT = Misfit()
+
+
+@dataclass(frozen=True)
+class Alike:
+    """Legs of as many pieces.
+
+    Attributes
+    ----------
+    legs : ndarray of int64, shape (n,)
+        Which of all legs, by their place in ``Whitener.bounds``.
+    pieces : ndarray of int64, shape (n, m)
+    inverse : ndarray, shape (c, n, m, m), 1/m
+        Inverses of the lower Cholesky factors of the covariances of every component.
+    """
+
+    legs: Index
+    pieces: Index
+    inverse: Array
+
+    @classmethod
+    def of(cls, legs: Index, pieces: Index, factor: Array) -> Alike:
+        """From the Cholesky factors, shape (c, n, m, m), m."""
+        return cls(legs, pieces, _inverse(factor))
+
+    @property
+    def factor(self) -> Array:
+        """Lower Cholesky factors, shape (c, n, m, m), m."""
+        return _inverse(self.inverse)
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Frees the rows of each leg of the correlation of their noise.
+
+    Every row of a piece has the variance of its own direction. What the rows of one piece share
+    where both angles are not equally good is left to the budget (``NoiseParts.between``): taking
+    them together would make the matrices of a leg twice as large, for weights that hardly change.
+
+    Attributes
+    ----------
+    bounds : sequence of (int, int)
+        First piece and one past the last of every leg.
+    alike : tuple of Alike
+    """
+
+    bounds: Sequence[tuple[int, int]]
+    alike: tuple[Alike, ...]
+
+    @classmethod
+    def of(
+        cls, system: System, pieces: Pieces, noise: NoiseModel, misfit: Misfit = NO_MISFIT
+    ) -> Whitener:
+        """For the noise of pieces.
+
+        Parameters
+        ----------
+        system : System
+            Its shares of noise change little between iterations.
+        pieces : Pieces
+        noise : NoiseModel
+        misfit : Misfit
+
+        Raises
+        ------
+        InputError
+            If a covariance is not positive definite.
+        """
+        bounds = leg_bounds(pieces.leg)
+        low, high = np.array(bounds, dtype=np.int64).reshape(-1, 2).T
+        alike = []
+        for size in np.unique(high - low):
+            legs = np.flatnonzero(high - low == size)
+            own = low[legs, None] + np.arange(size)
+            windows = (pieces.time[own], pieces.duration[own], pieces.count[own])
+            white, slow, own_misfit, lasting = covariance_parts(
+                noise, misfit, system.shares[:, :, own], windows
+            )
+            covariance = white + slow + own_misfit + lasting
+            try:
+                factor = np.linalg.cholesky(covariance)
+            except np.linalg.LinAlgError:
+                raise _two_passes(pieces, own, covariance) from None
+            alike.append(Alike.of(legs, own, np.asarray(factor)))
+        return cls(bounds, tuple(alike))
+
+    @classmethod
+    def from_factors(
+        cls, bounds: Sequence[tuple[int, int]], factors: Sequence[Sequence[Array]]
+    ) -> Whitener:
+        """From the lower Cholesky factors (m, m) of every leg and component."""
+        size = np.array([high - low for low, high in bounds])
+        alike = []
+        for m in np.unique(size):
+            legs = np.flatnonzero(size == m)
+            own = np.array([np.arange(*bounds[k]) for k in legs.tolist()])
+            stacked = np.stack([np.stack(list(factors[k])) for k in legs.tolist()], axis=1)
+            alike.append(Alike.of(legs, own, stacked))
+        return cls(bounds, tuple(alike))
+
+    @property
+    def factors(self) -> tuple[tuple[Array, ...], ...]:
+        """Lower Cholesky factors (m, m) of every leg and component, m."""
+        return self._by_leg(lambda alike: alike.factor)
+
+    @cached_property
+    def inverses(self) -> tuple[tuple[Array, ...], ...]:
+        """Their inverses, 1/m."""
+        return self._by_leg(lambda alike: alike.inverse)
+
+    def _by_leg(self, stack: Callable[[Alike], Array]) -> tuple[tuple[Array, ...], ...]:
+        found: dict[int, tuple[Array, ...]] = {}
+        for alike in self.alike:
+            of_leg = np.swapaxes(stack(alike), 0, 1)
+            found |= {k: tuple(own) for k, own in zip(alike.legs.tolist(), of_leg, strict=True)}
+        return tuple(found[k] for k in range(len(self.bounds)))
+
+    @cached_property
+    def expected(self) -> Array:
+        """Standard deviation of the noise of every piece, shape (c, p), m."""
+        components = len(self.alike[0].factor) if self.alike else 2
+        found = np.empty((components, self.bounds[-1][1] if self.bounds else 0))
+        for alike in self.alike:
+            found[:, alike.pieces] = np.linalg.norm(alike.factor, axis=-1)
+        return found
+
+    def parts(self) -> Iterator[tuple[int, int, int, Array]]:
+        """Component, first piece, one past the last and factor of the rows of every leg."""
+        for (low, high), leg in zip(self.bounds, self.factors, strict=True):
+            for component, factor in enumerate(leg):
+                yield component, low, high, factor
+
+    def _applied(self, matrix: Callable[[Alike], Array], values: Array) -> Array:
+        """Matrices of the legs times values (c, p, ...)."""
+        wide = values.reshape(*values.shape[:2], -1)
+        result = np.empty_like(wide)
+        for alike in self.alike:
+            result[:, alike.pieces] = matrix(alike) @ wide[:, alike.pieces]
+        return result.reshape(values.shape)
+
+    def whiten(self, values: Array) -> Array:
+        """Free values (c, p, ...) of the correlation: noise as expected has unit variance."""
+        return self._applied(lambda alike: alike.inverse, values)
+
+    def whiten_transposed(self, values: Array) -> Array:
+        """Apply the transpose of ``whiten``: for products with columns."""
+        return self._applied(lambda alike: np.swapaxes(alike.inverse, -1, -2), values)
+
+    def unwhiten(self, values: Array) -> Array:
+        """Undo ``whiten``."""
+        return self._applied(lambda alike: alike.factor, values)
+
+    def weighted(self, values: Array) -> Array:
+        """Multiply values (c, p, ...) by the inverse covariance of the noise."""
+        return self.whiten_transposed(self.whiten(values))
+
+
+def _inverse(lower: Array) -> Array:
+    """Inverses of lower triangular matrices (..., m, m)."""
+    size = lower.shape[-1]
+    inverses = [dtrtri(own.T)[0].T for own in lower.reshape(-1, size, size)]
+    return np.stack(inverses).reshape(lower.shape)
+
+
+def _two_passes(pieces: Pieces, own: Index, covariance: Array) -> InputError:
+    """Say which of some legs has a covariance that is not positive definite."""
+    lowest = np.linalg.eigvalsh(covariance)[..., 0]
+    leg = int(pieces.leg[own[np.unravel_index(np.argmin(lowest), lowest.shape)[-1], 0]])
+    return InputError(
+        f'leg {leg} of the path: its samples belong to two passes; '
+        f'path and track do not agree there'
+    )
+
+
+def leg_parts(
+    system: System,
+    pieces: Pieces,
+    noise: NoiseModel,
+    misfit: Misfit,
+    component: int,
+    low: int,
+    high: int,
+) -> tuple[Array, Array, Array, Array]:
+    """Parts of the covariance of successive pieces of one leg; see ``noise.covariance_parts``."""
+    part = slice(low, high)
+    windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
+    return covariance_parts(noise, misfit, system.shares[:, component, part], windows)

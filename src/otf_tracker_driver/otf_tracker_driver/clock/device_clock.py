@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The clock of a device against that of the host, followed packet by packet.
+
+An epoch is a time in which the device's clock runs on without a jump. A new one begins where it
+goes back, where packets come earlier than is possible, and where all packets are late.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from otf_tracker_driver.clock.envelope import Line, beneath
+
+WINDOW = 120 * 10**9
+"""ns; older packets are forgotten, so that a rate that changes with temperature is followed."""
+BUCKET = 25 * 10**7
+"""ns; of packets within it only the least late one is kept."""
+SETTLING = 2 * 10**9
+"""ns; so long packets are collected before the first line is believed."""
+EARLY = 5 * 10**6
+"""ns; a packet that much beneath the line is impossible without a jump."""
+LATE = 80 * 10**6
+"""ns; recorded packets are late by 60 ms at most."""
+LATE_FOR = 5 * 10**9
+"""ns; if all packets are late for so long, the clock has jumped back."""
+RAISED = 3 * 10**6
+"""ns; and if the least late ones of ``RAISED_FOR`` are late by more, beyond the usual delay."""
+RAISED_FOR = 40
+"""buckets"""
+
+
+class Verdict(Enum):
+    """What a packet means for those that wait for their stamps."""
+
+    WAIT = 'the line is not known yet, or in doubt'
+    STAMP = 'the line holds'
+
+
+@dataclass(frozen=True)
+class ClockState:
+    """What is known of the device's clock.
+
+    Attributes
+    ----------
+    settled : bool
+        The line is known.
+    packets : int
+        Since the start.
+    rate : float
+        Host seconds per device second, less one; 0 until known.
+    spread : float, s
+        Median delay of the least late packets above the line.
+    delay : float, s
+        Arrival of the last packet after its last sample.
+    jumps : int
+        Jumps of the device's clock that were found.
+    late : int
+        Packets more than 80 ms late.
+    """
+
+    settled: bool = False
+    packets: int = 0
+    rate: float = 0.0
+    spread: float = 0.0
+    delay: float = 0.0
+    jumps: int = 0
+    late: int = 0
+
+
+class DeviceClock:
+    """Fits the line of the present epoch.
+
+    Attributes
+    ----------
+    line : Line or None
+        Host minus device time; None until the clock has settled.
+    epoch : int
+        Changes with every jump and restart.
+    """
+
+    def __init__(self) -> None:
+        self.line: Line | None = None
+        self.epoch = 0
+        self._packets = self._jumps = self._late = 0
+        self._delay = self._spread = 0.0
+        self._points: deque[tuple[int, int]] = deque()
+        self._suspects: list[tuple[int, int]] = []
+        self._began = 0
+
+    @property
+    def state(self) -> ClockState:
+        """What is known now."""
+        rate = self.line.rate if self.line else 0.0
+        known = self.line is not None
+        numbers = self._spread, self._delay, self._jumps, self._late
+        return ClockState(known, self._packets, rate, *numbers)
+
+    def restart(self) -> None:
+        """Begin a new epoch: the device's clock starts again."""
+        self.epoch += 1
+        self.line = None
+        self._points.clear()
+        self._suspects.clear()
+
+    def take(self, device_ns: int, arrival_ns: int) -> Verdict:
+        """Take the time of a packet's last sample on both clocks."""
+        self._packets += 1
+        delay = arrival_ns - device_ns
+        if self.line is None:
+            return self._settle(device_ns, delay, arrival_ns)
+        above = delay - int(self.line.at(np.int64(device_ns)))
+        self._delay = above * 1e-9
+        if above < -EARLY:
+            return self._jump([(device_ns, delay)])
+        if above > LATE:
+            self._late += 1
+            self._suspects.append((device_ns, delay))
+            lasted = device_ns - self._suspects[0][0]
+            return self._jump(self._suspects) if lasted >= LATE_FOR else Verdict.WAIT
+        self._suspects.clear()
+        self._add(device_ns, delay)
+        self._fit()
+        return Verdict.STAMP
+
+    def give_up_waiting(self) -> None:
+        """Take the best line there is; nothing more will come in this epoch."""
+        self._suspects.clear()
+        if self.line is None and self._points:
+            self._fit()
+
+    def _settle(self, device_ns: int, delay: int, arrival_ns: int) -> Verdict:
+        if not self._points:
+            self._began = arrival_ns
+        self._add(device_ns, delay)
+        if len(self._points) < 2 or arrival_ns - self._began < SETTLING:
+            return Verdict.WAIT
+        self._fit()
+        return Verdict.STAMP
+
+    def _jump(self, points: list[tuple[int, int]]) -> Verdict:
+        """Begin a new epoch with these points."""
+        self._jumps += 1
+        points = list(points)
+        self.restart()
+        self._began = sum(points[0])
+        for device_ns, delay in points:
+            self._add(device_ns, delay)
+        if points[-1][0] - points[0][0] < SETTLING:
+            return Verdict.WAIT
+        self._fit()
+        return Verdict.STAMP
+
+    def _add(self, device_ns: int, delay: int) -> None:
+        points = self._points
+        if points and device_ns // BUCKET == points[-1][0] // BUCKET:
+            if delay > points[-1][1]:
+                return
+            points.pop()
+        points.append((device_ns, delay))
+        while device_ns - points[0][0] > WINDOW:
+            points.popleft()
+
+    def _fit(self) -> None:
+        device, delay = np.array(self._points, dtype=np.int64).T
+        line = beneath(device, delay)
+        above = delay - line.at(device)
+        if len(above) > 2 * RAISED_FOR and self._raised(above):
+            self._jumps += 1
+            self._points = deque(list(self._points)[-RAISED_FOR:])
+            self._fit()
+            return
+        self._spread = float(np.median(above)) * 1e-9
+        self.line = line
+
+    @staticmethod
+    def _raised(above: np.ndarray) -> bool:
+        """Tell whether the newest packets are late without exception."""
+        older, newest = above[:-RAISED_FOR], above[-RAISED_FOR:]
+        return bool(newest.min() > RAISED + np.median(older))

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps for samples in packets: device time mapped to host time, increasing, never arrival."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.observation import Samples
+from otf_tracker_driver.clock.device_clock import ClockState, DeviceClock, Verdict
+from otf_tracker_driver.clock.envelope import Line
+
+SLEW = 1e-3
+"""An improved line is approached by at most this share of the time that passes."""
+REPEATED = 10**9
+"""ns; a packet that goes back by less is an old one; by more: the device's clock has restarted."""
+STEP = 1000
+"""ns; least time between stamps."""
+
+
+class HostClock:
+    """Time of the host that never jumps: steady, and equal to the time of day at the start."""
+
+    def __init__(self) -> None:
+        self._ahead = time.time_ns() - time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        """Time now, ns since 1970."""
+        return time.monotonic_ns() + self._ahead
+
+    @property
+    def departed(self) -> float:
+        """How far the time of day has been set ahead since the start, s."""
+        return (time.time_ns() - self.now_ns()) * 1e-9
+
+
+@dataclass(frozen=True)
+class Packet:
+    """Samples that wait for their stamps."""
+
+    device_ns: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+
+
+class Stamper:
+    """Holds packets back until their time is known, then stamps them.
+
+    Attributes
+    ----------
+    dropped : int
+        Samples of device times that had been there before, or cannot be stamped.
+    squeezed : int
+        Samples whose stamps were moved behind those given out before a jump of the clock.
+    """
+
+    def __init__(self) -> None:
+        self._clock = DeviceClock()
+        self._waiting: list[Packet] = []
+        self._device: int | None = None
+        self._given: tuple[int, int] | None = None
+        self._last_ns = -(2**63) + 1
+        self._epoch = self._clock.epoch
+        self.dropped = self.squeezed = 0
+
+    @property
+    def clock(self) -> ClockState:
+        """What is known of the device's clock."""
+        return self._clock.state
+
+    def restart(self) -> list[Samples]:
+        """Return what still waits; the device's clock starts again."""
+        rest = self.flush()
+        self.dropped += sum(len(packet.device_ns) for packet in self._waiting)
+        self._waiting.clear()
+        self._clock.restart()
+        self._device = None
+        return rest
+
+    def flush(self) -> list[Samples]:
+        """Return what still waits, stamped as well as can be."""
+        self._clock.give_up_waiting()
+        return self._release()
+
+    def take(
+        self, device_ns: NDArray[np.int64], xyz: NDArray[np.float64], arrival_ns: int
+    ) -> list[Samples]:
+        """Take the samples of one packet.
+
+        Parameters
+        ----------
+        device_ns : ndarray of int64, shape (n,), ns
+            On the device's clock.
+        xyz : ndarray, shape (n, 3), m
+        arrival_ns : int
+            On the host's clock.
+
+        Returns
+        -------
+        list of Samples
+            All that can be stamped now, in order.
+        """
+        if not len(device_ns):
+            return []
+        back = np.flatnonzero(np.diff(device_ns) < -REPEATED)
+        if back.size:  # the clock has started again within the packet
+            cut = int(back[0]) + 1
+            self._waiting.append(self._increasing(Packet(device_ns[:cut], xyz[:cut])))
+            return self.restart() + self.take(device_ns[cut:], xyz[cut:], arrival_ns)
+        rest: list[Samples] = []
+        if self._device is not None and int(device_ns[-1]) < self._device - REPEATED:
+            rest = self.restart()
+        packet = self._increasing(Packet(device_ns, xyz))
+        if not len(packet.device_ns):
+            return rest
+        self._device = int(packet.device_ns[-1])
+        verdict = self._clock.take(int(device_ns[-1]), arrival_ns)
+        self._waiting.append(packet)
+        return rest if verdict is Verdict.WAIT else rest + self._release()
+
+    def _increasing(self, packet: Packet) -> Packet:
+        """Leave out samples that are not later than all before them."""
+        start = -(2**63) if self._device is None else self._device
+        highest = np.maximum.accumulate(np.concatenate([[start], packet.device_ns]))
+        new = packet.device_ns > highest[:-1]
+        self.dropped += int(np.count_nonzero(~new))
+        return Packet(packet.device_ns[new], packet.xyz[new])
+
+    def _release(self) -> list[Samples]:
+        line = self._clock.line
+        if line is None:
+            return []
+        waiting, self._waiting = self._waiting, []
+        return [self._stamped(packet, line) for packet in waiting if len(packet.device_ns)]
+
+    def _stamped(self, packet: Packet, line: Line) -> Samples:
+        if self._epoch != self._clock.epoch:
+            self._epoch, self._given = self._clock.epoch, None
+        device = packet.device_ns
+        stamp = device + line.at(device)
+        if self._given is not None:
+            at, given = self._given
+            off = given - at - int(line.at(np.int64(at)))
+            left = np.maximum(abs(off) - SLEW * (device - at), 0.0)
+            stamp = stamp + np.rint(np.sign(off) * left).astype(np.int64)
+        least = self._last_ns + STEP * np.arange(1, len(device) + 1)
+        self.squeezed += int(np.count_nonzero(stamp < least))
+        stamp = np.maximum(stamp, least)
+        self._last_ns = int(stamp[-1])
+        self._given = int(device[-1]), self._last_ns
+        return Samples(stamp, packet.xyz)

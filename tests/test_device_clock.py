@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps from a device's clock: near the truth, increasing, whatever clock and network do."""
+
+import numpy as np
+import pytest
+from device_times import EPOCH, Delays, packets
+
+from otf_tracker_driver.clock.stamper import HostClock, Stamper
+
+MILLISECOND = 1e6
+
+
+def stamped(source, stamper=None):
+    """Stamps and true times of all samples, ns; the samples carry their true time."""
+    stamper = stamper or Stamper()
+    out = []
+    for device, true, arrival in source:
+        xyz = np.zeros((len(device), 3))
+        xyz[:, 0] = true - EPOCH
+        out += stamper.take(device, xyz, arrival)
+    out += stamper.flush()
+    stamps = np.concatenate([part.stamp_ns for part in out])
+    return stamps, EPOCH + np.concatenate([part.xyz[:, 0] for part in out]).astype(np.int64)
+
+
+@pytest.mark.parametrize('drift', [15e-6, -20e-6, 28e-6])
+@pytest.mark.parametrize('seed', range(2))
+def test_drifting_clock_is_followed_within_a_millisecond(drift, seed):
+    stamper = Stamper()
+    stamps, true = stamped(packets(seed, 200, drift), stamper)
+    assert np.all(np.diff(stamps) > 0)
+    assert len(stamps) > 99_000
+    off = np.abs(stamps - true)
+    assert off.max() < 1.5 * MILLISECOND
+    assert off[true > EPOCH + 5 * 10**9].max() < MILLISECOND
+    assert stamper.clock.rate == pytest.approx(-drift, abs=8e-6)
+    assert stamper.clock.jumps == 0
+
+
+def test_arrival_times_would_be_wrong_by_a_third_of_a_second():
+    wrong = [arrival - true[0] for _, true, arrival in packets(1, 20, 18e-6)]
+    assert min(wrong) > 300 * MILLISECOND
+
+
+def test_packets_late_by_seconds_change_nothing():
+    def held_up():
+        held = []
+        for k, (device, true, arrival) in enumerate(packets(3, 120, 18e-6)):
+            if 100 <= k < 108:  # a stalled network delivers them together
+                held.append((device, true))
+                continue
+            for old in held:
+                yield *old, arrival
+            held = []
+            yield device, true, arrival
+
+    stamper = Stamper()
+    stamps, true = stamped(held_up(), stamper)
+    assert np.all(np.diff(stamps) > 0)
+    assert np.abs(stamps - true).max() < MILLISECOND
+    assert stamper.clock.late == 8 and stamper.clock.jumps == 0
+
+
+@pytest.mark.parametrize('ahead', [0.3, 5.0, 86_400.0, -0.4, -30.0])
+@pytest.mark.parametrize('seed', range(2))
+def test_jump_of_the_clock_is_found_and_its_packets_wait_for_the_new_line(ahead, seed):
+    stamper = Stamper()
+    source = packets(seed, 60, 18e-6, delays=Delays(1e-3), jumps=[(30.1, ahead)])
+    stamps, true = stamped(source, stamper)
+    assert np.all(np.diff(stamps) > 0)
+    at = EPOCH + 30_100_000_000
+    # the packet that the jump falls into has two clocks; all others have one
+    other = (true < at - 0.34e9) | (true > at + 0.34e9)
+    assert np.abs(stamps - true)[other].max() < 1.5 * MILLISECOND
+    assert other.sum() > 0.98 * len(other)
+    assert stamper.clock.jumps <= 1
+
+
+def test_small_jump_back_is_found_by_packets_that_are_late_without_exception():
+    stamper = Stamper()
+    stamps, true = stamped(packets(1, 120, 18e-6, jumps=[(50.0, -0.02)]), stamper)
+    off = np.abs(stamps - true)
+    assert off[true < EPOCH + 49 * 10**9].max() < 1.5 * MILLISECOND
+    assert off[true > EPOCH + 100 * 10**9].max() < 1.5 * MILLISECOND
+    assert stamper.clock.jumps == 1
+
+
+def test_clock_that_starts_again_with_every_measurement():
+    stamper, out, now = Stamper(), [], 0
+    for seed in range(5):
+        for device, true, arrival in packets(seed, 20, 18e-6):
+            shift = now * 10**9
+            xyz = np.zeros((len(device), 3))
+            xyz[:, 0] = true - EPOCH + shift
+            out += stamper.take(device, xyz, arrival + shift)
+        out += stamper.restart()
+        now += 25
+    stamps = np.concatenate([part.stamp_ns for part in out])
+    true = EPOCH + np.concatenate([part.xyz[:, 0] for part in out]).astype(np.int64)
+    assert len(stamps) > 49_000 and np.all(np.diff(stamps) > 0)
+    assert np.abs(stamps - true).max() < MILLISECOND
+
+
+def test_repeated_and_old_samples_are_left_out():
+    stamper = Stamper()
+    source = list(packets(2, 20, 0.0))
+    source[30:30] = [source[29], source[28]]
+    late = [(device, true, max(arrival, source[29][2])) for device, true, arrival in source[30:]]
+    stamps, true = stamped([*source[:30], *late], stamper)
+    taken = sum(len(device) for device, _, _ in source)
+    assert stamper.dropped == len(source[28][0]) + len(source[29][0])
+    assert len(stamps) == taken - stamper.dropped
+    assert np.abs(stamps - true).max() < MILLISECOND
+
+
+def test_slow_rate_of_samples_counts_as_delay():
+    """At 50 Hz the last sample of a packet is up to 20 ms old when the packet is sent."""
+    stamper = Stamper()
+    stamps, true = stamped(packets(1, 150, 17e-6, interval=0.02), stamper)
+    settled = true > EPOCH + 60 * 10**9
+    assert np.abs(stamps - true)[settled].max() < 2 * MILLISECOND
+    assert stamper.clock.spread == pytest.approx(0.01, abs=0.004)
+
+
+def test_nothing_is_stamped_before_the_clock_is_known_and_all_of_it_then():
+    stamper, source = Stamper(), list(packets(1, 4, 18e-6))
+    waited = 0
+    for device, _, arrival in source:
+        got = stamper.take(device, np.zeros((len(device), 3)), arrival)
+        if got:
+            break
+        assert not stamper.clock.settled
+        waited += len(device)
+    assert 800 < waited < 1300
+    assert sum(map(len, got)) == waited + len(device)
+    assert stamper.clock.settled
+
+
+def test_few_packets_are_stamped_when_nothing_more_will_come():
+    stamper = Stamper()
+    source = list(packets(1, 1.2, 0.0))
+    stamps, true = stamped(source, stamper)
+    assert len(stamps) == sum(len(device) for device, _, _ in source)
+    assert np.abs(stamps - true).max() < 10 * MILLISECOND
+
+
+def test_heavy_jitter_costs_a_few_milliseconds_at_first():
+    stamps, true = stamped(packets(7, 200, 18e-6, delays=Delays(mean=7e-3)))
+    off = np.abs(stamps - true)
+    assert off.max() < 5 * MILLISECOND
+    assert off[true > EPOCH + 60 * 10**9].max() < 1.5 * MILLISECOND
+
+
+def test_host_clock_agrees_with_the_time_of_day():
+    clock = HostClock()
+    assert abs(clock.departed) < 0.1
+    first = clock.now_ns()
+    assert first <= clock.now_ns()
