@@ -27,6 +27,8 @@ from otf_core.tracking.matching import OFF_PATH
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+BLOCK = 65536
+"""samples that are looked at in the machine frame at once: copies of all would be large."""
 SPEED_WINDOW = 0.04
 """s; the speed of a sample is taken over this time."""
 
@@ -251,9 +253,10 @@ def samples_on_lines(
         If there is none.
     """
     leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
-    points = alignment.T_machine_tracker.apply(samples.xyz)
-    lines = Lines.of(alignment.shape)
-    on_chord = lines.along(points, leg)
+    pose, lines = alignment.T_machine_tracker, Lines.of(alignment.shape)
+    on_chord = np.empty(len(samples))
+    for part in _blocks(len(samples)):
+        on_chord[part] = lines.along(pose.apply(samples.xyz[part]), leg[part])
     along = lines.start[leg] + on_chord
     stretch = np.where(alignment.leg == OFF_PATH, OFF_PATH, lines.shape.stretch[leg])
     speed = _moving(samples, along, stretch, config)
@@ -265,12 +268,20 @@ def samples_on_lines(
     chosen = np.flatnonzero(keep)
     if not len(chosen):
         raise InputError('no sample is left on the lines of the path away from corners and stops')
-    offset = points[chosen] - on_chord[chosen, None] * lines.unit[leg[chosen]]
-    bent = np.flatnonzero(lines.shape.curved[leg[chosen]])
-    offset[bent] -= lines.shape.corners[leg[chosen[bent]]]
+    offset = np.empty((len(chosen), 3))
+    for part in _blocks(len(chosen)):
+        here = chosen[part]
+        line = leg[here]
+        offset[part] = pose.apply(samples.xyz[here]) - on_chord[here, None] * lines.unit[line]
+        bent = lines.shape.curved[line]
+        offset[part][bent] -= lines.shape.corners[line[bent]]
     far = _outliers(offset, stretch[chosen], config.outlier_limit)
     chosen = chosen[~far]
     return chosen, on_chord[chosen], speed[chosen], int(far.sum())
+
+
+def _blocks(count: int) -> list[slice]:
+    return [slice(low, low + BLOCK) for low in range(0, count, BLOCK)]
 
 
 def _margins(lines: Lines, alignment: Alignment, config: CalibrationConfig) -> tuple[Array, Array]:

@@ -264,11 +264,10 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
         driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
         rounded = _rounded(match, driven, config)
     pose = _refine(match, driven, rounded, config)
-    points = pose.apply(samples.xyz)
     found = Alignment(
         pose,
         driven.shape.corners,
-        sample_chords(match, driven, points, config.corner_exclusion, 4 * tolerance),
+        sample_chords(match, driven, pose, samples.xyz, config.corner_exclusion, 4 * tolerance),
         _coverage(match, guide, 4 * tolerance),
         _reaches_end(match, guide.vertices, tolerance),
         driven.shape,
@@ -277,7 +276,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     )
     if driven.shape.straight:
         return found
-    return _on_arcs(found, points, SHORT_CURVE * config.corner_exclusion)
+    return _on_arcs(found, pose.apply(samples.xyz), SHORT_CURVE * config.corner_exclusion)
 
 
 def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
