@@ -1,101 +1,114 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Half a million samples from bag to error tables, against rosbags deserialising the same bag.
+"""From bag to error tables, beside rosbags that only reads the same bag; growth to a day of runs.
 
-One simulated run of four laps, 500 samples per second. Timed, shortest of three, all warm:
-``read_bag``; read, calibrate and write all files; the whole command with start-up of Python; and
-for comparison rosbags' AnyReader, which only turns the same bag into message objects and arrays.
-Wall time, and processor time, which depends less on what else the machine does.
+One simulated run at 500 samples per second; four laps are half a million samples. In turn, each
+in a process of its own: a script that reads the bag with rosbags' AnyReader into arrays, ``otf
+calibrate``, and a script that calls ``read_bag``, ``calibrate`` and ``write_calibration``. Of
+the two scripts also the time without the start of Python. Smallest value and median; ratios are
+of the smallest, whole processes and insides apart.
 
-Usage: PYTHONPATH=src/otf_core python bench/calibrate_speed.py [LAPS]
+``--growth``: two laps over and over up to so many millions of samples. Time per million, and
+peak memory over the 32 bytes of a sample (stamp and three coordinates), with and without what
+Python with NumPy and SciPy takes on its own. Ten million samples are a bag of half a gigabyte.
+
+Usage: python bench/calibrate_speed.py [--laps N] [--repeats N]
+       python bench/calibrate_speed.py --growth [1,2,5,10] [--folder SCRATCH]
 """
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import argparse
+import json
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from bag_speed import REPEATS, read_with_rosbags
+from child import Cost, circumstances, measured, spread
+from markdown import heading, numbers, row
 
-from otf_core.bags.bag import BagContent, read_bag, write_bag
-from otf_core.calibration.calibrate import calibrate
-from otf_core.calibration.result import CalibrationResult
-from otf_core.config import PlannerConfig, SimulationConfig
-from otf_core.files.writing import write_text
-from otf_core.model.machine import load_machine
-from otf_core.planning.creator import plan_path
-from otf_core.reports.calibration import write_calibration
-from otf_core.sim.cell import simulate
-
+JOBS = Path(__file__).with_name('calibrate_jobs.py')
+MACHINE = Path(__file__).resolve().parents[1] / 'src/otf_bringup/config/machine.yaml'
 SEED = 20_260_011
-MACHINE = Path(__file__).parent.parent / 'src/otf_bringup/config/machine.yaml'
+BYTES = 32
+"""of a sample: int64 stamp, three float64"""
 
 
-def processor_time() -> float:
-    """Seconds of this process and of those it has waited for."""
-    t = os.times()
-    return t.user + t.system + t.children_user + t.children_system
+def command(bag: Path, out: Path) -> list[str | Path]:
+    """Words of the command."""
+    words = ['calibrate', bag, '--machine', MACHINE, '--out', out, '--overwrite']
+    return ['-m', 'otf_core.cli', *words]
 
 
-def timed(work: Callable[[], Any]) -> tuple[float, float, Any]:
-    """Shortest wall time and processor time of some repeats in s, and the last result."""
-    wall, processor, result = float('inf'), float('inf'), None
-    for _ in range(REPEATS):
-        start, start_processor = time.perf_counter(), processor_time()
-        result = work()
-        wall = min(wall, time.perf_counter() - start)
-        processor = min(processor, processor_time() - start_processor)
-    return wall, processor, result
+def inside(costs: list[Cost], name: str) -> list[float]:
+    """One of the times that a script printed."""
+    return [json.loads(cost.text)[name] for cost in costs]
 
 
-def bag_to_tables(bag: Path, machine_file: Path, out: Path) -> CalibrationResult:
-    """What ``./otf calibrate`` does."""
-    content = read_bag(bag)
-    result = calibrate(content.samples, content.path, load_machine(machine_file))
-    write_calibration(result, out)
-    return result
+def beside_rosbags(folder: Path, laps: int, repeats: int) -> None:
+    """Print the table of whole processes and the one of their insides."""
+    bag = folder / 'bag'
+    words = ['simulate', '--machine', MACHINE, '--out', bag, '--passes', str(laps)]
+    measured(['-m', 'otf_core.cli', *words, '--seed', str(SEED)])
+    lines = {
+        'rosbags AnyReader, read only': [JOBS, 'rosbags', bag],
+        '`otf calibrate`': command(bag, folder / 'command'),
+        '`read_bag`, `calibrate`, `write_calibration`': [JOBS, 'calibrate', bag, folder / 'out'],
+    }
+    costs: dict[str, list[Cost]] = {name: [] for name in lines}
+    for _ in range(repeats):
+        for name, line in lines.items():
+            costs[name].append(measured(line))
+    rosbags, _, script = costs.values()
+    found = (json.loads(script[0].text)[name] for name in ('pieces', 'unknowns'))
+    samples, pieces, unknowns = json.loads(rosbags[0].text)['samples'], *found
+    print(f'{samples} samples, {pieces} pieces, {unknowns} unknowns; {repeats} times in turn, {circumstances()}\n')  # fmt: skip
+    print(heading(('whole process', 'wall s', 'ratio', 'processor s', 'ratio', 'peak MB')))
+    first = [min(getattr(c, what) for c in rosbags) for what in ('wall', 'processor')]
+    for name, own in costs.items():
+        wall, processor = [c.wall for c in own], [c.processor for c in own]
+        print(row((name, spread(wall), f'{min(wall) / first[0]:.2f}', spread(processor),
+                   f'{min(processor) / first[1]:.2f}',
+                   spread([c.peak / 1e6 for c in own], '.0f'))))  # fmt: skip
+    print('\n' + heading(('without the start of Python', 'wall s', 'ratio')))
+    reading = inside(rosbags, 'read')
+    print(row(('rosbags AnyReader, read only', spread(reading), '1.00')))
+    for name, words in (('all', 'bag to files'), ('read', '- reading'), ('solve', '- calibrating'),
+                        ('write', '- writing')):  # fmt: skip
+        own = inside(script, name)
+        print(row((words, spread(own), f'{min(own) / min(reading):.2f}')))
 
 
-def command(bag: Path, machine_file: Path, out: Path) -> None:
-    """Run the command itself."""
-    words = ['calibrate', str(bag), '--machine', str(machine_file), '--out', str(out)]
-    words += ['--overwrite']
-    subprocess.run([sys.executable, '-m', 'otf_core.cli', *words], check=True, capture_output=True)
+def growth(folder: Path, millions: tuple[float, ...]) -> None:
+    """Print time and memory of ``otf calibrate`` by the number of samples."""
+    empty = measured(['-c', 'import numpy, scipy.sparse.linalg, scipy.ndimage, otf_core']).peak
+    print(f'{circumstances()}; imports alone {empty / 1e6:.0f} MB\n')
+    print(heading(('million samples', 'wall s', 'wall s per million', 'processor s per million',
+                   'peak MB', 'peak / samples', 'without imports')))  # fmt: skip
+    for million in millions:
+        bag = folder / f'{million:g}.mcap'
+        if not bag.exists():
+            measured([JOBS, 'repeat', str(round(1e6 * million)), bag])
+        cost, size = measured(command(bag, folder / 'out')), 1e6 * million * BYTES
+        print(row((f'{million:g}', f'{cost.wall:.1f}', f'{cost.wall / million:.2f}',
+                   f'{cost.processor / million:.2f}', f'{cost.peak / 1e6:.0f}',
+                   f'{cost.peak / size:.1f}', f'{(cost.peak - empty) / size:.1f}')),
+              flush=True)  # fmt: skip
 
 
-def main(laps: int = 4) -> None:
-    machine = load_machine(MACHINE)
-    plan = plan_path(machine, PlannerConfig(passes=laps))
-    run = simulate(machine, plan, SimulationConfig(seed=SEED))
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--laps', type=int, default=4)
+    parser.add_argument('--repeats', type=int, default=10)
+    parser.add_argument('--growth', type=numbers, nargs='?', const=(1, 2, 5, 10))
+    parser.add_argument('--folder', type=Path, help='keeps the bags of --growth for the next time')
+    chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        bag, out, machine_file = folder / 'bag', folder / 'out', folder / 'machine.yaml'
-        write_text(machine_file, MACHINE.read_text(encoding='utf-8'))
-        write_bag(bag, BagContent(run.samples, plan.path))
-        *rosbags, count = timed(lambda: read_with_rosbags(bag))
-        *reading, _ = timed(lambda: read_bag(bag))
-        *whole, result = timed(lambda: bag_to_tables(bag, machine_file, out))
-        *started, _ = timed(lambda: command(bag, machine_file, folder / 'command'))
-    assert count == len(run.samples)
-    fit = result.fit
-    print(f'{fit.samples} samples, {fit.pieces} pieces, {fit.unknowns} unknowns, '
-          f'{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}')  # fmt: skip
-    rows = (
-        ('rosbags AnyReader, deserialise only', rosbags),
-        ('read_bag', reading),
-        ('bag to tables: read, calibrate, write', whole),
-        ('./otf calibrate, start of Python included', started),
-    )
-    print(f'{"":42}{"wall s":>9}{"ratio":>7}{"processor s":>13}{"ratio":>7}')
-    for name, seconds in rows:
-        print(f'{name:42}{seconds[0]:9.2f}{seconds[0] / rosbags[0]:7.3f}'
-              f'{seconds[1]:13.2f}{seconds[1] / rosbags[1]:7.3f}')  # fmt: skip
+        folder = chosen.folder or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        if chosen.growth:
+            growth(folder, chosen.growth)
+        else:
+            beside_rosbags(Path(scratch), chosen.laps, chosen.repeats)
 
 
 if __name__ == '__main__':
-    main(*map(int, sys.argv[1:]))
+    main()
