@@ -156,9 +156,11 @@ class Link:
     async def _answer(self, command: Command, answers: asyncio.Queue[packets.Answer]) -> Values:
         limit = MOVED_WITHIN if command in SLOW else ANSWER_WITHIN
         got = asyncio.ensure_future(answers.get())
-        await asyncio.wait({got, self.ended}, timeout=limit, return_when='FIRST_COMPLETED')
-        if not got.done():
+        try:
+            await asyncio.wait({got, self.ended}, timeout=limit, return_when='FIRST_COMPLETED')
+        finally:
             got.cancel()
+        if got.cancelled() or not got.done():
             if self.ended.done():
                 raise LinkError(str(self.ended.exception()))
             what = codes.command_text(command)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 from collections import deque
 from collections.abc import Awaitable, Callable
@@ -41,7 +42,6 @@ class SessionThread:
     def __init__(self, address: Address, wanted: Wanted, find: bool) -> None:
         self._address, self._wanted, self._find = address, wanted, find
         self._samples: deque[Samples] = deque(maxlen=MOST_HELD)
-        self._loop = asyncio.new_event_loop()
         self._made = threading.Event()
         self._session: Session | None = None
         self._run: Future[None] = Future()
@@ -85,7 +85,7 @@ class SessionThread:
         self._thread.join(ENDED_WITHIN)
 
     def _call(self, function: Callable[..., None], *arguments: object) -> None:
-        if not self._loop.is_closed():
+        with contextlib.suppress(RuntimeError):  # the loop has ended by itself
             self._loop.call_soon_threadsafe(function, *arguments)
 
     def _switch(self, on: bool) -> None:
@@ -98,14 +98,10 @@ class SessionThread:
         self._task.cancel()
 
     def _work(self) -> None:
-        try:
-            self._loop.run_until_complete(self._main())
-        finally:
-            self._loop.run_until_complete(self._loop.shutdown_asyncgens())
-            self._loop.close()
+        asyncio.run(self._main())
 
     async def _main(self) -> None:
-        self._streaming = False
+        self._loop, self._streaming = asyncio.get_running_loop(), False
         self._session = Session(self._address, self._wanted, self._find, self._take)
         self._task = asyncio.ensure_future(self._session.run())
         self._made.set()

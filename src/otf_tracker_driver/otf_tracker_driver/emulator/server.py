@@ -71,6 +71,9 @@ class EmulatedTracker:
         clients = list(self._clients)
         for task in clients:
             task.cancel()
+        if self._moving is not None:
+            self._moving.cancel()
+            clients.append(self._moving)
         await asyncio.gather(*clients, return_exceptions=True)
 
     async def _client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -125,8 +128,9 @@ class EmulatedTracker:
         elif number == C.START_MEASUREMENT:
             self._start(wire)
         elif number == C.STOP_MEASUREMENT:
+            if self._measuring is not None:  # else the beam was lost, and the machine drives on
+                self._drive = Drive()
             self._stop()
-            self._drive = Drive()
             wire.put(encode_answer(number, Status.OK))
             wire.put(encode_event(Event.COORDINATE_SYSTEM))
         elif number in (C.INITIALIZE, C.GO_BIRD_BATH, C.FIND_REFLECTOR, C.CHANGE_FACE):
