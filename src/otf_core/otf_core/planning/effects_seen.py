@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.catalogue import Visibility, collect_options, effects_without
-from otf_core.diagnosis.engine.evidence import Option
+from otf_core.diagnosis.engine.catalogue import Visibility, effects_without, tried_effects
 from otf_core.diagnosis.engine.rows import Rows, rows_of
+from otf_core.diagnosis.engine.tried import Tried
 from otf_core.effects import REGISTRY
 from otf_core.model.plan import Plan
 from otf_core.planning.forecast import Forecast, Setup
@@ -29,39 +29,39 @@ def forecast_rows(plan: Plan, setup: Setup, found: Forecast) -> Rows:
     return rows_of([observed], done, setup.calibration.unidentifiable_above)
 
 
-def _whole(options: Sequence[Option]) -> list[Option]:
-    """Options with all terms, one per shape."""
-    most = max((o.take.size for o in options), default=0)
-    return [o for o in options if o.take.size == most]
+def _whole(tried: Sequence[Tried]) -> list[Tried]:
+    """Shapes with all terms."""
+    most = max((t.takes[0].size for t in tried if t.takes), default=0)
+    return [t for t in tried if t.takes and t.takes[0].size == most]
 
 
-def _imitates(own: Option, other: Option) -> bool:
-    """Tell whether another effect can leave every trace of this one."""
-    mine, theirs = own.own / own.size, other.own / other.size
-    values, vectors = np.linalg.eigh(theirs.T @ theirs)
+def _columns(tried: Tried) -> Array:
+    """What an effect adds beyond the tables, m of displacement per unit, shape (r, k)."""
+    option = tried.source.option(tried.takes[0])
+    return np.asarray(option.own / option.size)
+
+
+def _basis(columns: Array) -> Array:
+    """Orthonormal basis of columns."""
+    values, vectors = np.linalg.eigh(columns.T @ columns)
     seen = values > 1e-9 * values[-1]
-    shared = (mine.T @ theirs) @ vectors[:, seen] / np.sqrt(values[seen])
-    return float(np.sum(shared**2)) > SAME * float(np.sum(mine**2))
+    return np.asarray(columns @ (vectors[:, seen] / np.sqrt(values[seen])))
 
 
 def not_told_apart(
-    options: Mapping[str, Sequence[Option]], visible: Mapping[str, Visibility]
+    tried: Mapping[str, Sequence[Tried]], visible: Mapping[str, Visibility]
 ) -> dict[str, tuple[str, ...]]:
-    """Effects that could be taken for each effect."""
-    seen = [n for n, v in visible.items() if v.visible and options[n]]
-    found = {}
-    for name in seen:
-        others = []
-        for other in seen:
-            if other == name:
-                continue
-            pairs = [
-                (a, b) for a in _whole(options[name])[:1] for b in _whole(options[other])[-1:]
-            ]
-            if any(_imitates(a, b) for a, b in pairs):
-                others.append(other)
-        found[name] = tuple(others)
-    return found
+    """Effects that could be taken for each effect: they can leave every trace of it."""
+    seen = [n for n, v in visible.items() if v.visible and _whole(tried[n])]
+    own = {n: _columns(_whole(tried[n])[0]) for n in seen}
+    found: dict[str, list[str]] = {n: [] for n in seen}
+    for other in seen:
+        basis = _basis(_columns(_whole(tried[other])[-1]))
+        for name in seen:
+            shared = np.sum((basis.T @ own[name]) ** 2)
+            if name != other and shared > SAME * np.sum(own[name] ** 2):
+                found[name].append(other)
+    return {name: tuple(others) for name, others in found.items()}
 
 
 def forecast_effects(plan: Plan, setup: Setup, found: Forecast) -> list[dict[str, Any]]:
@@ -80,8 +80,8 @@ def forecast_effects(plan: Plan, setup: Setup, found: Forecast) -> list[dict[str
         not_told_from, needs, words.
     """
     rows = forecast_rows(plan, setup, found)
-    options, visible = collect_options(rows, effects_without(()), {})
-    apart = not_told_apart(options, visible)
+    tried, visible = tried_effects(rows, effects_without(()), {})
+    apart = not_told_apart(tried, visible)
     entries = []
     for name, sight in visible.items():
         others = apart.get(name, ())
