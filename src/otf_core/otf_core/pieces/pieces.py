@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.ndimage import median_filter
 
 from otf_core.config import CalibrationConfig
@@ -140,8 +141,9 @@ class Pieces:
 
     def mean_of(self, values: Array) -> Array:
         """Means over the pieces of values (u, ...) given for ``samples``."""
-        total = np.zeros((len(self), *values.shape[1:]))
-        np.add.at(total, self.piece, values)
+        ones = np.ones(len(self.piece)), (self.piece, np.arange(len(self.piece)))
+        member = sparse.csr_array(sparse.coo_array(ones, shape=(len(self), len(self.piece))))
+        total = (member @ values.reshape(len(values), -1)).reshape(len(self), *values.shape[1:])
         return np.asarray(total / self.count.reshape(-1, *([1] * (values.ndim - 1))))
 
 

@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-BLOCK = 2_000
-"""Pieces at which effects with many terms are evaluated at once; bounds the memory."""
+BLOCK = 600_000
+"""Pieces times terms at which an effect is evaluated at once; bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +116,11 @@ class Rows:
             return columns.reshape(-1, columns.shape[2])
         axes, count = solved.system.axes, len(effect.terms(state.part(slice(0, 1)), shape).names)
         found = np.empty((len(axes), len(state), count))
-        for start in range(0, len(state), BLOCK):
-            part = slice(start, start + BLOCK)
+        step = max(1, BLOCK // max(count, 1))
+        for start in range(0, len(state), step):
+            part = slice(start, start + step)
             terms = effect.terms(state.part(part), shape)
-            np.einsum('cij,ijk->cik', axes[:, part], terms.columns, out=found[:, part])
+            found[:, part] = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ terms.columns, 0, 1)
         return found.reshape(-1, count)
 
     def plain_columns(self, effect: Effect, shape: Shape) -> Array:
