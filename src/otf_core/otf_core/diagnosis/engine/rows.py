@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
+ROWS = 4_000
+"""Rows that are projected at once; bounds the memory."""
 BLOCK = 600_000
 """Pieces times terms at which an effect is evaluated at once; bounds the memory."""
 
@@ -209,7 +211,10 @@ class Rows:
     def project(self, columns: Array) -> Array:
         """Columns (r, k) less what tables and poses can follow of them."""
         inner = linalg.cho_solve((self.factor, True), self.base.T @ columns)
-        return np.asarray(columns - self.base @ inner)
+        found = np.array(columns)
+        for start in range(0, len(found), ROWS):
+            found[start : start + ROWS] -= self.base[start : start + ROWS] @ inner
+        return found
 
     @cached_property
     def residual(self) -> Array:

@@ -191,10 +191,7 @@ def _group(
 ) -> list[_Sums]:
     """Sums over runs that share their coefficients."""
     ends = np.cumsum([0, *(s.system.deviation.size for s in rows.done.runs)])
-    plain = [
-        np.concatenate([rows.columns_in_run(s.effect, s.shape, k) for s in batch], axis=1)
-        for k in group
-    ]
+    plain = [_beside([rows.columns_in_run(s.effect, s.shape, k) for s in batch]) for k in group]
     size = _sizes(plain)
     cross, right = np.zeros((len(rows.use), len(size))), np.zeros(len(size))
     squares = [np.zeros((s.place.stop - s.place.start,) * 2) for s in batch]
@@ -210,6 +207,11 @@ def _group(
         _Sums(size[s.place], square, cross[:, s.place], right[s.place])
         for s, square in zip(batch, squares, strict=True)
     ]
+
+
+def _beside(parts: Sequence[Array]) -> Array:
+    """Columns side by side; no copy of one part alone."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
 def _sizes(plain: Sequence[Array]) -> Array:
