@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 
 from otf_core.config import CalibrationConfig
@@ -141,8 +142,9 @@ class Pieces:
 
     def mean_of(self, values: Array) -> Array:
         """Means over the pieces of values (u, ...) given for ``samples``."""
-        total = np.zeros((len(self), *values.shape[1:]))
-        np.add.at(total, self.piece, values)
+        ones = np.ones(len(self.piece)), (self.piece, np.arange(len(self.piece)))
+        member = sparse.csr_array(sparse.coo_array(ones, shape=(len(self), len(self.piece))))
+        total = (member @ values.reshape(len(values), -1)).reshape(len(self), *values.shape[1:])
         return np.asarray(total / self.count.reshape(-1, *([1] * (values.ndim - 1))))
 
 
