@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.assess import plain_residuals
-from otf_core.diagnosis.engine.rows import Rows, build_rows
+from otf_core.diagnosis.engine.rows import Rows, left_by
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording, Run, reduced
+from otf_core.solving.joint import settled
 from otf_core.solving.reversal_choice import solve_with_reversal
 from otf_core.tracking.matching import OFF_PATH
 
@@ -48,4 +48,7 @@ def simulated_residual_um(
         runs.append(replace(again, late=run.late))
     plain = replace(config, reversal='none')
     solution = solve_with_reversal(runs, dict(nodes), plain, lambda stage, fraction: None)
-    return plain_residuals(build_rows(*solution.plain, config.unidentifiable_above)).rms_um
+    done = settled(solution.plain[1], config.unidentifiable_above)
+    left = left_by(done, [solved.system.deviation for solved in done.runs])
+    square = np.concatenate([np.sum(part**2, axis=0) for part in left])
+    return float(1e6 * np.sqrt(square.mean()))
