@@ -32,7 +32,7 @@ from otf_core.model.machine import load_machine
 from otf_core.planning.creator import plan_path
 from otf_core.sim.cell import simulate
 
-SEEDS = (31, 32)
+SEEDS = (20_260_012, 20_260_013)
 EFFECTS = (
     AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6}),
     AppliedEffect(REGISTRY['thermal_structure_drift'], {'tau': 150.0, 'D_X': 6e-6, 'D_Z': -5e-6}),
