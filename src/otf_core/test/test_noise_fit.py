@@ -95,7 +95,7 @@ def test_score_is_the_slope_of_the_density_with_tables_and_pose_integrated_out(s
     residual = (y - A @ (own @ (A.T @ weight @ y))).reshape(2, -1)
     gauge = short.unknowns.gauge.toarray()
     lines = _lines(short.system, short.pieces, residual, gauge @ own @ gauge.T)
-    score, information = _slopes(short.system, short.pieces, NOISE, logs, lines)
+    score, information = _slopes(NOISE, logs, lines)
 
     def density(at):
         return multivariate_normal.logpdf(y, cov=dense(short, at) + (A * prior) @ A.T)
@@ -120,7 +120,7 @@ def test_sizes_are_found_again_within_their_uncertainty(long):
         residual = drawn(long, TRUTH, seed)
         found = fit_noise(long.system, long.pieces, residual, NOISE, nothing).logs
         lines = _lines(long.system, long.pieces, residual, nothing)
-        data = _slopes(long.system, long.pieces, NOISE, found, lines)[1]
+        data = _slopes(NOISE, found, lines)[1]
         u = np.sqrt(np.diag(np.linalg.inv(data + np.diag(1 / PRIOR**2))))
         ratios.append((found - TRUTH) / u)
         assert np.abs(found - TRUTH)[[WHITE, INDEPENDENT, LASTING]].max() < 1.5

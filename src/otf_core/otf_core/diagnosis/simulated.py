@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.assess import plain_residuals
-from otf_core.diagnosis.engine.rows import Rows, build_rows
+from otf_core.diagnosis.engine.rows import Rows, left_by
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording, Run, reduced
-from otf_core.solving.reversal_choice import solve_with_reversal
+from otf_core.solving.joint import Start, settled, solve_robustly
 from otf_core.tracking.matching import OFF_PATH
 
 Array = NDArray[np.float64]
@@ -27,6 +26,8 @@ def simulated_residual_um(
     rows: Rows, nodes: Mapping[str, Array], config: CalibrationConfig, twin: Twin, seed: int = 1
 ) -> float:
     """Residual that the calibration leaves on the twins of runs, um.
+
+    The functions of the motions are those chosen for the runs: the twins have their tables.
 
     Parameters
     ----------
@@ -46,6 +47,9 @@ def simulated_residual_um(
         leg = run.alignment.leg[run.alignment.leg != OFF_PATH]
         again = reduced(recording, replace(run.alignment, leg=leg), nodes, config)
         runs.append(replace(again, late=run.late))
-    plain = replace(config, reversal='none')
-    solution = solve_with_reversal(runs, dict(nodes), plain, lambda stage, fraction: None)
-    return plain_residuals(build_rows(*solution.plain, config.unidentifiable_above)).rms_um
+    start, unknowns = Start.after(runs[0].machine, rows.done), rows.done.unknowns
+    _, done = solve_robustly(runs, unknowns, config, lambda stage, fraction: None, start)
+    done = settled(done, config.unidentifiable_above)
+    left = left_by(done, [solved.system.deviation for solved in done.runs])
+    square = np.concatenate([np.sum(part**2, axis=0) for part in left])
+    return float(1e6 * np.sqrt(square.mean()))

@@ -19,9 +19,10 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import leg_bounds, sides_of_travel
+from otf_core.pieces.boundaries import all_boundaries
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.arcs import curvature
-from otf_core.tracking.curve_pieces import curve_boundaries, near_joints
+from otf_core.tracking.curve_pieces import near_joints
 from otf_core.tracking.curves import SHORT_CURVE, Lines
 from otf_core.tracking.matching import OFF_PATH
 
@@ -146,24 +147,6 @@ class Pieces:
         member = sparse.csr_array(sparse.coo_array(ones, shape=(len(self), len(self.piece))))
         total = (member @ values.reshape(len(values), -1)).reshape(len(self), *values.shape[1:])
         return np.asarray(total / self.count.reshape(-1, *([1] * (values.ndim - 1))))
-
-
-def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: float) -> Array:
-    """Piece boundaries along one leg, m from its start: node crossings, then equal parts."""
-    step = corners[leg + 1] - corners[leg]
-    length = float(np.linalg.norm(step))
-    cuts = [np.array([0.0, length])]
-    for axis in range(3):
-        if abs(step[axis]) > 1e-9:
-            cuts.append((nodes[axis] - corners[leg, axis]) / step[axis] * length)
-    marks = np.unique(np.concatenate(cuts))
-    marks = marks[(marks >= 0) & (marks <= length)]
-    marks = marks[np.concatenate([[True], np.diff(marks) > 1e-6])]
-    span = np.diff(marks)
-    parts = np.maximum(np.ceil(span / size), 1.0).astype(np.int64)
-    place = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    inner = place * np.repeat(span / parts, parts) + np.repeat(marks[:-1], parts)
-    return np.append(inner, length)
 
 
 def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfig) -> Array:
@@ -323,7 +306,7 @@ def reduce_to_pieces(
     lines, leg = Lines.of(alignment.shape), alignment.leg[chosen]
     shape = lines.shape
     first = np.unique(shape.group)
-    marks = _marks(lines, first, nodes, config.piece_length)
+    marks = all_boundaries(lines, first, nodes, config.piece_length)
     shift = np.concatenate([[0.0], np.cumsum([m[-1] + 1.0 for m in marks])])
     bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
     group = shape.group[leg]
@@ -332,17 +315,6 @@ def reduce_to_pieces(
     piece = np.searchsorted(bounds, shift[np.searchsorted(first, group)] + place, side='right') - 1
     pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, place, outliers)
     return pieces if shape.straight else _on_curves(pieces, lines, alignment, along, speed)
-
-
-def _marks(lines: Lines, first: Index, nodes: tuple[Array, ...], size: float) -> list[Array]:
-    """Piece boundaries of every leg or part of a curve, m from its start."""
-    corners, ends = lines.shape.corners, np.append(first[1:], len(lines.length))
-    return [
-        piece_boundaries(corners, a, nodes, size)
-        if b == a + 1
-        else curve_boundaries(corners[a : b + 1], nodes, size)
-        for a, b in zip(first.tolist(), ends.tolist(), strict=True)
-    ]
 
 
 def _on_curves(

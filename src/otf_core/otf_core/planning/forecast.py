@@ -23,7 +23,8 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.path import MIN_LEG, sides_of_travel
 from otf_core.model.plan import Plan
 from otf_core.noise.model import NoiseModel
-from otf_core.pieces.pieces import SPEED_WINDOW, Pieces, piece_boundaries
+from otf_core.pieces.boundaries import piece_boundaries
+from otf_core.pieces.pieces import SPEED_WINDOW, Pieces
 from otf_core.planning.drive_time import DriveTimes, drive_times
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.solving.normal import NormalEquations, normal_equations

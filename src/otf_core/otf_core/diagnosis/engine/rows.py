@@ -172,10 +172,7 @@ class Rows:
 
     def left(self, plain: Array) -> Array:
         """Deviations (r,) less tables and poses as the calibration fits them, m."""
-        parts = [part[..., None] for part in self.by_run(plain)]
-        fitted = sensitivity(self.done, parts)[:, 0]
-        model = [solved.system.rows.times(fitted).reshape(-1) for solved in self.done.runs]
-        return np.asarray(plain - np.concatenate(model))
+        return np.concatenate([p.reshape(-1) for p in left_by(self.done, self.by_run(plain))])
 
     @cached_property
     def base(self) -> Array:
@@ -223,6 +220,15 @@ class Rows:
     def residual(self) -> Array:
         """Whitened deviations less tables and poses, shape (r,)."""
         return self.project(self.deviation[:, None])[:, 0]
+
+
+def left_by(done: JointSolution, plain: Sequence[Array]) -> list[Array]:
+    """Deviations (c, p) of every run less tables and poses as the calibration fits them, m."""
+    fitted = sensitivity(done, [part[..., None] for part in plain])[:, 0]
+    return [
+        part - solved.system.rows.times(fitted)
+        for part, solved in zip(plain, done.runs, strict=True)
+    ]
 
 
 def build_rows(runs: Sequence[Run], done: JointSolution, limit: float) -> Rows:
