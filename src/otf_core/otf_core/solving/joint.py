@@ -286,6 +286,8 @@ def solve_jointly(
         before, left = left, left_by(systems, solution)
         change = max(float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True))
         progress('solving', iteration / (iteration + 1))
+        if not np.isfinite(change):
+            break
         if change < config.alignment_stop:
             guessed = start is None or start.tables is None
             if not guessed:  # rows as they are in the normal equations

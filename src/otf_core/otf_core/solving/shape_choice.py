@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.solving.basis import Basis, cubic, linear
@@ -159,7 +160,11 @@ def _started(
     whiteners = whiteners_of(once, systems_of(once, [r.pose for r in once], smooth, None))
     laps = [len(r.pieces) / len(o.pieces) for r, o in zip(runs, once, strict=True)]
     seen = seen_blocks(once, smooth, whiteners, config.unidentifiable_above, laps)
-    first = solve_jointly(_thinned(once), smooth, config, progress, Start({}, seen))
+    start = Start({}, seen)
+    try:
+        first = solve_jointly(_thinned(once), smooth, config, progress, start)
+    except InputError:  # too few legs
+        first = solve_jointly(once, smooth, config, progress, start)
     return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]
 
 
