@@ -116,6 +116,9 @@ def wipe(home: Path) -> None:
 
 
 def make_venv(home: Path, title: str, python: str, options: list[str]) -> None:
+    linked = next((p for p in (home, *home.parents) if p.is_symlink()), None)
+    if linked and str(linked).startswith(layout.ROOT):
+        raise layout.SetupError(f'{linked} is a link: what it leads to is not emptied; remove it')
     wipe(home)
     step(title, [python, '-m', 'venv', *options, home], ros.clean(os.environ))
 

@@ -15,16 +15,19 @@ splits in a factor per piece, so the sum over all pairs of legs is one pass over
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.noise.model import MISFIT_TIME, NoiseModel, noise_covariance
+from otf_core.noise.model import MISFIT_TIME, NoiseModel, covariance_parts, noise_covariance
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
-from otf_core.solving.whitener import leg_parts
+from otf_core.solving.normal import side_by_side, white_rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -69,56 +72,83 @@ def _smoothed(duration: Array, time: Array) -> Array:
     return np.asarray(np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x))
 
 
-class _Chain:
+@dataclass(frozen=True)
+class _Line:
+    """Slow noise of a line at its begin and its end: ``vectors`` (k, 6) of ``use`` (k,)."""
+
+    use: Index
+    vectors: Array
+    begin: float
+    end: float
+
+
+def _line(rows: Array, use: Index, slow: Array, time: Array, tau: Array) -> _Line:
+    """For W A (c, m, k), its columns (k,), slow amplitudes (c, m, 3), times (m,) in s."""
+    early = np.exp((time[0] - time)[:, None] / tau)
+    late = np.exp((time - time[-1])[:, None] / tau)
+    both = np.concatenate([slow * early, slow * late], axis=2).reshape(-1, 6)
+    vectors = rows.reshape(-1, rows.shape[2]).T @ both
+    return _Line(use, vectors, float(time[0]), float(time[-1]))
+
+
+def _chained(lines: Sequence[_Line], size: int, tau: Array) -> Array:
     """Sum over pairs of lines of tail and head vectors, decaying with the time between."""
-
-    def __init__(self, size: int, correlation_time: Array) -> None:
-        self._tail = np.zeros((size, 3))
-        self._end = -np.inf
-        self._tau = correlation_time
-        self._pairs: list[tuple[Array, Array]] = []
-
-    def add(self, rows: Array, use: Index, slow: Array, time: Array) -> None:
-        """Add a line: W A (c, m, k), its columns (k,), slow amplitudes (c, m, 3), times (m,)."""
-        flat = rows.reshape(-1, rows.shape[2]).T
-        early = np.exp((time[0] - time)[:, None] / self._tau)
-        late = np.exp((time - time[-1])[:, None] / self._tau)
-        head, tail = np.zeros_like(self._tail), np.zeros_like(self._tail)
-        head[use] = flat @ (slow * early).reshape(-1, 3)
-        tail[use] = flat @ (slow * late).reshape(-1, 3)
-        gap = np.exp(np.minimum(0.0, (self._end - time[0]) / self._tau))
-        self._pairs.append((gap * self._tail, head))
-        later = np.exp(np.minimum(0.0, (self._end - time[-1]) / self._tau))
-        self._tail = self._tail * later + tail
-        self._end = float(time[-1])
-
-    @property
-    def total(self) -> Array:
-        """The sum, shape (size, size)."""
-        tails, heads = (np.concatenate(part, axis=1) for part in zip(*self._pairs, strict=True))
-        half = tails @ heads.T
-        return np.asarray(half + half.T)
+    tail, end = np.zeros((size, 3)), -np.inf
+    tails, heads = (np.zeros((size, 3 * len(lines))) for _ in range(2))
+    for k, line in enumerate(lines):
+        own = slice(3 * k, 3 * k + 3)
+        heads[line.use, own] = line.vectors[:, :3]
+        tails[:, own] = np.exp(np.minimum(0.0, (end - line.begin) / tau)) * tail
+        tail *= np.exp(np.minimum(0.0, (end - line.end) / tau))
+        tail[line.use] += line.vectors[:, 3:]
+        end = line.end
+    half = tails @ heads.T
+    return np.asarray(half + half.T)
 
 
-def _weighted_rows(solved: SolvedRun, leg: int) -> tuple[Array, Index]:
-    """W A of a line, shape (c, m, k), and the k unknowns that it depends on."""
-    use, rows = solved.system.rows.touched(np.arange(*solved.whitener.bounds[leg]))
-    for own, inverse in zip(rows, solved.whitener.inverses[leg], strict=True):
-        own[:] = inverse.T @ (inverse @ own)
-    return rows, use
+@dataclass(frozen=True)
+class _Sums:
+    """Sums over some lines of a run, and the lines themselves by their number."""
+
+    within: Array
+    between: Array
+    noise: dict[int, _Line]
+    misfit: dict[int, _Line]
 
 
-def _between(run: Observed, solved: SolvedRun, leg: int, rows: Array) -> Array:
-    """Part of the covariance between the rows of one line, for W A (c, m, size) of it."""
-    low, high = solved.whitener.bounds[leg]
-    part, pieces, noise = slice(low, high), run.pieces, run.noise_and_misfit[0]
-    windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
-    shares = solved.system.shares[:, :, part]
-    half = np.zeros((rows.shape[2],) * 2)
-    for a, b in combinations(range(len(rows)), 2):
-        white, slow = noise_covariance(noise, shares[:, a], shares[:, b], windows)
-        half += rows[a].T @ ((white + slow) @ rows[b])
-    return half + half.T
+def _summed(run: Observed, solved: SolvedRun, batches: Sequence[list[int]]) -> _Sums:
+    """Sum over the lines of some batches."""
+    size, pieces = solved.system.rows.unknowns.full, run.pieces
+    noise, misfit = run.noise_and_misfit
+    slow, lasts = slow_amplitudes(run, solved), np.array([MISFIT_TIME])
+    shared = solved.system.axes * misfit.slow * _smoothed(pieces.duration, lasts)
+    sums = _Sums(np.zeros((size, size)), np.zeros((size, size)), {}, {})
+    for legs in batches:
+        use, flat = white_rows(solved.system, solved.whitener, legs)
+        rows = flat.reshape(len(slow), -1, len(use))
+        odd, start = np.empty((2, *rows.shape)), 0
+        for leg in legs:
+            low, high = solved.whitener.bounds[leg]
+            own, part = slice(start, start + high - low), slice(low, high)
+            for c, inverse in enumerate(solved.whitener.inverses[leg]):
+                rows[c, own] = inverse.T @ rows[c, own]
+            start = own.stop
+            windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
+            shares, here = solved.system.shares[:, :, part], rows[:, own]
+            parts = covariance_parts(noise, misfit, shares[:, 0], windows)
+            odd[0][:, own] = (parts[2] + parts[3]) @ here
+            odd[1][:, own] = 0.0
+            for a, b in combinations(range(len(rows)), 2):
+                white, tied = noise_covariance(noise, shares[:, a], shares[:, b], windows)
+                odd[1][a, own] += (white + tied) @ here[b]
+            time = windows[0]
+            sums.noise[leg] = _line(here, use, slow[:, part], time, _times(noise))
+            sums.misfit[leg] = _line(here, use, shared[:, part], time, lasts)
+        place, flat = np.ix_(use, use), rows.reshape(-1, len(use)).T
+        sums.within[place] += flat @ odd[0].reshape(flat.T.shape)
+        half = flat @ odd[1].reshape(flat.T.shape)
+        sums.between[place] += half + half.T
+    return sums
 
 
 def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
@@ -133,21 +163,17 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
     size = done.unknowns.full
     within, between, corners, lasting = (np.zeros((size, size)) for _ in range(4))
     for run, solved in zip(runs, done.runs, strict=True):
-        noise, misfit = run.noise_and_misfit
-        slow, lasts = slow_amplitudes(run, solved), np.array([MISFIT_TIME])
-        shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, lasts)
-        chains = _Chain(size, _times(noise)), _Chain(size, lasts)
-        for leg, (low, high) in enumerate(solved.whitener.bounds):
-            rows, use = _weighted_rows(solved, leg)
-            place, own = np.ix_(use, use), np.zeros((use.size, use.size))
-            for component, part in enumerate(rows):
-                parts = leg_parts(solved.system, run.pieces, noise, misfit, component, low, high)
-                own += part.T @ ((parts[2] + parts[3]) @ part)
-            within[place] += own
-            between[place] += _between(run, solved, leg, rows)
-            time = run.pieces.time[low:high]
-            chains[0].add(rows, use, slow[:, low:high], time)
-            chains[1].add(rows, use, shared[:, low:high], time)
-        corners += chains[0].total
-        lasting += chains[1].total
+        shares = side_by_side(solved.system, solved.whitener)
+        with ThreadPoolExecutor(len(shares)) as pool:
+            parts = list(pool.map(partial(_summed, run, solved), shares))
+        for sums in parts:
+            within += sums.within
+            between += sums.between
+        order = range(len(solved.whitener.bounds))
+        noise, misfit = ({k: v for p in parts for k, v in found(p).items()} for found in _LINES)
+        corners += _chained([noise[k] for k in order], size, _times(run.noise_and_misfit[0]))
+        lasting += _chained([misfit[k] for k in order], size, np.array([MISFIT_TIME]))
     return NoiseParts(within, between, corners, lasting)
+
+
+_LINES = (attrgetter('noise'), attrgetter('misfit'))

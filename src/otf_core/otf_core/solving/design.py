@@ -8,7 +8,7 @@ the error vector of every piece only, and dense rows are made for a few legs at 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,10 +20,13 @@ from otf_core.model.kinematics import lever, squareness_influence
 from otf_core.model.machine import AXES, Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.solving.reversal import reversal_columns
-from otf_core.solving.unknowns import Unknowns, pose_block
+from otf_core.solving.unknowns import Unknowns, is_reversal, pose_block
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+SOME = 2048
+"""Pieces whose reversal is looked at together."""
 
 
 @dataclass(frozen=True)
@@ -132,32 +135,43 @@ class Design:
     def _angles(self) -> Index:
         return np.array([self.unknowns.blocks[name].start for name in SQUARENESS])
 
-    @cached_property
-    def _reversal(self) -> tuple[Index, Array]:
-        """Places (k,) and displacements (p, 3, k) of reversal."""
+    @property
+    def _reversals(self) -> Index:
+        blocks = self.unknowns.blocks
+        return np.array([blocks[n].start for n in blocks if is_reversal(n)], dtype=np.int64)
+
+    def _reversal(self, pieces: Index | slice) -> Array:
+        """Displacements (m, 3, k) by the reversal coefficients of some pieces."""
+        q, fixed = self.q[pieces], (self.travel[pieces], self.side[pieces], self.unknowns)
+        found = np.zeros((*q.shape, len(self._reversals)))
         if not self.unknowns.reversal:
-            return np.zeros(0, dtype=np.int64), np.zeros((len(self.q), 3, 0))
-        fixed = (self.travel, self.side, self.unknowns)
-        found = [dict(reversal_columns(self.machine, self.q + s, *fixed)) for s in self.shifts]
-        places = np.array([self.unknowns.blocks[name].start for name in found[0]])
-        parts = [np.stack(list(columns.values()), axis=2) for columns in found]
-        return places, np.asarray(np.mean(parts, axis=0))
+            return found
+        place = {n: k for k, n in enumerate(filter(is_reversal, self.unknowns.blocks))}
+        for shift in self.shifts:
+            part = q + (shift if shift.ndim == 1 else shift[pieces])
+            for name, columns in reversal_columns(self.machine, part, *fixed):
+                found[:, :, place[name]] += columns / len(self.shifts)
+        return found
+
+    def _blocks(self) -> Iterator[slice]:
+        """Pieces, some at a time."""
+        return (slice(low, low + SOME) for low in range(0, len(self.q), SOME))
 
     def _few(self, pieces: Index | slice) -> tuple[Index, Array]:
         """Places (k,) and rows (c, m, k) of pose, squareness and reversal."""
         axes, q = self.axes[:, pieces], self.q[pieces]
         # a . (dr x p) = dr . (p x a); what squareness does is linear within a piece
         angles = np.stack([squareness_influence(name, q) for name in SQUARENESS], axis=2)
-        places, columns = self._reversal
-        influence = np.concatenate([angles, columns[pieces]], axis=2)
+        influence = np.concatenate([angles, self._reversal(pieces)], axis=2)
         rows = [-axes, -crossed(self.points[pieces], axes)]
         rows.append(np.einsum('cpi,pik->cpk', axes, influence))
-        return np.concatenate([self._pose, self._angles, places]), np.concatenate(rows, axis=2)
+        return np.concatenate([self._pose, self._angles, self._reversals]), np.concatenate(
+            rows, axis=2
+        )
 
     def prepare(self) -> None:
         """Make what all rows share; afterwards rows may be made by several threads."""
         self._parts  # noqa: B018
-        self._reversal  # noqa: B018
 
     def dense(self, pieces: Index | slice) -> Array:
         """Rows of some pieces, shape (c, m, full)."""
@@ -260,9 +274,10 @@ class Design:
         total = -moved[:3].T - crossed(moved[3:].T, self.points)
         for angle, name in zip(angles, SQUARENESS, strict=True):
             total += angle[:, None] * squareness_influence(name, self.q)
-        places, columns = self._reversal
-        if places.size:
-            total += np.einsum('pik,kp->pi', columns, own[places][:, of])
+        sizes = own[self._reversals][:, of]
+        if np.any(sizes):
+            for some in self._blocks():
+                total[some] += np.einsum('pik,kp->pi', self._reversal(some), sizes[:, some])
         for part in (part for parts in self._parts for part in parts):
             wide = part.splines @ own[part.starts + np.arange(part.size)[:, None]].reshape(
                 part.size, -1
@@ -280,8 +295,9 @@ class Design:
         found[self._pose] = -np.concatenate([pull.sum(axis=0), turned.sum(axis=0)], axis=1).T
         for place, name in zip(self._angles.tolist(), SQUARENESS, strict=True):
             found[place] = np.einsum('pi,pki->k', squareness_influence(name, self.q), pull)
-        places, columns = self._reversal
-        found[places] = np.einsum('pij,pki->jk', columns, pull, optimize=True)
+        for some in self._blocks() if self.unknowns.reversal else ():
+            columns = self._reversal(some)
+            found[self._reversals] += np.einsum('pij,pki->jk', columns, pull[some], optimize=True)
         for part in (part for parts in self._parts for part in parts):
             six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
             own = part.splines.T @ six.reshape(len(six), -1) / len(self.shifts)

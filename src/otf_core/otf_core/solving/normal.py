@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import reduce
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+Batch = TypeVar('Batch')
 
 WORKERS = 2
 """Sums made side by side, always as many: the order of additions decides the last bits."""
@@ -113,19 +116,29 @@ def sum_groups(
     def added(own: Sequence[tuple[int, list[int]]]) -> Array:
         total = np.zeros((groups, size, size))
         for g, legs in own:
-            columns, white = _white_rows(system, whitener, legs, further)
+            columns, white = white_rows(system, whitener, legs, further)
             total[g][np.ix_(columns, columns)] += white.T @ white
         return total
 
-    # whatever the batches share is made before the workers start
-    system.rows.prepare()
-    whitener.inverses  # noqa: B018
-    shares = [batches[k::WORKERS] for k in range(min(WORKERS, len(batches)))]
+    shares = _shared(system, whitener, batches)
     with ThreadPoolExecutor(WORKERS) as pool:
         products = reduce(np.add, pool.map(added, shares))
     components, size_of = len(system.deviation), np.array([h - low for low, h in whitener.bounds])
     rows = components * np.bincount(group, size_of, groups).astype(int)
     return [_free(p, unknowns, int(n)) for p, n in zip(products, rows, strict=True)]
+
+
+def side_by_side(system: System, whitener: Whitener) -> list[list[list[int]]]:
+    """Batches of legs for every worker; the same whatever computer it is."""
+    group = np.zeros(len(whitener.bounds), dtype=np.int64)
+    return _shared(system, whitener, [legs for _, legs in _batches(system, whitener, group)])
+
+
+def _shared(system: System, whitener: Whitener, batches: list[Batch]) -> list[list[Batch]]:
+    """Deal batches to workers; what these share is made before they start."""
+    system.rows.prepare()
+    whitener.inverses  # noqa: B018
+    return [batches[k::WORKERS] for k in range(min(WORKERS, len(batches)))]
 
 
 def _batches(system: System, whitener: Whitener, group: Index) -> Iterator[tuple[int, list[int]]]:
@@ -151,15 +164,33 @@ def _batches(system: System, whitener: Whitener, group: Index) -> Iterator[tuple
             yield g, legs
 
 
-def _white_rows(
-    system: System, whitener: Whitener, legs: Sequence[int], further: Array
+def white_rows(
+    system: System, whitener: Whitener, legs: Sequence[int], further: Array | None = None
 ) -> tuple[Index, Array]:
-    """Columns, and whitened rows of some legs, all components, further columns at the end."""
+    """Whitened rows of some legs by the unknowns that they depend on.
+
+    Parameters
+    ----------
+    system : System
+    whitener : Whitener
+    legs : sequence of int
+        By their places in ``whitener.bounds``.
+    further : ndarray, shape (c, p, j), optional
+        Further columns, behind the unknowns.
+
+    Returns
+    -------
+    columns : ndarray of int64, shape (k + j,)
+        Places of the unknowns in the full vector; further columns come behind it.
+    rows : ndarray, shape (c m, k + j)
+        Of the first component of all legs, then of the next.
+    """
     bounds = [whitener.bounds[k] for k in legs]
     own = np.concatenate([np.arange(*b) for b in bounds])
-    width = further.shape[2]
+    width = 0 if further is None else further.shape[2]
     columns, rows = system.rows.touched(own, width)
-    rows[:, :, -width:] = further[:, own]
+    if further is not None:
+        rows[:, :, len(columns) :] = further[:, own]
     white = np.empty_like(rows)
     start = 0
     for leg, (low, high) in zip(legs, bounds, strict=True):
