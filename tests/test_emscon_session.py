@@ -12,9 +12,9 @@ from emulated import emulator
 
 from otf_core.errors import OtfError
 from otf_tracker_driver.backends import CommonConfig
+from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
 from otf_tracker_driver.emscon import actions, codes
-from otf_tracker_driver.emscon.thread import joined
 
 PATIENCE = 40.0
 """s"""

@@ -38,6 +38,8 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
 """s; between attempts, doubled each time."""
 SILENT_FOR = 3.0
 """s; a tracker that streams sends packets three times per second."""
+LINGERS = 3.0
+"""s; a tracker may take a connection for open for a while after its end."""
 HARMLESS = frozenset({0, 1, 2, 3, 7, 17, 19, 24, 25, 26, 27, 28, 30, 31, 145, 151, 850, 999})
 """Events that leave units and coordinates as they are."""
 MOST_HELD = 100
@@ -89,7 +91,7 @@ class Session:
         self._lost = ''
         self._doubt = self._closing = False
         self._held: list[tuple[Measurements, int]] = []
-        self._heard = 0.0
+        self._heard, self._made = 0.0, _now()
 
     def stream(self, on: bool) -> None:
         """Say whether a stream is wanted; a new one has nothing to do with that before."""
@@ -121,7 +123,7 @@ class Session:
                     await self._serve(link)
             except TrackerError as error:
                 self._count(self._link)
-                if not self.configured.is_set():
+                if not self.configured.is_set() and not self._may_be_our_own(error):
                     raise TrackerError(f'tracker at {self._address}: {error}') from None
                 self.state.phase = state.CONNECTING
                 self.state.trouble = f'tracker at {self._address}: {error}; connecting again'
@@ -129,6 +131,11 @@ class Session:
                 self._link = None
             await asyncio.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
+
+    def _may_be_our_own(self, error: TrackerError) -> bool:
+        """Tell whether a tracker may just not have noticed that our last connection has ended."""
+        refused = isinstance(error, Refused) and error.status == Status.MULTIPLE_CONNECTIONS
+        return refused and _now() - self._made < LINGERS
 
     async def _configure(self, link: Link) -> None:
         self.state.phase = state.CONFIGURING

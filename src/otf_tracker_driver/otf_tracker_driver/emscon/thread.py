@@ -11,8 +11,6 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from typing import TypeVar
 
-import numpy as np
-
 from otf_core.model.observation import Samples
 from otf_tracker_driver.emscon.configure import Wanted
 from otf_tracker_driver.emscon.errors import TrackerError
@@ -115,11 +113,3 @@ class SessionThread:
     def _take(self, samples: Samples) -> None:
         if self._streaming:
             self._samples.append(samples)
-
-
-def joined(parts: list[Samples]) -> Samples:
-    """All samples of a list that is not empty, as one."""
-    return Samples(
-        np.concatenate([part.stamp_ns for part in parts]),
-        np.concatenate([part.xyz for part in parts]),
-    )
