@@ -6,16 +6,21 @@ Usage: python3 bench/tracker_faults.py [MINUTES [SEED]]     (eval "$(./otf env)"
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tests'))
-from emulated import emulator
+from cells import MACHINE
+from emulated import DRIFT, emulator
 
+from otf_core.config import PlannerConfig
+from otf_core.model.machine import machine_from_dict
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
+from otf_tracker_driver.emulator.cell import Cell
 
 FAULTS = (
     'beam_loss=0.01,beam_out=0.5,split=0.5,merge=0.5,close_after=61,busy=0.1,speed_warning=0.02,'
@@ -25,7 +30,10 @@ FAULTS = (
 
 def main(minutes=10.0, seed=1):
     """Run and print."""
-    with emulator(FAULTS, seed) as running:
+    # never at a standstill for long: the points tell when they were measured
+    planning = PlannerConfig(passes=max(1, round(minutes / 3)))
+    cell = Cell(machine_from_dict(MACHINE), planning, seed, DRIFT)
+    with emulator(FAULTS, seed, cell) as running:
         backend = Emscon(CommonConfig(), EmsconConfig(port=running.port))
         backend.connect()
         backend.start()
@@ -53,7 +61,7 @@ def main(minutes=10.0, seed=1):
     print(
         'pauses of the samples above 1 s:', len(pauses), 'longest', np.round(max(pauses), 2), 's'
     )
-    print(state)
+    print(replace(state, gaps=state.gaps[-1:]))
     print('\n'.join(sorted(said)))
 
 

@@ -163,16 +163,17 @@ def test_samples_in_millimetres_never_pass(make):
         backend = make(running.port)
         backend.connect()
         backend.start()
-        parts = []
+        parts, said = [], set()
 
         def changed():
             parts.append(backend.poll())
+            said.add(backend.trouble)
             return backend.state.connections >= 3
 
         until(changed)
         samples = joined(parts)
         assert np.linalg.norm(samples.xyz, axis=1).max() < 2.0
-        assert backend.state.left_out['units changed'] > 0
+        assert any('another program has changed the units' in text for text in said)
 
 
 def test_clock_that_jumps_is_followed(make):
@@ -192,6 +193,18 @@ def test_second_client_is_told_that_another_one_is_there(make):
         make(running.port).connect()
         with pytest.raises(OtfError, match=f'127.0.0.1:{running.port}: .*another client'):
             make(running.port).connect()
+
+
+def test_tracker_is_told_to_stop_by_a_driver_that_ends(make):
+    with emulator() as running:
+        backend = make(running.port)
+        backend.connect()
+        backend.start()
+        take(backend, 100)
+        stopped = []
+        running.tracker._stop, stop = lambda: (stopped.append(1), stop()), running.tracker._stop
+        backend._thread.close()
+        until(lambda: len(stopped) >= 2)  # by the command, and by the end of the connection
 
 
 def test_unknown_reflector_is_refused_with_those_there_are(make):

@@ -94,7 +94,10 @@ class Emscon(Backend):
 
     def poll(self) -> Samples:
         """Return what has been stamped since the last call."""
-        return joined(self._thread.fetch()) if self._thread and self._streams else NO_SAMPLES
+        if self._thread is None or not self._streams:
+            return NO_SAMPLES
+        assert self._thread.configured, 'asked before the start'
+        return joined(self._thread.fetch())
 
     @property
     def finished(self) -> bool:

@@ -117,7 +117,7 @@ class DeviceClock:
         delay = arrival_ns - device_ns
         if self.line is None:
             return self._settle(device_ns, delay, arrival_ns)
-        above = delay - int(self.line.at(np.int64(device_ns)))
+        above = delay - int(self.line.at(device_ns))
         self._delay = above * 1e-9
         if above < -EARLY:
             return self._jump([(device_ns, delay)], self.line)

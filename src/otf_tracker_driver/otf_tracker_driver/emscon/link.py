@@ -8,6 +8,7 @@ import contextlib
 import socket
 from collections import deque
 from collections.abc import AsyncIterator, Callable
+from typing import Any
 
 from otf_tracker_driver.emscon import codes, commands, packets
 from otf_tracker_driver.emscon.codes import Command, Status
@@ -128,6 +129,10 @@ class Link:
                     raise
             await asyncio.sleep(BUSY_PAUSE)
 
+    def tell(self, command: Command) -> None:
+        """Send a command without values whose answer does not matter any more."""
+        self._writer.write(commands.encode_request(command))
+
     async def reflectors(self) -> dict[int, str]:
         """Return number and name of all reflectors; each comes in an answer of its own."""
         found: dict[int, str] = {}
@@ -157,7 +162,8 @@ class Link:
         limit = MOVED_WITHIN if command in SLOW else ANSWER_WITHIN
         got = asyncio.ensure_future(answers.get())
         try:
-            await asyncio.wait({got, self.ended}, timeout=limit, return_when='FIRST_COMPLETED')
+            either: set[asyncio.Future[Any]] = {got, self.ended}
+            await asyncio.wait(either, timeout=limit, return_when=asyncio.FIRST_COMPLETED)
         finally:
             got.cancel()
         if got.cancelled() or not got.done():

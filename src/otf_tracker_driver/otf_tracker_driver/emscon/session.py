@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from otf_core.model.observation import Samples
 from otf_tracker_driver.clock.stamper import HostClock
@@ -171,7 +171,8 @@ class Session:
             self.state.phase = state.SEARCHING
             lost = self._lost or 'no reflector in the beam'
             if self._find:
-                self.state.trouble = f'{lost}; the tracker searches for the reflector'
+                if pause == FIRST_PAUSE:
+                    self.state.trouble = f'{lost}; the tracker searches for the reflector'
                 try:
                     await link.ask(Command.FIND_REFLECTOR, self._intake.last_range or 3.0)
                     return True
@@ -201,6 +202,9 @@ class Session:
         except LinkError as error:
             self._interrupt(str(error))
             raise
+        except asyncio.CancelledError:
+            link.tell(Command.STOP_MEASUREMENT)
+            raise
         finally:
             self._measuring = False
             self._leave_out_held('settings not confirmed')
@@ -229,9 +233,8 @@ class Session:
         """Wait until something happens; LinkError if that is the end of the connection."""
         waking = asyncio.ensure_future(self._wake.wait())
         try:
-            await asyncio.wait(
-                {waking, link.ended}, timeout=timeout, return_when=asyncio.FIRST_COMPLETED
-            )
+            either: set[asyncio.Future[Any]] = {waking, link.ended}
+            await asyncio.wait(either, timeout=timeout, return_when=asyncio.FIRST_COMPLETED)
         finally:
             waking.cancel()
         self._wake.clear()

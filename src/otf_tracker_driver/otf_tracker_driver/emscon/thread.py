@@ -102,13 +102,14 @@ class SessionThread:
         self._loop, self._streaming = asyncio.get_running_loop(), False
         self._session = Session(self._address, self._wanted, self._find, self._take)
         self._task = asyncio.ensure_future(self._session.run())
+        self._task.add_done_callback(self._ended)
         self._made.set()
-        try:
-            await self._task
-        except asyncio.CancelledError:
-            self._run.set_exception(TrackerError('disconnected'))
-        except TrackerError as error:
-            self._run.set_exception(error)
+        await asyncio.wait({self._task})
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        """Keep why the session has ended, for whoever asks next."""
+        reason = TrackerError('disconnected') if task.cancelled() else task.exception()
+        self._run.set_exception(reason)
 
     def _take(self, samples: Samples) -> None:
         if self._streaming:

@@ -110,7 +110,7 @@ class Measuring:
             return
         xyz = self._cell.at(self._first_tick + tick)
         if self._record:
-            self._record(self._begun + tick * TICK / (1 + self._drift), xyz)
+            self._record(np.asarray(self._begun + tick * TICK / (1 + self._drift)), xyz)
         if self._happens('clock_jump'):
             self._jumped += JUMP
         device_ns = (tick * round(TICK * 1e9)) + round(self._jumped * 1e9)
