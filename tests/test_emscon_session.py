@@ -69,6 +69,14 @@ def test_tracker_is_initialised_and_set_up_and_read_back(make):
         assert kept[codes.Command.GET_SYSTEM_SETTINGS] == (0, 0, 0, 1, 1, 0, 0, 0, 0)
 
 
+def test_tracker_that_is_busy_is_asked_again(make):
+    with emulator('busy=0.6', seed=6) as running:
+        backend = make(running.port, reflector='CCR-1.5in')
+        backend.connect()
+        until(lambda: not backend.preparing)
+        assert backend.state.tracker.reflector == 'CCR-1.5in'
+
+
 def test_tracker_that_initialises_for_long_is_waited_for_after_connect(make, monkeypatch):
     monkeypatch.setattr('otf_tracker_driver.backends.emscon.PATIENCE', 0.3)
     with emulator('initialize=1.5') as running:
@@ -78,7 +86,7 @@ def test_tracker_that_initialises_for_long_is_waited_for_after_connect(make, mon
         until(lambda: not backend.preparing)
 
 
-@pytest.mark.parametrize('faults', ['', 'split,merge', 'busy=0.5'])
+@pytest.mark.parametrize('faults', ['', 'split,merge'])
 def test_samples_have_the_time_at_which_they_were_measured(make, faults):
     with emulator(faults) as running:
         backend = make(running.port)
