@@ -220,14 +220,15 @@ def run(*arguments):
     )
 
 
-def test_command_says_where_it_listens_and_ends_when_interrupted(tmp_path):
+@pytest.mark.parametrize('end', [signal.SIGINT, signal.SIGTERM])
+def test_command_says_where_it_listens_and_ends_when_interrupted(tmp_path, end):
     machine = str(write_machine(tmp_path))
     with run('--machine', machine, '--port', '0', '--passes', '1', '--levels', '2') as process:
         where = process.stdout.readline()
         assert where.startswith('listening on 127.0.0.1:')
         client = Client(int(where.rpartition(':')[2]))
         assert client.ask(1)[0] == 0
-        process.send_signal(signal.SIGINT)
+        process.send_signal(end)
         assert process.wait(20) == 0
         assert process.stderr.read() == ''
         client.close()

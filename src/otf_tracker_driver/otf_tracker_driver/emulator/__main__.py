@@ -7,6 +7,7 @@ import argparse
 import asyncio
 import contextlib
 import random
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -20,7 +21,7 @@ SLOWEST, FASTEST = 15e-6, 20e-6
 
 
 async def serve(given: argparse.Namespace, faults: Faults, planning: PlannerConfig) -> None:
-    """Simulate the cell, listen, say where, serve until cancelled."""
+    """Simulate the cell, listen, say where, serve until interrupted."""
     # scipy takes seconds on a cold computer; mistakes are told before
     from otf_core.model.machine import load_machine
     from otf_core.model.tables import load_tables
@@ -38,10 +39,13 @@ async def serve(given: argparse.Namespace, faults: Faults, planning: PlannerConf
         where = f'{given.host}:{given.port}'
         raise InputError(f'cannot listen on {where} ({reason}); choose another --port') from None
     try:
+        interrupted = asyncio.Event()
+        for end in (signal.SIGINT, signal.SIGTERM):  # a background job ignores SIGINT else
+            asyncio.get_running_loop().add_signal_handler(end, interrupted.set)
         name, number = server.sockets[0].getsockname()[:2]
         sys.stdout.write(f'listening on {name}:{number}\n')
         sys.stdout.flush()
-        await server.serve_forever()
+        await interrupted.wait()
     finally:
         server.close()
         await tracker.close()
