@@ -6,10 +6,12 @@ to change in them so that connecting fails. At least 300 samples have to come of
 in no less than two seconds. What follows the yield cleans up.
 """
 
+import json
 from pathlib import Path
 
 from cells import write_machine
 from emulated import emulator
+from streaming import CARTESIAN, sender
 
 BAG = Path(__file__).parents[1] / 'bags/y-carries-the-table/bag'
 
@@ -28,4 +30,11 @@ def emscon(folder):
         yield {'emscon.port': running.port}, {'emscon.host': 'no.such.host.invalid'}
 
 
-SOURCES = {'simulated': simulated, 'replay': replay, 'emscon': emscon}
+def stream(folder):
+    with sender('tcp', CARTESIAN) as source:
+        file = folder / 'source.yaml'
+        file.write_text(json.dumps({**CARTESIAN, 'source': source.url}))
+        yield {'stream.source': str(file)}, {'stream.source': str(folder / 'none.yaml')}
+
+
+SOURCES = {'simulated': simulated, 'replay': replay, 'emscon': emscon, 'stream': stream}

@@ -5,6 +5,7 @@ import asyncio
 import threading
 import time
 from contextlib import contextmanager
+from functools import lru_cache
 
 import numpy as np
 from cells import MACHINE, SHORT
@@ -16,24 +17,21 @@ from otf_tracker_driver.emulator.faults import read_faults
 from otf_tracker_driver.emulator.server import EmulatedTracker
 
 DRIFT = 18e-6
-_CELLS = {}
 
 
-def cell(seed=1):
-    """The small cell, simulated once."""
-    if seed not in _CELLS:
-        machine = machine_from_dict(MACHINE)
-        _CELLS[seed] = Cell(machine, PlannerConfig(**SHORT), seed, DRIFT)
-    return _CELLS[seed]
+@lru_cache
+def cell():
+    """The small cell on its short path, simulated once."""
+    return Cell(machine_from_dict(MACHINE), PlannerConfig(**SHORT), 1, DRIFT)
 
 
 class Running:
     """What a test sees of a running emulator: its port, and what it has measured when."""
 
-    def __init__(self, faults, seed):
+    def __init__(self, faults, seed, simulated):
         self.true_ns = {}
         self._ahead = time.time_ns() - time.monotonic_ns()
-        arguments = cell(), read_faults(faults), seed, DRIFT, self._record
+        arguments = simulated or cell(), read_faults(faults), seed, DRIFT, self._record
         self.tracker = EmulatedTracker(*arguments)
         self.tracker.device.initialised = 'initialize' not in faults
         self._loop = asyncio.new_event_loop()
@@ -72,9 +70,9 @@ class Running:
 
 
 @contextmanager
-def emulator(faults='', seed=1):
-    """Run an emulated tracker."""
-    running = Running(faults, seed)
+def emulator(faults='', seed=1, simulated=None):
+    """Run an emulated tracker, of the small cell if no other is given."""
+    running = Running(faults, seed, simulated)
     running.start()
     try:
         yield running

@@ -109,4 +109,4 @@ def test_nodes_read_the_parameter_file(graph, machine_file):
     graph.wait(lambda: 'planned for' in node.last_lines(), 'the plan')
     assert '295 points' in node.last_lines()
     graph.start('tracker_driver', [*arguments, '-p', f'machine_file:={machine_file}'])
-    assert graph.wait_for_status('IDLE').rate == 123.0
+    graph.wait(lambda: graph.status() and graph.status().rate == 123.0, 'the rate')

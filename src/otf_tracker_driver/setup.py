@@ -14,7 +14,12 @@ setup(
     zip_safe=False,
     maintainer='OTF calibration maintainers',
     maintainer_email='maintainers@example.org',
-    description='Node that publishes tracker samples: simulated, or from a bag.',
+    description='Node that publishes tracker samples: simulated, replayed, or measured.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['tracker_driver = otf_tracker_driver.node:main']},
+    entry_points={
+        'console_scripts': [
+            'tracker_driver = otf_tracker_driver.node:main',
+            'emulate_tracker = otf_tracker_driver.emulator.__main__:main',
+        ]
+    },
 )

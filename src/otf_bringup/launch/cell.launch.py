@@ -5,6 +5,8 @@ ros2 launch otf_bringup cell.launch.py                    simulated cell, real t
 ros2 launch otf_bringup cell.launch.py time_scale:=10.0   the same, ten times as fast
 ros2 launch otf_bringup cell.launch.py diagnose:=true effects:=BACKLASH.yaml
 ros2 launch otf_bringup cell.launch.py backend:=replay bag:=BAG machine_file:=MACHINE.yaml
+ros2 launch otf_bringup cell.launch.py backend:=emscon emscon.host:=HOST machine_file:=MACHINE.yaml
+ros2 launch otf_bringup cell.launch.py backend:=stream stream.source:=SOURCE.yaml machine_file:=...
 """
 
 from contextlib import suppress

@@ -11,6 +11,7 @@ _CLASSES = (
     'simulated.SimulatedTracker',
     'replay.Replay',
     'emscon.Emscon',
+    'stream.Stream',
 )
 """FILE.CLASS, by the files of this folder; FILE also names the backend and its parameters."""
 

@@ -114,3 +114,13 @@ class Backend(ABC):
 
     def disconnect(self) -> None:  # noqa: B027
         """Release the source; comes at any time, also if ``connect`` failed."""
+
+
+def joined(parts: list[Samples]) -> Samples:
+    """All samples of a list as one."""
+    if not parts:
+        return NO_SAMPLES
+    return Samples(
+        np.concatenate([part.stamp_ns for part in parts]),
+        np.concatenate([part.xyz for part in parts]),
+    )

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from otf_core.config import Parameters, parameter
 from otf_core.errors import ConfigError
 from otf_core.model.observation import Samples
-from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig
+from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, joined
 from otf_tracker_driver.emscon.configure import Wanted
 from otf_tracker_driver.emscon.session import Address
 from otf_tracker_driver.emscon.state import SessionState
-from otf_tracker_driver.emscon.thread import SessionThread, joined
+from otf_tracker_driver.emscon.thread import SessionThread
 
 PATIENCE = 8.0
 """s; longer than it takes to connect and configure a tracker that is initialised."""
@@ -94,8 +94,10 @@ class Emscon(Backend):
 
     def poll(self) -> Samples:
         """Return what has been stamped since the last call."""
-        parts = self._thread.fetch() if self._thread and self._streams else []
-        return joined(parts) if parts else NO_SAMPLES
+        if self._thread is None or not self._streams:
+            return NO_SAMPLES
+        assert self._thread.configured, 'asked before the start'
+        return joined(self._thread.fetch())
 
     @property
     def finished(self) -> bool:

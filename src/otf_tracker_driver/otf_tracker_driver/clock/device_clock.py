@@ -117,7 +117,7 @@ class DeviceClock:
         delay = arrival_ns - device_ns
         if self.line is None:
             return self._settle(device_ns, delay, arrival_ns)
-        above = delay - int(self.line.at(np.int64(device_ns)))
+        above = delay - int(self.line.at(device_ns))
         self._delay = above * 1e-9
         if above < -EARLY:
             return self._jump([(device_ns, delay)], self.line)
@@ -127,8 +127,8 @@ class DeviceClock:
             lasted = device_ns - self._suspects[0][0]
             return self._jump(self._suspects, None) if lasted >= LATE_FOR else Verdict.WAIT
         self._suspects.clear()
-        self._add(device_ns, delay)
-        self._fit()
+        if self._add(device_ns, delay):
+            self._fit()
         return Verdict.STAMP
 
     def give_up_waiting(self) -> None:
@@ -166,15 +166,18 @@ class DeviceClock:
         self._fit()
         return Verdict.STAMP
 
-    def _add(self, device_ns: int, delay: int) -> None:
+    def _add(self, device_ns: int, delay: int) -> bool:
+        """Keep a point if it is the least late of its bucket; tell whether it is the first."""
         points = self._points
-        if points and device_ns // BUCKET == points[-1][0] // BUCKET:
+        first = not points or device_ns // BUCKET != points[-1][0] // BUCKET
+        if not first:
             if delay > points[-1][1]:
-                return
+                return False
             points.pop()
         points.append((device_ns, delay))
         while device_ns - points[0][0] > WINDOW:
             points.popleft()
+        return first
 
     def _fit(self) -> None:
         device, delay = np.array(self._points, dtype=np.int64).T

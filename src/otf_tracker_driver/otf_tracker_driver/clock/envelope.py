@@ -49,7 +49,7 @@ class Line:
     base: int
     rate: float
 
-    def at(self, device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def at(self, device_ns: NDArray[np.int64] | int) -> NDArray[np.int64]:
         """Host minus device time at these device times, ns."""
         drift = self.rate * (np.asarray(device_ns) - self.origin)
         return np.asarray(self.base + np.rint(drift).astype(np.int64))

@@ -142,7 +142,7 @@ class Stamper:
         stamp = device + line.at(device)
         if self._given is not None:
             at, given = self._given
-            off = given - at - int(line.at(np.int64(at)))
+            off = given - at - int(line.at(at))
             left = np.maximum(abs(off) - SLEW * (device - at), 0.0)
             stamp = stamp + np.rint(np.sign(off) * left).astype(np.int64)
         least = self._last_ns + STEP * np.arange(1, len(device) + 1)

@@ -7,7 +7,9 @@ import asyncio
 import contextlib
 import socket
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import partial
+from typing import Any, TypeVar
 
 from otf_tracker_driver.emscon import codes, commands, packets
 from otf_tracker_driver.emscon.codes import Command, Status
@@ -15,6 +17,7 @@ from otf_tracker_driver.emscon.commands import Value
 from otf_tracker_driver.emscon.errors import LinkError, Refused, TrackerError
 from otf_tracker_driver.emscon.framing import Framer, ProtocolError
 
+T = TypeVar('T')
 Values = tuple[Value, ...]
 Unasked = Callable[[packets.Packet, int], None]
 
@@ -117,27 +120,42 @@ class Link:
         LinkError
             If there is no answer, or no connection.
         """
+        return await self._patiently(command, values, partial(self._answer, command))
+
+    def tell(self, command: Command) -> None:
+        """Send a command without values whose answer does not matter any more."""
+        self._writer.write(commands.encode_request(command))
+
+    async def reflectors(self) -> dict[int, str]:
+        """Return number and name of all reflectors; each comes in an answer of its own."""
+        return await self._patiently(Command.GET_REFLECTORS, (), self._list)
+
+    async def _list(self, answers: asyncio.Queue[packets.Answer]) -> dict[int, str]:
+        found: dict[int, str] = {}
+        for _ in range(MOST_REFLECTORS):
+            total, number, _, _, name = await self._answer(Command.GET_REFLECTORS, answers)
+            found[int(number)] = str(name)
+            if len(found) >= int(total):
+                return found
+        raise LinkError(f'the tracker lists more than {MOST_REFLECTORS} reflectors')
+
+    async def _patiently(
+        self,
+        command: Command,
+        values: Values,
+        take: Callable[[asyncio.Queue[packets.Answer]], Awaitable[T]],
+    ) -> T:
+        """Send a command and take its answers; again while the tracker is busy."""
         loop = asyncio.get_running_loop()
         until = loop.time() + BUSY_FOR
         while True:
             try:
                 async with self._asked(command, values) as answers:
-                    return await self._answer(command, answers)
+                    return await take(answers)
             except Refused as refused:
                 if refused.status != Status.BUSY or loop.time() > until:
                     raise
             await asyncio.sleep(BUSY_PAUSE)
-
-    async def reflectors(self) -> dict[int, str]:
-        """Return number and name of all reflectors; each comes in an answer of its own."""
-        found: dict[int, str] = {}
-        async with self._asked(Command.GET_REFLECTORS, ()) as answers:
-            for _ in range(MOST_REFLECTORS):
-                total, number, _, _, name = await self._answer(Command.GET_REFLECTORS, answers)
-                found[int(number)] = str(name)
-                if len(found) >= int(total):
-                    return found
-        raise LinkError(f'the tracker lists more than {MOST_REFLECTORS} reflectors')
 
     @contextlib.asynccontextmanager
     async def _asked(
@@ -157,7 +175,8 @@ class Link:
         limit = MOVED_WITHIN if command in SLOW else ANSWER_WITHIN
         got = asyncio.ensure_future(answers.get())
         try:
-            await asyncio.wait({got, self.ended}, timeout=limit, return_when='FIRST_COMPLETED')
+            either: set[asyncio.Future[Any]] = {got, self.ended}
+            await asyncio.wait(either, timeout=limit, return_when=asyncio.FIRST_COMPLETED)
         finally:
             got.cancel()
         if got.cancelled() or not got.done():

@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from otf_core.model.observation import Samples
 from otf_tracker_driver.clock.stamper import HostClock
@@ -38,6 +38,8 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
 """s; between attempts, doubled each time."""
 SILENT_FOR = 3.0
 """s; a tracker that streams sends packets three times per second."""
+LINGERS = 3.0
+"""s; a tracker may take a connection for open for a while after its end."""
 HARMLESS = frozenset({0, 1, 2, 3, 7, 17, 19, 24, 25, 26, 27, 28, 30, 31, 145, 151, 850, 999})
 """Events that leave units and coordinates as they are."""
 MOST_HELD = 100
@@ -89,7 +91,7 @@ class Session:
         self._lost = ''
         self._doubt = self._closing = False
         self._held: list[tuple[Measurements, int]] = []
-        self._heard = 0.0
+        self._heard, self._made = 0.0, _now()
 
     def stream(self, on: bool) -> None:
         """Say whether a stream is wanted; a new one has nothing to do with that before."""
@@ -121,7 +123,7 @@ class Session:
                     await self._serve(link)
             except TrackerError as error:
                 self._count(self._link)
-                if not self.configured.is_set():
+                if not self.configured.is_set() and not self._may_be_our_own(error):
                     raise TrackerError(f'tracker at {self._address}: {error}') from None
                 self.state.phase = state.CONNECTING
                 self.state.trouble = f'tracker at {self._address}: {error}; connecting again'
@@ -129,6 +131,11 @@ class Session:
                 self._link = None
             await asyncio.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
+
+    def _may_be_our_own(self, error: TrackerError) -> bool:
+        """Tell whether a tracker may just not have noticed that our last connection has ended."""
+        refused = isinstance(error, Refused) and error.status == Status.MULTIPLE_CONNECTIONS
+        return refused and _now() - self._made < LINGERS
 
     async def _configure(self, link: Link) -> None:
         self.state.phase = state.CONFIGURING
@@ -164,7 +171,8 @@ class Session:
             self.state.phase = state.SEARCHING
             lost = self._lost or 'no reflector in the beam'
             if self._find:
-                self.state.trouble = f'{lost}; the tracker searches for the reflector'
+                if pause == FIRST_PAUSE:
+                    self.state.trouble = f'{lost}; the tracker searches for the reflector'
                 try:
                     await link.ask(Command.FIND_REFLECTOR, self._intake.last_range or 3.0)
                     return True
@@ -194,6 +202,9 @@ class Session:
         except LinkError as error:
             self._interrupt(str(error))
             raise
+        except asyncio.CancelledError:
+            link.tell(Command.STOP_MEASUREMENT)
+            raise
         finally:
             self._measuring = False
             self._leave_out_held('settings not confirmed')
@@ -222,9 +233,8 @@ class Session:
         """Wait until something happens; LinkError if that is the end of the connection."""
         waking = asyncio.ensure_future(self._wake.wait())
         try:
-            await asyncio.wait(
-                {waking, link.ended}, timeout=timeout, return_when=asyncio.FIRST_COMPLETED
-            )
+            either: set[asyncio.Future[Any]] = {waking, link.ended}
+            await asyncio.wait(either, timeout=timeout, return_when=asyncio.FIRST_COMPLETED)
         finally:
             waking.cancel()
         self._wake.clear()

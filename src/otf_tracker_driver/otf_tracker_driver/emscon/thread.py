@@ -11,8 +11,6 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from typing import TypeVar
 
-import numpy as np
-
 from otf_core.model.observation import Samples
 from otf_tracker_driver.emscon.configure import Wanted
 from otf_tracker_driver.emscon.errors import TrackerError
@@ -104,22 +102,15 @@ class SessionThread:
         self._loop, self._streaming = asyncio.get_running_loop(), False
         self._session = Session(self._address, self._wanted, self._find, self._take)
         self._task = asyncio.ensure_future(self._session.run())
+        self._task.add_done_callback(self._ended)
         self._made.set()
-        try:
-            await self._task
-        except asyncio.CancelledError:
-            self._run.set_exception(TrackerError('disconnected'))
-        except TrackerError as error:
-            self._run.set_exception(error)
+        await asyncio.wait({self._task})
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        """Keep why the session has ended, for whoever asks next."""
+        reason = TrackerError('disconnected') if task.cancelled() else task.exception()
+        self._run.set_exception(reason)
 
     def _take(self, samples: Samples) -> None:
         if self._streaming:
             self._samples.append(samples)
-
-
-def joined(parts: list[Samples]) -> Samples:
-    """All samples of a list that is not empty, as one."""
-    return Samples(
-        np.concatenate([part.stamp_ns for part in parts]),
-        np.concatenate([part.xyz for part in parts]),
-    )

@@ -3,48 +3,52 @@
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import contextlib
 import random
+import signal
 import sys
 from collections.abc import Sequence
 
 from otf_core.cli.parser import Parser
 from otf_core.config import ParameterInfo, PlannerConfig
 from otf_core.errors import InputError, OtfError
-from otf_core.model.machine import load_machine
-from otf_core.model.tables import load_tables
-from otf_tracker_driver.emulator.cell import Cell
 from otf_tracker_driver.emulator.faults import Faults, read_faults
-from otf_tracker_driver.emulator.server import EmulatedTracker
 
 SLOWEST, FASTEST = 15e-6, 20e-6
 """Rates that recorded trackers' clocks differ from those of hosts by."""
 
 
-def make(
-    machine: str, seed: int, faults: Faults, planning: PlannerConfig, truth: str = ''
-) -> EmulatedTracker:
-    """Make the tracker of a simulated cell."""
-    drift = random.Random(seed).uniform(SLOWEST, FASTEST)
-    tables = load_tables(truth).tables if truth else None
-    cell = Cell(load_machine(machine), planning, seed, drift, tables)
-    return EmulatedTracker(cell, faults, seed, drift)
+async def serve(given: argparse.Namespace, faults: Faults, planning: PlannerConfig) -> None:
+    """Simulate the cell, listen, say where, serve until interrupted."""
+    # scipy takes seconds on a cold computer; mistakes are told before
+    from otf_core.model.machine import load_machine
+    from otf_core.model.tables import load_tables
+    from otf_tracker_driver.emulator.cell import Cell
+    from otf_tracker_driver.emulator.server import EmulatedTracker
 
-
-async def serve(tracker: EmulatedTracker, host: str, port: int) -> None:
-    """Serve until cancelled; says where."""
+    drift = random.Random(given.seed).uniform(SLOWEST, FASTEST)
+    truth = load_tables(given.tables).tables if given.tables else None
+    cell = Cell(load_machine(given.machine), planning, given.seed, drift, truth)
+    tracker = EmulatedTracker(cell, faults, given.seed, drift)
     try:
-        server = await asyncio.start_server(tracker.accept, host, port)
+        server = await asyncio.start_server(tracker.accept, given.host, given.port)
     except (OSError, OverflowError) as error:
         reason = getattr(error, 'strerror', None) or error
-        where = f'{host}:{port}'
+        where = f'{given.host}:{given.port}'
         raise InputError(f'cannot listen on {where} ({reason}); choose another --port') from None
-    async with server:
+    try:
+        interrupted = asyncio.Event()
+        for end in (signal.SIGINT, signal.SIGTERM):  # a background job ignores SIGINT else
+            asyncio.get_running_loop().add_signal_handler(end, interrupted.set)
         name, number = server.sockets[0].getsockname()[:2]
         sys.stdout.write(f'listening on {name}:{number}\n')
         sys.stdout.flush()
-        await server.serve_forever()
+        await interrupted.wait()
+    finally:
+        server.close()
+        await tracker.close()
 
 
 def _described(info: ParameterInfo) -> str:
@@ -68,11 +72,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         planning = PlannerConfig(passes=given.passes, levels=given.levels)
-        tracker = make(
-            given.machine, given.seed, read_faults(given.faults), planning, given.tables
-        )
+        faults = read_faults(given.faults)
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(serve(tracker, given.host, given.port))
+            asyncio.run(serve(given, faults, planning))
     except OtfError as error:
         sys.stderr.write(f'error: {error}\n')
         return error.exit_code

@@ -93,7 +93,8 @@ class Measuring:
             upto = int(end / TICK) // step + 1
             due = self._begun + end / (1 + self._drift)
             await asyncio.sleep(max(0.0, due + self._delay() - time.monotonic()))
-            if self._happens('beam_loss'):
+            if self._happens('beam_loss'):  # recorded trackers send what they have until then
+                self._send(step * np.arange(sent, self._rng.randint(sent, upto)))
                 self._device.seen = False
                 self._put(encode_error(Command.UNSOLICITED, Status.BEAM_LOST))
                 return True
@@ -105,9 +106,11 @@ class Measuring:
 
     def _send(self, tick: NDArray[np.int64]) -> None:
         """Send the samples at these ticks since the start of the measurement."""
+        if not len(tick):
+            return
         xyz = self._cell.at(self._first_tick + tick)
         if self._record:
-            self._record(self._begun + tick * TICK / (1 + self._drift), xyz)
+            self._record(np.asarray(self._begun + tick * TICK / (1 + self._drift)), xyz)
         if self._happens('clock_jump'):
             self._jumped += JUMP
         device_ns = (tick * round(TICK * 1e9)) + round(self._jumped * 1e9)

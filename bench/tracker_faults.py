@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Driver against an emulated tracker with every fault at once: stamps, losses, recovery times.
+
+Usage: python3 bench/tracker_faults.py [MINUTES [SEED]]     (eval "$(./otf env)" before)
+"""
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tests'))
+from cells import MACHINE
+from emulated import DRIFT, emulator
+
+from otf_core.config import PlannerConfig
+from otf_core.model.machine import machine_from_dict
+from otf_tracker_driver.backends import CommonConfig
+from otf_tracker_driver.backends.base import joined
+from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
+from otf_tracker_driver.emulator.cell import Cell
+
+FAULTS = (
+    'beam_loss=0.01,beam_out=0.5,split=0.5,merge=0.5,close_after=61,busy=0.1,speed_warning=0.02,'
+    'speed_exceeded=0.02,unknown=0.02,clock_jump=0.001,silent=0.002,foreign=0.003,late=0.02'
+)
+
+
+def main(minutes=10.0, seed=1):
+    """Run and print."""
+    # never at a standstill for long: the points tell when they were measured
+    planning = PlannerConfig(passes=max(1, round(minutes / 3)))
+    cell = Cell(machine_from_dict(MACHINE), planning, seed, DRIFT)
+    with emulator(FAULTS, seed, cell) as running:
+        backend = Emscon(CommonConfig(), EmsconConfig(port=running.port))
+        backend.connect()
+        backend.start()
+        parts, pauses, last, said = [], [], time.monotonic(), set()
+        end = last + 60 * minutes
+        while time.monotonic() < end:
+            part, now = backend.poll(), time.monotonic()
+            if backend.trouble:
+                said.add(backend.trouble.partition(';')[0])
+            if len(part):
+                if now - last > 1.0:
+                    pauses.append(now - last)
+                last = now
+                parts.append(part)
+            time.sleep(0.005)
+        state = backend.state
+        backend.stop()
+        samples = joined(parts)
+        off = np.abs(running.error_ms(samples))
+        backend.disconnect()
+    print(f'{len(samples)} samples; increasing: {bool(np.all(np.diff(samples.stamp_ns) > 0))}')
+    print('stamps off the truth, ms, median 95 % 99 % worst:',
+          np.percentile(off, [50, 95, 99, 100]).round(2))  # fmt: skip
+    print(f'within 1 ms: {100 * np.mean(off < 1):.2f} %')
+    print(
+        'pauses of the samples above 1 s:', len(pauses), 'longest', np.round(max(pauses), 2), 's'
+    )
+    print(replace(state, gaps=state.gaps[-1:]))
+    print('\n'.join(sorted(said)))
+
+
+if __name__ == '__main__':
+    main(*map(float, sys.argv[1:2]), *map(int, sys.argv[2:3]))

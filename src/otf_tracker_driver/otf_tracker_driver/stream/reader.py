@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads a source in a thread of its own, stamps its points, connects again when it is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+
+import numpy as np
+
+from otf_core.errors import InputError
+from otf_core.model.observation import Samples
+from otf_tracker_driver.clock.stamper import HostClock, Stamper
+from otf_tracker_driver.stream.description import Description
+from otf_tracker_driver.stream.lines import Lines, Unreadable, as_arrays, read_point
+from otf_tracker_driver.stream.transport import Transport, opened
+
+WAIT = 0.1
+"""s"""
+FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
+"""s; between attempts to connect again, doubled each time."""
+SILENT_FOR = 3.0
+"""s"""
+MOST_HELD = 100_000
+"""Chunks that wait to be fetched; the oldest are lost beyond."""
+ENDED_WITHIN = 6.0
+"""s"""
+
+
+class Reader:
+    """Owns a transport; every method returns at once.
+
+    Parameters
+    ----------
+    how : Description
+    transport : Transport
+        Open.
+
+    Attributes
+    ----------
+    trouble : str
+        What hinders just now; empty if nothing.
+    points, unreadable : int
+        Lines that held a point, and lines that did not.
+    """
+
+    def __init__(self, how: Description, transport: Transport) -> None:
+        self._how, self._transport = how, transport
+        self._clock, self._stamper, self._lines = HostClock(), Stamper(), Lines()
+        self._samples: deque[Samples] = deque(maxlen=MOST_HELD)
+        self._last_ns = 0
+        self._streaming, self._ended = threading.Event(), threading.Event()
+        self.trouble = ''
+        self.points = self.unreadable = 0
+        self._thread = threading.Thread(target=self._work, name='stream', daemon=True)
+        self._thread.start()
+
+    @property
+    def stamper(self) -> Stamper:
+        """What is known of the clock of the source."""
+        return self._stamper
+
+    def stream(self, on: bool) -> None:
+        """Start or stop a stream; what was not fetched of the one before is forgotten."""
+        if on:
+            self._samples.clear()
+            self._streaming.set()
+        else:
+            self._streaming.clear()
+
+    def fetch(self) -> list[Samples]:
+        """Samples that have come since the last call."""
+        parts = []
+        while self._samples:
+            parts.append(self._samples.popleft())
+        return parts
+
+    def close(self) -> None:
+        """End the thread and close the source."""
+        self._ended.set()
+        self._thread.join(ENDED_WITHIN)
+
+    def _work(self) -> None:
+        pause = FIRST_PAUSE
+        while not self._ended.is_set():
+            try:
+                self._read()
+            except OSError as error:
+                self.trouble = f'{self._how.source}: {error.strerror or error}; connecting again'
+            self._transport.close()
+            while not self._ended.wait(pause):
+                pause = min(2 * pause, LONGEST_PAUSE)
+                try:
+                    self._transport = opened(self._how.source, self._how.peer)
+                except InputError as error:
+                    self.trouble = f'{error}; connecting again'
+                    continue
+                self.trouble, pause = '', FIRST_PAUSE
+                break
+            else:
+                return
+
+    def _read(self) -> None:
+        """Read until the source is lost or the reader ends."""
+        self._lines, told = Lines(), False
+        heard = time.monotonic()
+        while not self._ended.is_set():
+            wanted = self._streaming.is_set()
+            if wanted != told:
+                self._tell(wanted)
+                told = wanted
+                heard = time.monotonic()
+            chunk = self._transport.receive(WAIT)
+            if not wanted:
+                self._lines = Lines()
+            elif chunk is not None:
+                heard = time.monotonic()
+                self._take(chunk)
+            elif time.monotonic() - heard > SILENT_FOR:
+                self.trouble = (
+                    f'{self._how.source}: nothing for {SILENT_FOR:.0f} s; is it sending?'
+                )
+        if told:
+            with contextlib.suppress(OSError):
+                self._tell(False)
+
+    def _tell(self, on: bool) -> None:
+        """Say to the source that a stream starts or ends, and start or end it here."""
+        if on:
+            self._stamper.restart()
+            self._last_ns = 0
+        text = self._how.start if on else self._how.stop
+        if text:
+            self._transport.send(text.encode())
+
+    def _take(self, chunk: bytes) -> None:
+        arrival_ns = self._clock.now_ns()
+        if self._transport.datagrams:
+            chunk += b'\n'
+        points, wrong = [], ''
+        for line in self._lines.feed(chunk):
+            try:
+                points.append(read_point(line, self._how))
+            except Unreadable as error:
+                self.unreadable += 1
+                wrong = f'{error} in line {line[:80]!r}'
+        if points:
+            self.points += len(points)
+            self.trouble = ''
+            self._stamp(*as_arrays(points, arrival_ns), arrival_ns)
+        elif wrong:
+            self.trouble = f'{self._how.source}: {wrong}; check the description'
+
+    def _stamp(self, stamps: np.ndarray, xyz: np.ndarray, arrival_ns: int) -> None:
+        if self._how.stamp is not None:
+            self._samples.extend(self._stamper.take(stamps, xyz, arrival_ns))
+            return
+        first = max(arrival_ns, self._last_ns + 1)
+        self._last_ns = first + len(xyz) - 1
+        self._samples.append(Samples(first + np.arange(len(xyz), dtype=np.int64), xyz))

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""TCP, UDP and serial lines as one thing: bytes come, bytes go."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import termios
+import tty
+from abc import ABC, abstractmethod
+
+from otf_core.errors import InputError
+from otf_tracker_driver.stream.description import Source
+
+CHUNK = 1 << 16
+CONNECT_WITHIN = 5.0
+"""s"""
+
+
+class Transport(ABC):
+    """An open source of bytes; OSError where it has ended."""
+
+    datagrams = False
+
+    @abstractmethod
+    def receive(self, timeout: float) -> bytes | None:
+        """Return what has come, or None if nothing comes within the timeout, s."""
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Send to the source."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close; afterwards nothing may be called."""
+
+
+class Socket(Transport):
+    """TCP connection, or UDP port that is listened to."""
+
+    def __init__(self, opened: socket.socket, datagrams: bool, only: str = '') -> None:
+        self._socket, self.datagrams, self._only = opened, datagrams, only
+        self._peer: object = None
+
+    def receive(self, timeout: float) -> bytes | None:
+        """Return what has come; a TCP peer that has closed is an OSError."""
+        self._socket.settimeout(timeout)
+        try:
+            data, peer = self._socket.recvfrom(CHUNK)
+        except TimeoutError:
+            return None
+        if self._only and peer[0] != self._only:
+            return None
+        self._peer = peer
+        if not data and not self.datagrams:
+            raise ConnectionError('the source closed the connection')
+        return data
+
+    def send(self, data: bytes) -> None:
+        """Send; over UDP to whoever has sent last, so not before that."""
+        if not self.datagrams:
+            self._socket.sendall(data)
+        elif isinstance(self._peer, tuple):
+            self._socket.sendto(data, self._peer)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class Serial(Transport):
+    """Serial line, 8N1, no handshake."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            tty.setraw(self._file)
+            settings = termios.tcgetattr(self._file)
+            settings[4] = settings[5] = getattr(termios, f'B{baud}')
+            settings[2] |= termios.CLOCAL | termios.CREAD
+            termios.tcsetattr(self._file, termios.TCSANOW, settings)
+        except termios.error as error:
+            os.close(self._file)
+            raise OSError(error.args[0], 'no serial line') from None
+
+    def receive(self, timeout: float) -> bytes | None:
+        """Return what has come."""
+        if not select.select([self._file], [], [], timeout)[0]:
+            return None
+        data = os.read(self._file, CHUNK)
+        if not data:
+            raise ConnectionError('the serial line is gone')
+        return data
+
+    def send(self, data: bytes) -> None:
+        """Send to the line."""
+        os.write(self._file, data)
+
+    def close(self) -> None:
+        """Close the line."""
+        os.close(self._file)
+
+
+def opened(source: Source, peer: str = '') -> Transport:
+    """Open a source; of datagrams, take only those of a peer if one is given.
+
+    Raises
+    ------
+    InputError
+        If it cannot be opened; says which and why.
+    """
+    try:
+        if source.kind == 'serial':
+            return Serial(source.host, source.port)
+        if source.kind == 'udp':
+            return Socket(_listening(source), True, socket.gethostbyname(peer) if peer else '')
+        address = source.host, source.port
+        return Socket(socket.create_connection(address, CONNECT_WITHIN), False)
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, 'strerror', None) or error
+        raise InputError(f'{source}: cannot be opened ({reason}); is it on, and right?') from None
+
+
+def _listening(source: Source) -> socket.socket:
+    family, kind, protocol, _, address = socket.getaddrinfo(
+        source.host, source.port, type=socket.SOCK_DGRAM
+    )[0]
+    made = socket.socket(family, kind, protocol)
+    try:
+        made.bind(address)
+    except OSError:
+        made.close()
+        raise
+    return made
