@@ -60,8 +60,8 @@ def beside_rosbags(folder: Path, laps: int, repeats: int) -> None:
     rosbags, _, script = costs.values()
     found = (json.loads(script[0].text)[name] for name in ('pieces', 'unknowns'))
     samples, pieces, unknowns = json.loads(rosbags[0].text)['samples'], *found
-    print(f'{samples} samples, {pieces} pieces, {unknowns} unknowns')
-    print(f'{repeats} times in turn, {circumstances()}\n')
+    size = f'{samples} samples, {pieces} pieces, {unknowns} unknowns'
+    print(f'{size}; {repeats} times in turn, {circumstances()}\n')
     print(heading(('whole process', 'wall s', 'ratio', 'processor s', 'ratio', 'peak MB')))
     first = [min(getattr(c, what) for c in rosbags) for what in ('wall', 'processor')]
     for name, own in costs.items():

@@ -9,6 +9,7 @@ in no less than two seconds. What follows the yield cleans up.
 from pathlib import Path
 
 from cells import write_machine
+from emulated import emulator
 
 BAG = Path(__file__).parents[1] / 'bags/y-carries-the-table/bag'
 
@@ -22,4 +23,9 @@ def replay(folder):
     yield {'replay.bag': str(BAG)}, {'replay.bag': str(folder / 'none')}
 
 
-SOURCES = {'simulated': simulated, 'replay': replay}
+def emscon(folder):
+    with emulator() as running:
+        yield {'emscon.port': running.port}, {'emscon.host': 'no.such.host.invalid'}
+
+
+SOURCES = {'simulated': simulated, 'replay': replay, 'emscon': emscon}

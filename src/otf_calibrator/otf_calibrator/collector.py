@@ -67,6 +67,7 @@ class Collector:
         self.buffer = SampleBuffer()
         self.taken = False
         self.run = 0
+        self._lap_taken = False
         self._watcher: PathWatcher | None = None
         self._stream = Stream()
         self._last_ns: int | None = None
@@ -138,6 +139,16 @@ class Collector:
         if not streaming and not stream.ended:
             stream.ended, stream.ended_at = True, now
 
+    def first_lap(self) -> tuple[Samples, NominalPath] | None:
+        """Return the samples so far, and the part of the path they are of, after one lap; once."""
+        if self.taken or self.path is None or self._lap_taken:
+            return None
+        lap = self.path.first_lap
+        if self.travelled < lap.length + MOTION:
+            return None
+        self._lap_taken = True
+        return self.buffer.snapshot(), lap
+
     def end_to_judge(self) -> Samples | None:
         """Return all samples if ``at_end`` should be asked about them now, once a standstill."""
         if self.taken or not self._watcher or not self._watcher.worth_judging():
@@ -166,6 +177,7 @@ class Collector:
 
     def _watch(self) -> None:
         self.run += 1
+        self._lap_taken = False
         self._watcher = PathWatcher(self.path, self._config()) if self.path else None
         samples = self.buffer.snapshot()
         if self._watcher:

@@ -76,13 +76,19 @@ class Worker:
     def __init__(self, warn: Callable[[str], None]) -> None:
         self._warn = warn
         self._pool = ThreadPoolExecutor(1, 'calibration')
-        self._stop = threading.Event()
+        self._stop, self._ahead = threading.Event(), threading.Event()
         self.stage, self.fraction = '', 0.0
 
     def start(self, request: Request) -> Future[Calibrated]:
         """Start a calibration; the future raises what went wrong."""
         self.stage, self.fraction = 'aligning', 0.0
+        self._ahead.set()
         return self._pool.submit(self._calibrate, request)
+
+    def look_ahead(self, request: Request) -> Future[CalibrationResult]:
+        """Calibrate what has been driven so far, until a calibration is started."""
+        self._ahead.clear()
+        return self._pool.submit(self._provisional, request)
 
     def save(self, outcome: Calibrated) -> None:
         """Keep path and samples as a bag beside the results, if that is wanted."""
@@ -102,6 +108,7 @@ class Worker:
     def close(self) -> None:
         """Stop a calibration under way, but finish writing the bag of one that is done."""
         self._stop.set()
+        self._ahead.set()
         self._pool.shutdown(wait=True)
 
     def _progress(self, stage: str, fraction: float) -> None:
@@ -109,11 +116,16 @@ class Worker:
             raise Cancelled('the calibrator is shutting down')
         self.stage, self.fraction = stage, fraction
 
+    def _provisional(self, request: Request) -> CalibrationResult:
+        def progress(stage: str, fraction: float) -> None:
+            if self._ahead.is_set():
+                raise Cancelled('the run is calibrated')
+
+        prepare = PREPARATIONS[request.files.method]
+        return calibrate_runs([_recording(request)], request.config, progress, prepare)
+
     def _calibrate(self, request: Request) -> Calibrated:
-        machine = load_machine(request.files.machine_file)
-        # in the order in which the offline command takes them from a bag
-        samples = in_time_order('tracker/point', request.samples.stamp_ns, request.samples.xyz)
-        recording = Recording(samples, request.path, machine, BAG)
+        recording = _recording(request)
         result, write = self._solved(recording, request)
         base = Path(request.files.output_directory).expanduser().absolute()
         folder = free_folder(base, result.run_id)
@@ -141,6 +153,13 @@ class Worker:
         prepare = PREPARATIONS[files.method]
         result = calibrate_runs([recording], request.config, self._progress, prepare)
         return result, functools.partial(write_calibration, result)
+
+
+def _recording(request: Request) -> Recording:
+    machine = load_machine(request.files.machine_file)
+    # in the order in which the offline command takes them from a bag
+    samples = in_time_order('tracker/point', request.samples.stamp_ns, request.samples.xyz)
+    return Recording(samples, request.path, machine, BAG)
 
 
 def check_files(files: CalibratorConfig) -> None:

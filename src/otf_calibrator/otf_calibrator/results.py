@@ -9,6 +9,7 @@ from rclpy.node import Node
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
+from otf_core.calibration.result import CalibrationResult
 from otf_core.model.motions import MOTIONS
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, GapReport
@@ -30,6 +31,9 @@ class ResultPublishers:
             for name in MOTIONS
         }
         self._result = node.create_publisher(ResultMessage, 'calibrator/result', qos.RESULT)
+        self._provisional = node.create_publisher(
+            ResultMessage, 'calibrator/provisional', qos.RESULT
+        )
         self._alignment = node.create_publisher(
             TransformStamped, 'calibrator/alignment', qos.RESULT
         )
@@ -55,6 +59,12 @@ class ResultPublishers:
         message.warnings = [text for text in warnings if text]
         self._result.publish(message)
         return list(message.warnings)
+
+    def publish_provisional(self, result: CalibrationResult, method: str) -> None:
+        """Publish what the samples of a run say so far."""
+        message = convert_result.result_to_message(result, self._clock.now().to_msg(), method)
+        message.warnings = list(result.warnings)
+        self._provisional.publish(message)
 
     def publish_failure(self, exit_code: int, text: str) -> None:
         """Publish that there is no result, and why; the tables published before stay."""

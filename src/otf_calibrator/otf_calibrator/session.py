@@ -14,6 +14,7 @@ from otf_calibrator.collector import Collector
 from otf_calibrator.diagnosis_job import Answer, DiagnosisJob
 from otf_calibrator.job import Calibrated, Request, Worker
 from otf_calibrator.params import CalibratorConfig
+from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
 
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
@@ -42,6 +43,7 @@ class Session:
         self.collector = Collector(lambda: settings()[1])
         self.worker = Worker(warn)
         self._job: Future[Calibrated] | None = None
+        self._ahead: Future[CalibrationResult] | None = None
         self._verdict: Future[bool] | None = None
         self._judged_run = 0
         self.diagnosis: DiagnosisJob | None = None
@@ -71,6 +73,16 @@ class Session:
         self._job = self.worker.start(Request(samples, path, *self._settings(), collector.lost))
         collector.taken = True
         return f'calibration of {len(samples)} samples started: {reason}'
+
+    def look_ahead(self) -> Future[CalibrationResult] | None:
+        """Solve what was driven after the first lap; return that once it has come to its end."""
+        lap = None if self.busy else self.collector.first_lap()
+        if lap:
+            self._ahead = self.worker.look_ahead(Request(*lap, *self._settings(), 0))
+        if self._ahead is None or not self._ahead.done():
+            return None
+        ahead, self._ahead = self._ahead, None
+        return ahead
 
     def finished(self) -> Future[Calibrated] | None:
         """Return a calibration that has come to its end, once."""

@@ -2,7 +2,7 @@
 """Rows of a small cell for the tests of the engine of the diagnosis, and what is put into them."""
 
 import functools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from core_cells import record, small_plan, some_machine
@@ -10,9 +10,11 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.catalogue import collect_options
+from otf_core.diagnosis.engine.catalogue import tried_effects
+from otf_core.diagnosis.engine.evidence import Option
 from otf_core.diagnosis.engine.rows import build_rows
 from otf_core.diagnosis.engine.search import Cause
+from otf_core.diagnosis.engine.tried import Tried
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving.joint import solve_jointly
@@ -69,8 +71,43 @@ def noise(seed, level=1.0):
 def options_of(effect, **shape):
     """Options of one effect in the rows, of one shape or of those it tries itself."""
     shapes = {effect.name: [shape]} if shape else {}
-    options, _ = collect_options(solved_rows(), [effect], shapes)
-    return options[effect.name]
+    tried, _ = tried_effects(solved_rows(), [effect], shapes)
+    return [t.source.option(take) for t in tried[effect.name] for take in t.takes]
+
+
+@dataclass(frozen=True)
+class Given:
+    """Columns that are there already."""
+
+    given: Option
+
+    def option(self, take):
+        assert take.size == self.given.take.size
+        return self.given
+
+    def shared(self, pulled):
+        return pulled.white.T @ self.given.own
+
+
+def tried_with(rows, options):
+    """Each of the given options as if made from these rows."""
+    return {
+        name: [
+            Tried(
+                o.effect,
+                o.shape,
+                replace(o.terms, axes=tuple(o.terms.axes[i] for i in o.take)),
+                o.size,
+                np.diag(o.own.T @ o.own),
+                o.own.T @ o.own,
+                o.own.T @ rows.residual,
+                (np.arange(o.take.size),),
+                Given(o),
+            )
+            for o in group
+        ]
+        for name, group in options.items()
+    }
 
 
 def cause_of(effect, **shape):

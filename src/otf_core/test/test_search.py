@@ -14,13 +14,14 @@ from engine_cells import (
     options_of,
     solved_rows,
     trace_of,
+    tried_with,
 )
 from scipy.optimize import brentq
 
+from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.decoys import Jump, SlowWave
 from otf_core.diagnosis.engine.search import (
     MAX_CAUSES,
-    _Candidate,
     fit_jointly,
     fit_out,
     noise_variance,
@@ -30,6 +31,11 @@ from otf_core.effects import REGISTRY
 
 BACKLASH, LAG, COUPLING = (REGISTRY[n] for n in ('backlash', 'servo_mismatch', 'cross_coupling'))
 JUMP, WAVE = Jump(), SlowWave()
+
+
+def found_in(rows, options):
+    """What a search finds among options."""
+    return search(rows, tried_with(rows, options))
 
 
 def named(causes):
@@ -71,8 +77,8 @@ def test_effect_is_named_from_its_odds_on_and_not_before(effect, coefficients, n
     options = options_of(effect)[:4]
     trace = trace_of(cause_of(effect), **coefficients)
     below, above = (amplitude_for(needed + step, trace, options) * trace for step in (-0.1, 0.1))
-    assert search(holding(below), {effect.name: options})[0] == []
-    (cause,), _ = search(holding(above), {effect.name: options})
+    assert found_in(holding(below), {effect.name: options})[0] == []
+    (cause,), _ = found_in(holding(above), {effect.name: options})
     assert cause.option.effect is effect
     assert cause.score == pytest.approx(9.1, abs=0.02)
 
@@ -81,10 +87,10 @@ def test_confidence_is_the_share_of_the_odds_none_among_them():
     options = options_of(BACKLASH)
     trace = trace_of(cause_of(BACKLASH), B_X=1e-7)
     rows = holding(amplitude_for(9.5, trace, options) * trace)
-    (cause,), _ = search(rows, {'backlash': options})
+    (cause,), _ = found_in(rows, {'backlash': options})
     assert cause.confidence == pytest.approx(1 / (1 + np.exp(-9.5)), abs=1e-6)
     # a lag of the drives looks much like it at one feed
-    (cause,), _ = search(rows, {'backlash': options, LAG.name: options_of(LAG)})
+    (cause,), _ = found_in(rows, {'backlash': options, LAG.name: options_of(LAG)})
     odds = np.exp([evidence_of(rows.residual, o) for o in (options, options_of(LAG))])
     assert 0.1 < odds[1] / odds[0] < 10.0
     assert cause.confidence == pytest.approx(odds.max() / (1 + odds.sum()), rel=1e-6)
@@ -94,7 +100,7 @@ def test_confidence_is_the_share_of_the_odds_none_among_them():
 def test_noise_names_nothing_even_if_louder_than_assumed(level):
     options = {e.name: options_of(e) for e in (BACKLASH, LAG, COUPLING, JUMP)}
     for seed in range(2):
-        causes, considered = search(holding(noise(200 + seed, level)), options)
+        causes, considered = found_in(holding(noise(200 + seed, level)), options)
         assert causes == []
         assert len(considered) == 4
         assert max(score for _, score in considered) < 5.0
@@ -104,8 +110,8 @@ def test_louder_noise_asks_for_a_larger_effect():
     """Backlash that is plain in noise as assumed is not named in ten times as much of it."""
     trace, options = trace_of(cause_of(BACKLASH), B_X=2e-6), {'backlash': options_of(BACKLASH)}
     for seed in range(2):
-        assert named(search(holding(trace + noise(seed)), options)[0]) == ['backlash']
-        assert named(search(holding(trace + noise(seed, 10.0)), options)[0]) == []
+        assert named(found_in(holding(trace + noise(seed)), options)[0]) == ['backlash']
+        assert named(found_in(holding(trace + noise(seed, 10.0)), options)[0]) == []
 
 
 @pytest.mark.parametrize(('memory', 'factor'), [(0.0, 1.0), (0.5, 3.0), (0.8, 9.0)])
@@ -132,26 +138,35 @@ def test_residuals_smaller_than_assumed_count_as_assumed():
 # ---------------------------------------------------------------- one after the other
 
 
-def test_candidate_holds_the_products_of_columns_less_the_causes():
-    rng = np.random.default_rng(7)
-    option = options_of(COUPLING)[0]
-    candidate, basis = _Candidate(option), np.zeros((len(option.own), 0))
-    for count in (2, 3):
-        new = rng.standard_normal((len(basis), count))
-        new = np.linalg.qr(new - basis @ (basis.T @ new))[0]
-        candidate.take_out(new)
-        basis = np.concatenate([basis, new], axis=1)
-        rest = np.stack(
-            [c - basis @ np.linalg.lstsq(basis, c, rcond=None)[0] for c in option.own.T], axis=1
-        )
+@pytest.mark.parametrize(
+    ('effect', 'shape'),
+    [(COUPLING, {}), (WAVE, {'period': 12.0}), (REGISTRY['cyclic_error'], {'period': 0.055})],
+    ids=['coupling', 'slow wave', 'cyclic error'],
+)
+def test_products_are_those_of_columns_less_tables_poses_and_causes(effect, shape):
+    """Dense least squares on the columns; a wave has coefficients of its own in both runs."""
+    rows, rng = holding(noise(41, 5.0)), np.random.default_rng(7)
+    (tried,) = tried_effects(rows, [effect], {effect.name: [shape]})[0][effect.name]
+    own = rows.project(rows.whiten(rows.plain_columns(effect, shape)))
+    basis, residual = np.zeros((len(own), 0)), rows.residual
+    for count in (2, 3, 0):
+        rest = np.stack([c - basis @ np.linalg.lstsq(basis, c, rcond=None)[0] for c in own.T], 1)
         scale = np.abs(rest.T @ rest).max()
-        np.testing.assert_allclose(candidate.normal, rest.T @ rest, atol=1e-10 * scale)
+        np.testing.assert_allclose(tried.normal, rest.T @ rest, atol=1e-9 * scale)
+        right = rest.T @ residual
+        np.testing.assert_allclose(tried.right, right, atol=1e-9 * np.sqrt(scale * len(own)))
+        if count:
+            new = rng.standard_normal((len(basis), count))
+            new = np.linalg.qr(new - basis @ (basis.T @ new))[0]
+            amount = new.T @ residual
+            tried, residual = tried.without(rows.pulled(new), amount), residual - new @ amount
+            basis = np.concatenate([basis, new], axis=1)
 
 
 def test_effects_are_found_one_after_the_other_and_then_no_more():
     options = {e.name: options_of(e) for e in (COUPLING, LAG, BACKLASH)}
     trace = trace_of(cause_of(BACKLASH), B_X=8e-6) + trace_of(cause_of(COUPLING), Z_X2Y=2e-6)
-    causes, considered = search(holding(trace + noise(11)), options)
+    causes, considered = found_in(holding(trace + noise(11)), options)
     assert named(causes) == ['backlash', 'cross_coupling']
     assert [name for name, _ in considered] == ['servo_mismatch']
     assert considered[0][1] < 9.0
@@ -162,7 +177,7 @@ def test_the_second_is_scored_on_what_the_first_cannot_follow():
     first, second = cause_of(BACKLASH), options_of(COUPLING)
     rows = holding(trace_of(first, B_X=3e-5) + trace_of(cause_of(COUPLING), Z_X2Y=3e-6))
     options = {'backlash': [first.option], 'cross_coupling': second}
-    causes, _ = search(rows, options)
+    causes, _ = found_in(rows, options)
     assert named(causes) == ['backlash', 'cross_coupling']
 
     def less_first(values):
@@ -218,7 +233,7 @@ def test_an_effect_with_the_same_columns_is_not_told_from_the_best():
         'servo_mismatch': [stand_in(option, LAG, option.own)],
         'cross_coupling': options_of(COUPLING),
     }
-    (cause, *_), _ = search(rows, options)
+    (cause, *_), _ = found_in(rows, options)
     pair = {'backlash', 'servo_mismatch'}
     assert {cause.option.effect.name, *cause.indistinguishable} == pair
     assert cause.confidence == pytest.approx(0.5, abs=1e-6)
@@ -232,7 +247,7 @@ def test_no_more_than_four_are_named():
         option = stand_in(options_of(LAG)[1], REGISTRY[name], rows.project(own))
         options[name] = [replace(option, size=np.array([1e-6]))]
         total = total + own[:, 0]
-    causes, considered = search(holding(coloured(rows, total)), options)
+    causes, considered = found_in(holding(coloured(rows, total)), options)
     assert len(causes) == MAX_CAUSES == 4
     assert len(considered) == 3  # of the last round
 
@@ -243,7 +258,7 @@ def test_an_effect_that_leaves_three_hundredths_is_the_same_and_one_that_leaves_
 ):
     option, rows = backlash_of_x()
     like = stand_in(option, LAG, turned(rows, option.own, share))
-    (cause, *_), considered = search(rows, {'backlash': [option], 'servo_mismatch': [like]})
+    (cause, *_), considered = found_in(rows, {'backlash': [option], 'servo_mismatch': [like]})
     assert cause.option.effect is BACKLASH
     assert cause.confidence > 0.999  # the odds alone would tell them apart
     assert cause.indistinguishable == (('servo_mismatch',) if same else ())
@@ -262,14 +277,14 @@ def test_effects_within_odds_of_150_are_not_told_apart(distance, same):
         like = stand_in(option, LAG, turned(rows, option.own, share))
         off = evidence_of(rows.residual, [option]) - evidence_of(rows.residual, [like])
         low, high = (share, high) if off < distance else (low, share)
-    (cause, *_), _ = search(rows, {'backlash': [option], 'servo_mismatch': [like]})
+    (cause, *_), _ = found_in(rows, {'backlash': [option], 'servo_mismatch': [like]})
     assert cause.indistinguishable == (('servo_mismatch',) if same else ())
 
 
 def test_a_shape_outside_the_catalogue_is_no_name_for_the_same():
     option, rows = backlash_of_x()
     options = {'backlash': [option], 'jump': [stand_in(option, JUMP, option.own)]}
-    (cause, *_), _ = search(rows, options)
+    (cause, *_), _ = found_in(rows, options)
     assert (cause.option.effect, cause.indistinguishable) == (BACKLASH, ())
 
 
@@ -278,7 +293,7 @@ def test_at_most_four_names_are_listed():
     names = [n for n in REGISTRY if n not in ('backlash', 'tracker_noise')][:6]
     options = {'backlash': [option]}
     options |= {n: [stand_in(option, REGISTRY[n], option.own)] for n in names}
-    (cause, *_), _ = search(rows, options)
+    (cause, *_), _ = found_in(rows, options)
     assert len(cause.indistinguishable) == 4
 
 
@@ -303,7 +318,7 @@ def test_refinement_moves_a_shape_to_the_true_one(effect, raster, true, coeffici
     u = 0.003 * true / np.sqrt(left)
     assert abs(raster - true) > 5 * u
     for rows, most in ((holding(trace), 0.3 * u), (holding(trace + noise(15)), 3 * u)):
-        causes, _ = search(rows, options)
+        causes, _ = found_in(rows, options)
         assert causes[0].option.effect is effect
         assert causes[0].option.shape['period'] == pytest.approx(true, abs=most)
 
@@ -311,7 +326,7 @@ def test_refinement_moves_a_shape_to_the_true_one(effect, raster, true, coeffici
 def test_refined_columns_are_those_of_the_refined_shape():
     trace = trace_of(cause_of(WAVE, period=12.4), S_X=4e-6)
     rows = holding(trace + noise(15))
-    (cause, *_), _ = search(rows, {'slow_wave': options_of(WAVE, period=12.0)})
+    (cause, *_), _ = found_in(rows, {'slow_wave': options_of(WAVE, period=12.0)})
     anew = cause_of(WAVE, period=cause.option.shape['period']).option
     np.testing.assert_allclose(cause.option.plain, anew.plain, atol=1e-12)
     np.testing.assert_allclose(cause.option.own, anew.own, atol=1e-6)

@@ -14,7 +14,15 @@ from otf_core.model.tables import load_tables
 BAG = Path(__file__).resolve().parents[3] / 'bags/y-carries-the-table'
 NUMBERS = {'numpy', 'scipy', 'yaml'}
 CONTAINERS = {'mcap', 'rosbags', 'zstandard', 'lz4'}
-SELDOM = {'scipy.stats', 'scipy.signal', 'matplotlib', 'rosbags', 'mcap.writer'}
+SELDOM = {
+    'scipy.stats',
+    'scipy.interpolate',
+    'scipy.optimize',
+    'scipy.signal',
+    'matplotlib',
+    'rosbags',
+    'mcap.writer',
+}
 """What a calibration needs in special cases only, or never."""
 
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from engine_cells import holding, noise, solved_rows, trace_of
+from engine_cells import holding, noise, options_of, solved_rows, trace_of
 
 from otf_core.diagnosis.engine.catalogue import (
     Visibility,
-    collect_options,
     effects_without,
     search_catalogue,
     shapes_from_lines,
+    tried_effects,
 )
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.engine.spectral import Line
@@ -58,7 +58,7 @@ OUTSIDE = {
 
 
 def sight(effect, rows=None):
-    return collect_options(rows or solved_rows(), [effect], {})[1][effect.name]
+    return tried_effects(rows or solved_rows(), [effect], {})[1][effect.name]
 
 
 @pytest.mark.parametrize('effect', TABLE_SPACE.values(), ids=TABLE_SPACE)
@@ -97,8 +97,8 @@ def test_limits_of_visibility(share, smallest_um, visible):
 def test_smallest_effect_is_five_standard_deviations(effect):
     """Of that size it takes 25 off the sum of squares; by least squares with tables and poses."""
     rows = solved_rows()
-    options, visible = collect_options(rows, [effect], {})
-    (option,) = options['made']
+    tried, visible = tried_effects(rows, [effect], {})
+    (option,) = (t.source.option(t.takes[0]) for t in tried['made'])
     rms = np.sqrt(
         np.mean(option.plain[np.abs(option.plain) > 0.02 * np.abs(option.plain).max()] ** 2)
     )
@@ -156,13 +156,11 @@ def test_spectral_lines_become_shapes_from_their_score_on():
 
 def test_without_a_line_a_wave_is_not_tried_but_its_sight_is_known():
     effects = [REGISTRY[n] for n in ('vibration', 'cyclic_error')]
-    options, visible = collect_options(
-        solved_rows(), effects, {'vibration': [], 'cyclic_error': []}
-    )
-    assert options == {'vibration': [], 'cyclic_error': []}
+    tried, visible = tried_effects(solved_rows(), effects, {'vibration': [], 'cyclic_error': []})
+    assert tried == {'vibration': [], 'cyclic_error': []}
     assert all(np.isfinite(v.smallest) for v in visible.values())
-    options, _ = collect_options(solved_rows(), effects, {'vibration': [{'frequency': 3.0}]})
-    assert {o.shape['frequency'] for o in options['vibration']} == {3.0}
+    tried, _ = tried_effects(solved_rows(), effects, {'vibration': [{'frequency': 3.0}]})
+    assert {t.shape['frequency'] for t in tried['vibration']} == {3.0}
 
 
 def test_excluded_effects_and_noise_are_not_tried():
@@ -173,7 +171,7 @@ def test_excluded_effects_and_noise_are_not_tried():
 def test_catalogue_finds_what_was_put_in_unless_it_is_excluded():
     names = ('table_tilt', 'tracker_scale', 'servo_mismatch')
     others = [n for n in REGISTRY if n not in names]
-    option = collect_options(solved_rows(), [REGISTRY['table_tilt']], {})[0]['table_tilt'][0]
+    option = options_of(REGISTRY['table_tilt'])[0]
     trace = 20e-6 / option.size[0] * option.plain[:, 0]
     found = search_catalogue(holding(trace + noise(31)), others)
     assert found.causes[0].option.effect.name == 'table_tilt'

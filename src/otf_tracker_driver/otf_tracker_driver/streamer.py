@@ -97,10 +97,10 @@ class Streamer:
             if not self._streaming:
                 self._backend.start()
                 self._status.begin(self._backend)
-                remark = f'streaming {self._backend.remark}'.strip()
-                self._status.report(TrackerStatus.STREAMING, remark)
                 self._streaming = True
             batch = self._backend.poll()
+            remark = f'streaming {self._backend.remark}'.strip()
+            self._status.report(TrackerStatus.STREAMING, self._backend.trouble or remark)
         except OtfError as error:
             self.stop()
             self._status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')

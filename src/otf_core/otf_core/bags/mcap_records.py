@@ -9,17 +9,18 @@ length apart: whole streams of them are checked at once, the rest is walked one 
 from __future__ import annotations
 
 import struct
-from array import array
 
 import numpy as np
 
 from otf_core.bags.cdr import Bytes, Index
 
 RECORD_HEAD = 9
-ALIKE = 16
-"""Records of one head in a row from which on the next are checked together."""
+WALK = 16
+"""Records walked before those behind them are looked at together."""
 FIRST_LOOK = 256
-"""Records checked together at first; twice as many each time that all are alike."""
+"""Records looked at together at first; twice as many each time that all are alike."""
+LISTED = 1 << 16
+"""Positions held as Python numbers at most, which take five times the memory."""
 
 
 def record_starts(buffer: Bytes, begin: int, end: int) -> Index:
@@ -33,26 +34,28 @@ def record_starts(buffer: Bytes, begin: int, end: int) -> Index:
     unpack = struct.Struct('<BQ').unpack_from
     view, at, last, last_head = buffer.data, begin, begin, end - RECORD_HEAD
     parts: list[Index] = []
-    walked = array('q')
-    before, alike = (0, 0), 0
+    walked: list[int] = []
     while at <= last_head:
-        head = unpack(view, at)
-        if not head[0]:
-            raise ValueError(f'no record at byte {at}')
-        walked.append(at)
-        last = at
-        alike = alike + 1 if head == before else 0
-        before = head
-        if alike == ALIKE:
-            more = _alike(buffer, at, end, *head)
-            parts += [np.frombuffer(walked, np.int64), more[1:]]
-            walked, alike = array('q'), 0
+        for _ in range(WALK):
+            opcode, length = unpack(view, at)
+            if not opcode:
+                raise ValueError(f'no record at byte {at}')
+            walked.append(at)
+            last, at = at, at + RECORD_HEAD + length
+            if at > last_head:
+                break
+        repeats = len(walked) > 2 and at - last == last - walked[-2] == walked[-2] - walked[-3]
+        if repeats or len(walked) > LISTED:
+            parts.append(np.array(walked, np.int64))
+            walked = []
+        if repeats:
+            more = _alike(buffer, last, end, opcode, length)
+            parts.append(more[1:])
             last = int(more[-1])
-        at = last + RECORD_HEAD + head[1]
+            at = last + RECORD_HEAD + length
     if at != end:
         raise ValueError(f'the record at byte {last} is cut off')
-    walked.append(end)
-    return np.concatenate([*parts, np.frombuffer(walked, np.int64)])
+    return np.concatenate([*parts, np.array([*walked, end], np.int64)])
 
 
 def _alike(buffer: Bytes, at: int, end: int, opcode: int, length: int) -> Index:

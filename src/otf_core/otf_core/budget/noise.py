@@ -27,6 +27,7 @@ from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.solving.whitener import leg_parts
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -77,12 +78,14 @@ class _Chain:
         self._tau = correlation_time
         self._pairs: list[tuple[Array, Array]] = []
 
-    def add(self, rows: Array, slow: Array, time: Array) -> None:
-        """Add a line: W A (c, m, size), slow amplitudes (c, m, 3), times (m,)."""
+    def add(self, rows: Array, use: Index, slow: Array, time: Array) -> None:
+        """Add a line: W A (c, m, k), its columns (k,), slow amplitudes (c, m, 3), times (m,)."""
         flat = rows.reshape(-1, rows.shape[2]).T
         early = np.exp((time[0] - time)[:, None] / self._tau)
         late = np.exp((time - time[-1])[:, None] / self._tau)
-        head, tail = flat @ (slow * early).reshape(-1, 3), flat @ (slow * late).reshape(-1, 3)
+        head, tail = np.zeros_like(self._tail), np.zeros_like(self._tail)
+        head[use] = flat @ (slow * early).reshape(-1, 3)
+        tail[use] = flat @ (slow * late).reshape(-1, 3)
         gap = np.exp(np.minimum(0.0, (self._end - time[0]) / self._tau))
         self._pairs.append((gap * self._tail, head))
         later = np.exp(np.minimum(0.0, (self._end - time[-1]) / self._tau))
@@ -95,6 +98,14 @@ class _Chain:
         tails, heads = (np.concatenate(part, axis=1) for part in zip(*self._pairs, strict=True))
         half = tails @ heads.T
         return np.asarray(half + half.T)
+
+
+def _weighted_rows(solved: SolvedRun, leg: int) -> tuple[Array, Index]:
+    """W A of a line, shape (c, m, k), and the k unknowns that it depends on."""
+    use, rows = solved.system.rows.touched(np.arange(*solved.whitener.bounds[leg]))
+    for own, inverse in zip(rows, solved.whitener.inverses[leg], strict=True):
+        own[:] = inverse.T @ (inverse @ own)
+    return rows, use
 
 
 def _between(run: Observed, solved: SolvedRun, leg: int, rows: Array) -> Array:
@@ -127,16 +138,16 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
         shared = solved.system.axes * misfit.slow * _smoothed(run.pieces.duration, lasts)
         chains = _Chain(size, _times(noise)), _Chain(size, lasts)
         for leg, (low, high) in enumerate(solved.whitener.bounds):
-            rows = solved.system.rows.dense(slice(low, high))
-            for component, inverse in enumerate(solved.whitener.inverses[leg]):
+            rows, use = _weighted_rows(solved, leg)
+            place, own = np.ix_(use, use), np.zeros((use.size, use.size))
+            for component, part in enumerate(rows):
                 parts = leg_parts(solved.system, run.pieces, noise, misfit, component, low, high)
-                part = inverse.T @ (inverse @ rows[component])
-                within += part.T @ ((parts[2] + parts[3]) @ part)
-                rows[component] = part
-            between += _between(run, solved, leg, rows)
+                own += part.T @ ((parts[2] + parts[3]) @ part)
+            within[place] += own
+            between[place] += _between(run, solved, leg, rows)
             time = run.pieces.time[low:high]
-            chains[0].add(rows, slow[:, low:high], time)
-            chains[1].add(rows, shared[:, low:high], time)
+            chains[0].add(rows, use, slow[:, low:high], time)
+            chains[1].add(rows, use, shared[:, low:high], time)
         corners += chains[0].total
         lasting += chains[1].total
     return NoiseParts(within, between, corners, lasting)

@@ -147,6 +147,9 @@ def _parser() -> Parser:
         'effects.yaml, their coefficients estimated anew where the data see them; the plain '
         'calibration stays in plain/',
     )  # fmt: skip
+    sub.add_argument(
+        '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
+    )
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('diagnose', run_diagnose, 'Where and why a real run departs from its simulation.')

@@ -99,6 +99,7 @@ def diagnose(
     sentence = sentence_of(verdict, gap, causes, noise)
     views = run_views(rows, explained)
     where, shape = where_and_shape(views, project=rows.project)
+    del rows, seen  # their memory is needed now
     progress('correcting', 0.0)
     taken = [applied[k] for k in solved.source]
     calibration = with_causes(solved, plain, explained.causes, taken, config, sentence)

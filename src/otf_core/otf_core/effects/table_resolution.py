@@ -35,7 +35,7 @@ def _label(motion: str, low: float, high: float, wave: bool) -> str:
     return f'{motion}@{low:.6g}..{high:.6g}' + ('_2' if wave else '')
 
 
-def _bump(q: Array, low: float, high: float, wave: bool) -> Array:
+def _bump(q: Array, low: Array | float, high: Array | float, wave: bool) -> Array:
     s = np.clip((q - low) / (high - low), 0.0, 1.0)
     return 12.0 * np.sqrt(3.0) * s * (1 - s) * (0.5 - s) if wave else 4.0 * s * (1 - s)
 
@@ -91,18 +91,27 @@ class TableResolution(Effect):
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return one term per motion and node interval, named by its ends: EYX@0.03..0.06."""
         order = round(shape['order'])
-        names, columns = [], []
+        names: list[str] = []
+        parts = []
         for motion in MOTIONS if order > 2 else TRANSLATIONS:
+            nodes = np.round(state.nodes[motion.axis], 6)
+            parts.append((motion, nodes, len(names)))
+            pairs = [p for p in pairwise(nodes) for _ in (False, True)[:order]]
+            waves = [w for _ in pairwise(nodes) for w in (False, True)[:order]]
+            names += [_label(motion, *p, w) for p, w in zip(pairs, waves, strict=True)]
+        columns, row = np.zeros((len(state), 3, len(names))), np.arange(len(state))
+        for motion, nodes, start in parts:
+            if len(nodes) < 2:
+                continue
             influence = motion_influence(state.machine, motion, state.q)
             q = state.q[:, motion.place]
-            nodes = np.round(state.nodes[motion.axis], 6)
-            for low, high in pairwise(nodes):
-                for wave in (False, True)[:order]:
-                    names.append(_label(motion, low, high, wave))
-                    columns.append(_bump(q, low, high, wave)[:, None] * influence)
+            part = np.clip(np.searchsorted(nodes, q, side='right') - 1, 0, len(nodes) - 2)
+            for k, wave in enumerate((False, True)[:order]):
+                along = _bump(q, nodes[part], nodes[part + 1], wave)
+                place = start + part * min(order, 2) + k
+                columns[row, :, place] = along[:, None] * influence
         units = tuple(unit_of(n[:3]) for n in names)
-        stacked = np.stack(columns, axis=2) if columns else np.zeros((len(state), 3, 0))
-        return Terms(tuple(names), units, tuple(n[2] for n in names), stacked)
+        return Terms(tuple(names), units, tuple(n[2] for n in names), columns)
 
     def units(self, state: State, parameters: Shape) -> dict[str, str]:
         """Unit of every given parameter; any interval will do, not only those of the nodes."""

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.files.manifest import file_digest
@@ -63,14 +64,19 @@ class Origin:
     machine: Machine | None = None
 
 
+def _raw(values: NDArray[Any], kind: str) -> memoryview:
+    """Bytes of an array in a stated type, without a copy where it has that already."""
+    return np.ascontiguousarray(values, kind).reshape(-1).view(np.uint8).data
+
+
 def origin_of(
     name: str, samples: Samples, path: NominalPath | None = None, machine: Machine | None = None
 ) -> Origin:
     """Say what a recording is."""
-    digest = hashlib.sha256(np.ascontiguousarray(samples.stamp_ns, '<i8').tobytes())
-    digest.update(np.ascontiguousarray(samples.xyz, '<f8').tobytes())
+    digest = hashlib.sha256(_raw(samples.stamp_ns, '<i8'))
+    digest.update(_raw(samples.xyz, '<f8'))
     if path is not None:
-        digest.update(np.ascontiguousarray(path.points, '<f8').tobytes())
+        digest.update(_raw(path.points, '<f8'))
     first, last = int(samples.stamp_ns[0]), int(samples.stamp_ns[-1])
     return Origin(name, len(samples), first, last, digest.hexdigest(), machine)
 

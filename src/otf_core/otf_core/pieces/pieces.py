@@ -9,11 +9,11 @@ have pieces of their own kind, see ``curve_pieces``.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy import sparse
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
@@ -28,6 +28,8 @@ from otf_core.tracking.matching import OFF_PATH
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+BLOCK = 65536
+"""samples that are looked at in the machine frame at once: copies of all would be large."""
 SPEED_WINDOW = 0.04
 """s; the speed of a sample is taken over this time."""
 
@@ -140,8 +142,9 @@ class Pieces:
 
     def mean_of(self, values: Array) -> Array:
         """Means over the pieces of values (u, ...) given for ``samples``."""
-        total = np.zeros((len(self), *values.shape[1:]))
-        np.add.at(total, self.piece, values)
+        ones = np.ones(len(self.piece)), (self.piece, np.arange(len(self.piece)))
+        member = sparse.csr_array(sparse.coo_array(ones, shape=(len(self), len(self.piece))))
+        total = (member @ values.reshape(len(values), -1)).reshape(len(self), *values.shape[1:])
         return np.asarray(total / self.count.reshape(-1, *([1] * (values.ndim - 1))))
 
 
@@ -156,11 +159,11 @@ def piece_boundaries(corners: Array, leg: int, nodes: tuple[Array, ...], size: f
     marks = np.unique(np.concatenate(cuts))
     marks = marks[(marks >= 0) & (marks <= length)]
     marks = marks[np.concatenate([[True], np.diff(marks) > 1e-6])]
-    parts = [
-        np.linspace(a, b, max(1, int(np.ceil((b - a) / size))), endpoint=False)
-        for a, b in pairwise(marks)
-    ]
-    return np.concatenate([*parts, [length]])
+    span = np.diff(marks)
+    parts = np.maximum(np.ceil(span / size), 1.0).astype(np.int64)
+    place = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    inner = place * np.repeat(span / parts, parts) + np.repeat(marks[:-1], parts)
+    return np.append(inner, length)
 
 
 def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfig) -> Array:
@@ -196,11 +199,16 @@ class _Means:
 def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     """Samples far from the running median of their leg, by robust standard deviation.
 
-    The ends of a leg are continued by point reflection, which keeps the slope; the end sample,
-    about which it is reflected, is compared with the extrapolated median instead.
+    No sample is further from its median than the samples around it are apart, so where these
+    are all within ``GROSS`` there is nothing to look for. The ends of a leg are continued by
+    point reflection, which keeps the slope; the end sample, about which it is reflected, is
+    compared with the extrapolated median instead.
     """
+    bounds = leg_bounds(leg)
+    if all(_apart(offset[low:high]) < GROSS for low, high in bounds):
+        return np.zeros(len(offset), dtype=bool)
     rest = np.zeros_like(offset)
-    for low, high in leg_bounds(leg):
+    for low, high in bounds:
         if high - low <= MEDIAN_HALF:
             rest[low:high] = offset[low:high] - np.median(offset[low:high], axis=0)
             continue
@@ -214,6 +222,16 @@ def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
     distance = np.linalg.norm(rest, axis=1)
     sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
     return np.asarray(distance > max(limit * sigma, GROSS))
+
+
+def _apart(offset: Array) -> float:
+    """Bound on the distance of the samples of a leg (n, 3), m, from their running median."""
+    size = 2 * MEDIAN_HALF + 1
+    if len(offset) <= size:
+        return float(np.linalg.norm(np.ptp(offset, axis=0))) * (3.0 if len(offset) > 1 else 1.0)
+    spread = maximum_filter1d(offset, size, axis=0) - minimum_filter1d(offset, size, axis=0)
+    reach = spread[[MEDIAN_HALF, -MEDIAN_HALF - 1]].max(axis=0)
+    return float(np.linalg.norm(np.maximum(spread.max(axis=0), 3.0 * reach)))
 
 
 def samples_on_lines(
@@ -237,9 +255,10 @@ def samples_on_lines(
         If there is none.
     """
     leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
-    points = alignment.T_machine_tracker.apply(samples.xyz)
-    lines = Lines.of(alignment.shape)
-    on_chord = lines.along(points, leg)
+    pose, lines = alignment.T_machine_tracker, Lines.of(alignment.shape)
+    on_chord = np.empty(len(samples))
+    for part in _blocks(len(samples)):
+        on_chord[part] = lines.along(pose.apply(samples.xyz[part]), leg[part])
     along = lines.start[leg] + on_chord
     stretch = np.where(alignment.leg == OFF_PATH, OFF_PATH, lines.shape.stretch[leg])
     speed = _moving(samples, along, stretch, config)
@@ -251,12 +270,20 @@ def samples_on_lines(
     chosen = np.flatnonzero(keep)
     if not len(chosen):
         raise InputError('no sample is left on the lines of the path away from corners and stops')
-    offset = points[chosen] - on_chord[chosen, None] * lines.unit[leg[chosen]]
-    bent = np.flatnonzero(lines.shape.curved[leg[chosen]])
-    offset[bent] -= lines.shape.corners[leg[chosen[bent]]]
+    offset = np.empty((len(chosen), 3))
+    for part in _blocks(len(chosen)):
+        here = chosen[part]
+        line = leg[here]
+        offset[part] = pose.apply(samples.xyz[here]) - on_chord[here, None] * lines.unit[line]
+        bent = lines.shape.curved[line]
+        offset[part][bent] -= lines.shape.corners[line[bent]]
     far = _outliers(offset, stretch[chosen], config.outlier_limit)
     chosen = chosen[~far]
     return chosen, on_chord[chosen], speed[chosen], int(far.sum())
+
+
+def _blocks(count: int) -> list[slice]:
+    return [slice(low, low + BLOCK) for low in range(0, count, BLOCK)]
 
 
 def _margins(lines: Lines, alignment: Alignment, config: CalibrationConfig) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from otf_core.noise.model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.finding import Finding
 from otf_core.pieces.observed import Observed
-from otf_core.pieces.pieces import Pieces, reduce_to_pieces
+from otf_core.pieces.pieces import BLOCK, Pieces, reduce_to_pieces
 from otf_core.tracking.alignment import Alignment, align, line_step
 from otf_core.tracking.matching import OFF_PATH
 from otf_core.tracking.no_match import check_partial
@@ -151,8 +151,7 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
         If the path leaves the ranges of the machine.
     """
     machine, corners = recording.machine, alignment.corners
-    points = alignment.T_machine_tracker.apply(recording.samples.xyz[alignment.leg != OFF_PATH])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = _extremes(recording.samples.xyz, alignment)
     path_low, path_high = corners.min(axis=0), corners.max(axis=0)
     low = np.where(low < path_low + SNAP, path_low, low)
     high = np.where(high > path_high - SNAP, path_high, high)
@@ -165,6 +164,18 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
             f'{1e3 * outside.max():.1f} mm; do bag and machine description belong together?'
         )
     return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
+
+
+def _extremes(xyz: Array, alignment: Alignment) -> tuple[Array, Array]:
+    """Lowest and highest coordinates of the samples on legs, machine frame, m."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for start in range(0, len(xyz), BLOCK):
+        part = slice(start, start + BLOCK)
+        on = alignment.leg[part] != OFF_PATH
+        if on.any():
+            points = alignment.T_machine_tracker.apply(xyz[part][on])
+            low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+    return low, high
 
 
 def common_nodes(machine: Machine, ranges: Sequence[tuple[Array, Array]]) -> dict[str, Array]:

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.catalogue import (
-    Tried,
     Visibility,
     best_sight,
     effects_without,
     shapes_of,
-    try_shapes,
+    sight_of,
 )
 from otf_core.diagnosis.engine.rows import Rows, rows_of
+from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects import REGISTRY, Effect
 from otf_core.planning.planned_budget import Planned
 
@@ -55,7 +55,7 @@ class Trace:
     @classmethod
     def of(cls, first: Tried, last: Tried) -> Trace:
         """For the first and the last shape of an effect."""
-        simple, rich = (t.white[:, t.acts] / t.size[t.acts] for t in (first, last))
+        simple, rich = (_columns(tried) for tried in (first, last))
         values, vectors = np.linalg.eigh(rich.T @ rich)
         seen = values > 1e-9 * values[-1]
         return cls(simple, rich @ (vectors[:, seen] / np.sqrt(values[seen])))
@@ -74,22 +74,22 @@ def not_told_apart(traces: Mapping[str, Trace]) -> dict[str, tuple[str, ...]]:
     }
 
 
+def _columns(tried: Tried) -> Array:
+    """What an effect with all terms adds beyond the tables, each of unit size where it acts."""
+    option = tried.source.option(tried.takes[0])
+    return np.asarray(option.own / option.size)
+
+
 def _seen(rows: Rows, effect: Effect) -> tuple[Visibility, Trace | None]:
-    """How well an effect is seen, and its trace; columns of one shape at a time."""
+    """How well an effect is seen, and its trace."""
     chosen, stand_in = shapes_of(rows, effect, {})
-    seen: list[Visibility] = []
-    whole: list[Tried] = []
-    for shape in chosen or stand_in:
-        for tried in try_shapes(rows, effect, [shape]):
-            seen.append(tried.visibility())
-            terms = int(tried.acts.sum())
-            if not whole or terms > whole[0].acts.sum():
-                whole = [tried, tried]
-            elif terms == whole[0].acts.sum():
-                whole[1] = tried
-    if not chosen or not whole or not whole[0].acts.any():
-        return best_sight(seen), None
-    return best_sight(seen), Trace.of(whole[0], whole[1])
+    tried = tried_shapes(rows, effect, chosen or stand_in)
+    sight = best_sight([sight_of(t) for t in tried])
+    most = max((t.takes[0].size for t in tried if t.takes), default=0)
+    whole = [t for t in tried if t.takes and t.takes[0].size == most]
+    if not chosen or not whole:
+        return sight, None
+    return sight, Trace.of(whole[0], whole[-1])
 
 
 def forecast_effects(rows: Rows) -> list[dict[str, Any]]:

@@ -3,7 +3,7 @@
 
 ``error_tables.json`` (INTERFACES layout; holds the covariance in full precision, so that a copy
 of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv``
-(the same, forward and backward), ``residuals.csv`` (one row a path piece), ``summary.txt``.
+(the same, forward and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
 from otf_core.config import OTF, STANDSTILL
 from otf_core.effects.stated import effects_to_list, format_effects
-from otf_core.files.csv_points import tidy, write_csv
+from otf_core.files.csv_points import tidy
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.provenance import STANDARD, provenance
@@ -28,22 +27,34 @@ from otf_core.model.tables import tables_to_dict
 from otf_core.noise.fields import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
-from otf_core.reports.budget import budget_lines, budget_to_dict, expanded, format_budget
+from otf_core.reports.budget import (
+    BudgetLine,
+    budget_lines,
+    budget_to_dict,
+    expanded,
+    format_budget,
+)
 from otf_core.reports.calibration_words import (
     convention_lines,
     squareness_words,
     volumetric_error,
     volumetric_line,
 )
+from otf_core.reports.residuals import write_residuals
 from otf_core.reports.reversal import format_reversal, reversal_csv, reversal_to_dict
 
 TABLES_FILE = 'error_tables.json'
 
 
-def result_to_dict(result: CalibrationResult, verb: str = 'calibrate') -> dict[str, Any]:
-    """Return a calibration as plain data in the layout of error_tables.json."""
-    data = tables_to_dict(result.tables)
-    pose, lines = result.T_machine_tracker, budget_lines(result.tables, result.budget)
+def result_to_dict(
+    result: CalibrationResult, verb: str = 'calibrate', lines: list[BudgetLine] | None = None
+) -> dict[str, Any]:
+    """Return a calibration as plain data in the layout of error_tables.json.
+
+    ``lines`` of its budget are worked out if not given.
+    """
+    data, pose = tables_to_dict(result.tables), result.T_machine_tracker
+    lines = budget_lines(result.tables, result.budget) if lines is None else lines
     for name, wide in expanded(result.tables, lines).items():
         data['squareness' if name in SQUARENESS else 'motions'][name] |= wide
     data |= {
@@ -112,9 +123,9 @@ def _spacing(result: CalibrationResult) -> dict[str, Any]:
     return {'table_pitch_over': result.fraction, 'cost': costs}
 
 
-def _tidy_rows(result: CalibrationResult) -> str:
+def _tidy_rows(result: CalibrationResult, budget: list[BudgetLine]) -> str:
     lines = ['motion,axis,position,value,unit,u,identifiable,U,k']
-    wide = expanded(result.tables, budget_lines(result.tables, result.budget))
+    wide = expanded(result.tables, budget)
     for motion in MOTIONS:
         table = result.tables.motions[motion]
         known = table.node_identifiable
@@ -141,41 +152,12 @@ def _factor(k: float | None) -> str:
     return '' if k is None else repr(float(k))
 
 
-_MOVING, _STANDING = ('2', '3'), ('1', '2', '3')
-"""Names of the components of a deviation: two across the path; along the beam and two across."""
-
-
-def _component_names(run: RunResult) -> tuple[str, ...]:
-    return _STANDING if run.pieces.standstill else _MOVING
-
-
-def _residual_columns(number: int, run: RunResult) -> NDArray[np.float64]:
-    pieces = run.pieces
-    return np.column_stack(
-        [
-            np.full(len(pieces), number),
-            pieces.time,
-            pieces.leg,
-            pieces.count,
-            pieces.speed,
-            run.q,
-            *run.axes,
-            run.deviation.T,
-            run.residual.T,
-        ]
-    )
-
-
-def _residual_header(run: RunResult) -> str:
-    names = _component_names(run)
-    columns = ['run', 'time', 'leg', 'count', 'speed', 'x', 'y', 'z']
-    columns += [f'a{k}{axis}' for k in names for axis in 'xyz']
-    columns += [f'{what}{k}' for what in ('deviation', 'residual') for k in names]
-    return ','.join(columns)
-
-
 def write_calibration(
-    result: CalibrationResult, folder: str | Path, verb: str = 'calibrate'
+    result: CalibrationResult,
+    folder: str | Path,
+    verb: str = 'calibrate',
+    *,
+    residuals_csv: bool = False,
 ) -> list[Path]:
     """Write all files of a calibration; error_tables.json last.
 
@@ -186,6 +168,8 @@ def write_calibration(
         Made if missing; files of the same names are replaced.
     verb : str
         Command that the files come from.
+    residuals_csv : bool
+        Write the residuals as text too.
 
     Returns
     -------
@@ -197,19 +181,24 @@ def write_calibration(
         If the folder cannot be written.
     """
     folder = ensure_folder(folder)
-    write_text(folder / 'error_tables.csv', _tidy_rows(result))
+    lines = budget_lines(result.tables, result.budget)
+    write_text(folder / 'error_tables.csv', _tidy_rows(result, lines))
     write_text(folder / 'reversal.csv', reversal_csv(result.reversal, result.tables))
-    rows = [_residual_columns(k, run) for k, run in enumerate(result.runs)]
-    write_csv(folder / 'residuals.csv', _residual_header(result.runs[0]), np.concatenate(rows))
-    write_text(folder / 'summary.txt', format_result(result) + '\n')
-    write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result, verb), indent=1) + '\n')
-    names = (TABLES_FILE, 'error_tables.csv', 'reversal.csv', 'residuals.csv', 'summary.txt')
-    return [folder / name for name in names]
+    residuals = write_residuals(result.runs, folder, text=residuals_csv)
+    write_text(folder / 'summary.txt', format_result(result, lines) + '\n')
+    data = result_to_dict(result, verb, lines)
+    write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
+    tables = [folder / name for name in (TABLES_FILE, 'error_tables.csv', 'reversal.csv')]
+    return [*tables, *residuals, folder / 'summary.txt']
 
 
-def format_result(result: CalibrationResult) -> str:
-    """Return the text for a terminal: warnings first, then fit, squareness, tables."""
+def format_result(result: CalibrationResult, budget: list[BudgetLine] | None = None) -> str:
+    """Return the text for a terminal: warnings first, then fit, squareness, tables.
+
+    Lines of the ``budget`` are worked out if not given.
+    """
     fit, machine = result.fit, result.tables.machine
+    budget = budget_lines(result.tables, result.budget) if budget is None else budget
     lines = [f'WARNING {text}' for text in result.warnings]
     lines += [f'FAILED {text}' for text in result.failed_gates]
     lines += [
@@ -227,7 +216,7 @@ def format_result(result: CalibrationResult) -> str:
         *([format_effects(result.effects), ''] if result.effects else []),
         format_reversal(result.reversal),
         '',
-        format_budget(result.tables, result.budget, budget_lines(result.tables, result.budget)),
+        format_budget(result.tables, result.budget, budget),
     ]
     return '\n'.join(lines)
 

@@ -15,7 +15,9 @@ PLAIN_FOLDER = 'plain'
 EFFECTS_FILE = 'effects_taken_off'
 
 
-def write_with_effects(done: EffectsCalibration, folder: str | Path) -> list[Path]:
+def write_with_effects(
+    done: EffectsCalibration, folder: str | Path, *, residuals_csv: bool = False
+) -> list[Path]:
     """Write the calibration, the effects taken off, and the plain calibration in ``plain/``.
 
     Without effects taken off there is no folder ``plain``: the tables are the plain ones.
@@ -28,7 +30,7 @@ def write_with_effects(done: EffectsCalibration, folder: str | Path) -> list[Pat
     files = []
     if done.applied[0]:
         files = write_calibration(done.plain, folder / PLAIN_FOLDER)[:1]
-    written = write_calibration(done.result, folder)
+    written = write_calibration(done.result, folder, residuals_csv=residuals_csv)
     machine = done.result.tables.machine
     for number, applied in enumerate(done.applied):
         if applied and (not number or _differs(applied, done.applied[0])):

@@ -8,7 +8,7 @@ the error vector of every piece only, and dense rows are made for a few legs at 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -123,41 +123,47 @@ class Design:
         starts = np.array([self.unknowns.blocks[m].start for m in MOTIONS if m.axis == name])
         return AxisPart(first, weight, arm, starts, basis.size)
 
-    def _few(self) -> Iterator[tuple[slice, Array]]:
-        """Blocks of few columns: squareness and reversal, with displacements (p, 3, k)."""
-        blocks = self.unknowns.blocks
-        for name in SQUARENESS:
-            parts = [squareness_influence(name, self.q + s) for s in self.shifts]
-            yield blocks[name], np.mean(parts, axis=0)[:, :, None]
-        if self.unknowns.reversal:
-            found = [dict(self._reversal(self.q + shift)) for shift in self.shifts]
-            for name in found[0]:
-                yield blocks[name], np.mean([f[name] for f in found], axis=0)[:, :, None]
+    @property
+    def _pose(self) -> Index:
+        block = self.unknowns.blocks[pose_block(self.run)]
+        return np.arange(block.start, block.stop)
 
-    def _reversal(self, q: Array) -> Iterator[tuple[str, Array]]:
-        return reversal_columns(self.machine, q, self.travel, self.side, self.unknowns)
+    @property
+    def _angles(self) -> Index:
+        return np.array([self.unknowns.blocks[name].start for name in SQUARENESS])
 
     @cached_property
-    def _columns(self) -> tuple[Index, Array]:
-        """Places (k,) and rows (c, p, k) of pose, squareness and reversal."""
-        pose = self.unknowns.blocks[pose_block(self.run)]
-        places = [np.arange(pose.start, pose.stop)]
-        # a . (dr x p) = dr . (p x a)
-        rows = [-self.axes, -crossed(self.points, self.axes)]
-        for block, influence in self._few():
-            places.append(np.arange(block.start, block.stop))
-            rows.append(np.einsum('cpi,pik->cpk', self.axes, influence))
-        return np.concatenate(places), np.concatenate(rows, axis=2)
+    def _reversal(self) -> tuple[Index, Array]:
+        """Places (k,) and displacements (p, 3, k) of reversal."""
+        if not self.unknowns.reversal:
+            return np.zeros(0, dtype=np.int64), np.zeros((len(self.q), 3, 0))
+        fixed = (self.travel, self.side, self.unknowns)
+        found = [dict(reversal_columns(self.machine, self.q + s, *fixed)) for s in self.shifts]
+        places = np.array([self.unknowns.blocks[name].start for name in found[0]])
+        parts = [np.stack(list(columns.values()), axis=2) for columns in found]
+        return places, np.asarray(np.mean(parts, axis=0))
+
+    def _few(self, pieces: Index | slice) -> tuple[Index, Array]:
+        """Places (k,) and rows (c, m, k) of pose, squareness and reversal."""
+        axes, q = self.axes[:, pieces], self.q[pieces]
+        # a . (dr x p) = dr . (p x a); what squareness does is linear within a piece
+        angles = np.stack([squareness_influence(name, q) for name in SQUARENESS], axis=2)
+        places, columns = self._reversal
+        influence = np.concatenate([angles, columns[pieces]], axis=2)
+        rows = [-axes, -crossed(self.points[pieces], axes)]
+        rows.append(np.einsum('cpi,pik->cpk', axes, influence))
+        return np.concatenate([self._pose, self._angles, places]), np.concatenate(rows, axis=2)
 
     def prepare(self) -> None:
-        """Make what all rows share; afterwards ``dense`` may be called from several threads."""
+        """Make what all rows share; afterwards rows may be made by several threads."""
         self._parts  # noqa: B018
-        self._columns  # noqa: B018
+        self._reversal  # noqa: B018
 
     def dense(self, pieces: Index | slice) -> Array:
         """Rows of some pieces, shape (c, m, full)."""
         full = self.unknowns.full
-        return self._filled(pieces, self._windows(pieces), np.arange(full), full)
+        few, windows = self._few(pieces), self._windows(pieces)
+        return self._filled(pieces, few, windows, np.arange(full), full)
 
     def touched(self, pieces: Index, width: int = 0) -> tuple[Index, Array]:
         """Rows of some pieces by the unknowns that they depend on.
@@ -175,9 +181,9 @@ class Design:
             Places of these unknowns in the full vector, ascending.
         rows : ndarray, shape (c, m, k + width)
         """
-        windows = self._windows(pieces)
+        windows, few = self._windows(pieces), self._few(pieces)
         mask = np.zeros(self.unknowns.full, dtype=bool)
-        mask[self._columns[0]] = True
+        mask[few[0]] = True
         for window in windows:
             own = np.zeros(window.parts[0].size, dtype=bool)
             for step in range(window.weights[0].shape[1]):
@@ -186,7 +192,7 @@ class Design:
                 mask[start : start + len(own)] |= own
         columns = np.flatnonzero(mask)
         size = len(columns) + width
-        return columns, self._filled(pieces, windows, np.cumsum(mask) - 1, size)
+        return columns, self._filled(pieces, few, windows, np.cumsum(mask) - 1, size)
 
     def _windows(self, pieces: Index | slice) -> list[_Window]:
         """What the three axes do at some pieces."""
@@ -194,13 +200,17 @@ class Design:
         return [_window([part.at(pieces) for part in parts]) for parts in groups]
 
     def _filled(
-        self, pieces: Index | slice, windows: Sequence[_Window], place_of: Index, size: int
+        self,
+        pieces: Index | slice,
+        few: tuple[Index, Array],
+        windows: Sequence[_Window],
+        place_of: Index,
+        size: int,
     ) -> Array:
         """Rows (c, m, size) of some pieces, every unknown in the column of its own."""
         axes = self.axes[:, pieces]
         dense = np.zeros((*axes.shape[:2], size))
-        places, rows = self._columns
-        dense[:, :, place_of[places]] = rows[:, pieces]
+        dense[:, :, place_of[few[0]]] = few[1]
         flat = dense.reshape(len(axes), -1)
         row = (np.arange(axes.shape[1]) * size)[:, None, None]
         for window in windows:
@@ -244,34 +254,39 @@ class Design:
         """
         if value.ndim > 1 and column is None:
             return np.stack([self.times(v) for v in value.T], axis=2)
-        total = np.zeros_like(self.q)
+        own = value[:, None] if column is None else value
+        of = np.zeros(len(self.q), dtype=np.int64) if column is None else column
+        moved, angles = own[self._pose][:, of], own[self._angles][:, of]
+        total = -moved[:3].T - crossed(moved[3:].T, self.points)
+        for angle, name in zip(angles, SQUARENESS, strict=True):
+            total += angle[:, None] * squareness_influence(name, self.q)
+        places, columns = self._reversal
+        if places.size:
+            total += np.einsum('pik,kp->pi', columns, own[places][:, of])
         for part in (part for parts in self._parts for part in parts):
-            own = value[part.starts + np.arange(part.size)[:, None]]
-            if column is None:
-                six = part.splines @ own
-            else:
-                wide = part.splines @ own.reshape(part.size, -1)
-                six = wide.reshape(len(column), 6, -1)[np.arange(len(column)), :, column]
-            total += six[:, :3] + crossed(six[:, 3:], part.lever)
-        found = np.einsum('cpi,pi->cp', self.axes, total / len(self.shifts))
-        places, rows = self._columns
-        few = value[places] if column is None else value[places][:, column]
-        if column is None:
-            return np.asarray(found + rows @ few)
-        return np.asarray(found + np.einsum('cpk,kp->cp', rows, few))
+            wide = part.splines @ own[part.starts + np.arange(part.size)[:, None]].reshape(
+                part.size, -1
+            )
+            six = wide.reshape(len(of), 6, -1)[np.arange(len(of)), :, of]
+            total += (six[:, :3] + crossed(six[:, 3:], part.lever)) / len(self.shifts)
+        return np.asarray(np.einsum('cpi,pi->cp', self.axes, total))
 
     def transposed(self, rows: Array) -> Array:
         """Transposed design times rows (c, p) or (c, p, k), shape (full,) or (full, k)."""
         wide = rows.reshape(*rows.shape[:2], -1)
         found = np.zeros((self.unknowns.full, wide.shape[2]))
-        pull = np.einsum('cpi,cpk->pki', self.axes, wide) / len(self.shifts)
+        pull = np.einsum('cpi,cpk->pki', self.axes, wide)
+        turned = crossed(self.points[:, None, :], pull)
+        found[self._pose] = -np.concatenate([pull.sum(axis=0), turned.sum(axis=0)], axis=1).T
+        for place, name in zip(self._angles.tolist(), SQUARENESS, strict=True):
+            found[place] = np.einsum('pi,pki->k', squareness_influence(name, self.q), pull)
+        places, columns = self._reversal
+        found[places] = np.einsum('pij,pki->jk', columns, pull, optimize=True)
         for part in (part for parts in self._parts for part in parts):
             six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
-            own = part.splines.T @ six.reshape(len(six), -1)
+            own = part.splines.T @ six.reshape(len(six), -1) / len(self.shifts)
             place = part.starts + np.arange(part.size)[:, None]
             found[place] += np.swapaxes(own.reshape(part.size, -1, 6), 1, 2)
-        places, own = self._columns
-        found[places] += np.einsum('cpk,cpj->kj', own, wide, optimize=True)
         return found.reshape(-1, *rows.shape[2:])
 
 

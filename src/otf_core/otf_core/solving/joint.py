@@ -331,14 +331,31 @@ def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Wh
 
 
 def seen_blocks(
-    runs: Sequence[Observed], unknowns: Unknowns, whiteners: Sequence[Whitener], limit: float
+    runs: Sequence[Observed],
+    unknowns: Unknowns,
+    whiteners: Sequence[Whitener],
+    limit: float,
+    laps: Sequence[float] = (),
 ) -> tuple[str, ...]:
-    """Blocks of unknowns that the data determine."""
+    """Blocks of unknowns that the data determine.
+
+    Parameters
+    ----------
+    runs : sequence of Observed
+    unknowns : Unknowns
+    whiteners : sequence of Whitener
+    limit : float
+        m and rad; ``unidentifiable_above``.
+    laps : sequence of float, optional
+        How often each of the runs was driven.
+    """
     judged = [
         build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
         for k, run in enumerate(runs)
     ]
-    return identifiable_blocks(summed(judged, unknowns, whiteners), unknowns, limit)
+    parts = zip(judged, whiteners, laps or [1.0] * len(judged), strict=True)
+    total = reduce(add, (normal_equations(s, unknowns, w).repeated(n) for s, w, n in parts))
+    return identifiable_blocks(total, unknowns, limit)
 
 
 def left_by(systems: Sequence[System], solution: Solution) -> list[Array]:

@@ -56,6 +56,12 @@ class NormalEquations:
             self.rows + other.rows,
         )
 
+    def repeated(self, times: float) -> NormalEquations:
+        """Return the sums over rows that are there several times."""
+        return NormalEquations(
+            self.matrix * times, self.right * times, self.square * times, round(self.rows * times)
+        )
+
     def less(self, part: NormalEquations) -> NormalEquations:
         """Return the sums over the rows that are not in ``part``."""
         return NormalEquations(

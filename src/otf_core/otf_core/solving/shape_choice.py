@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
+from otf_core.model.frames import RigidTransform
 from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.solving.basis import Basis, cubic, linear
 from otf_core.solving.joint import (
@@ -41,6 +42,7 @@ from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Bases = dict[str, Basis]
 
 SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
@@ -52,9 +54,11 @@ SIGNIFICANT = 4.0
 """Standard deviations of the mean."""
 NOTABLE = 0.05
 """Share of the variance of a step between pieces."""
-FEW = 6000
+FEW = 3000
 """Pieces that the first solution is made of, which finds poses and positions on the paths."""
 GOLDEN = 0.6180339887498949
+CLEAR_LEAD = 50.0
+"""Log likelihood by which functions that are worse in one lap are out for all of them."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,8 @@ class ShapeChoice(Generic[AnyRun]):
     done : JointSolution
         One linear solution, noise as it was known before.
     evidence : mapping of name to float
-        Restricted log likelihood of everything that was tried, less the best.
+        Restricted log likelihood of everything that was tried, less the best; of the first lap
+        where that was clear.
     """
 
     bases: Bases
@@ -119,22 +124,20 @@ def choose_shapes(
     config : CalibrationConfig
     progress : callable(stage, fraction)
     """
-    smooth, limit = layout(smooth_bases(nodes), len(runs)), config.unidentifiable_above
-    poses = [run.pose for run in runs]
-    whiteners = whiteners_of(runs, systems_of(runs, poses, smooth, None))
-    start = Start({}, seen_blocks(runs, smooth, whiteners, limit))
-    few = _thinned(runs)
-    first = solve_jointly(few, smooth, config, progress, start)
-    start = Start.after(runs[0].machine, first)
-    moved = [replace(r, pose=s.pose) for r, s in zip(runs, first.runs, strict=True)]
-    tried = {n: _tried(moved, _CHOICES[n](nodes), start, whiteners, limit) for n in FIRST_TRIED}
-    best = max(tried, key=lambda name: _likelihood(tried[name]))
-    if any(_steps_unexplained(solved) for solved in tried[best].runs):
-        tried[FINER] = _tried(moved, _CHOICES[FINER](nodes), start, whiteners, limit)
-    scores = {name: _likelihood(done) for name, done in tried.items()}
-    best = max(scores, key=lambda name: scores[name])
-    evidence = {name: score - scores[best] for name, score in scores.items()}
-    return ShapeChoice(tried[best].unknowns.bases, moved, tried[best], evidence)
+    limit = config.unidentifiable_above
+    once = [_every_line_once(run) for run in runs]
+    start, poses = _started(runs, once, nodes, config, progress)
+    moved, few = (
+        [replace(r, pose=p) for r, p in zip(own, poses, strict=True)] for own in (runs, once)
+    )
+    tried = _try_all(few, nodes, start, limit, FIRST_TRIED)
+    scores = _scores(tried)
+    if any(len(r.pieces) > len(o.pieces) for r, o in zip(runs, once, strict=True)):
+        near = [name for name in tried if scores[name] > -CLEAR_LEAD]
+        tried = _try_all(moved, nodes, start, limit, near)
+        scores |= _scores(tried)
+    best = max(tried, key=lambda name: scores[name])
+    return ShapeChoice(tried[best].unknowns.bases, moved, tried[best], scores)
 
 
 _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
@@ -144,17 +147,76 @@ _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
 }
 
 
+def _started(
+    runs: Sequence[AnyRun],
+    once: Sequence[AnyRun],
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    progress: Progress,
+) -> tuple[Start, list[RigidTransform]]:
+    """Blocks that the data determine, first tables and poses."""
+    smooth = layout(smooth_bases(nodes), len(runs))
+    whiteners = whiteners_of(once, systems_of(once, [r.pose for r in once], smooth, None))
+    laps = [len(r.pieces) / len(o.pieces) for r, o in zip(runs, once, strict=True)]
+    seen = seen_blocks(once, smooth, whiteners, config.unidentifiable_above, laps)
+    first = solve_jointly(_thinned(once), smooth, config, progress, Start({}, seen))
+    return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]
+
+
+def _try_all(
+    runs: Sequence[Observed],
+    nodes: Mapping[str, Array],
+    start: Start,
+    limit: float,
+    names: Sequence[str],
+) -> dict[str, JointSolution]:
+    """Linear solutions with some functions, and with finer ones where the best leaves steps."""
+    assert start.tables is not None
+    unknowns = layout(_CHOICES[names[0]](nodes), len(runs))
+    systems = systems_of(runs, [r.pose for r in runs], unknowns, start.tables)
+    whiteners = whiteners_of(runs, systems)
+    tried = {n: _tried(runs, _CHOICES[n](nodes), start, whiteners, limit) for n in names}
+    scores = _scores(tried)
+    best = max(tried, key=lambda name: scores[name])
+    if FINER not in tried and any(_steps_unexplained(solved) for solved in tried[best].runs):
+        tried[FINER] = _tried(runs, _CHOICES[FINER](nodes), start, whiteners, limit)
+    return tried
+
+
+def _scores(tried: Mapping[str, JointSolution]) -> dict[str, float]:
+    """Log likelihoods, less the best."""
+    found = {name: _likelihood(done) for name, done in tried.items()}
+    best = max(found.values())
+    return {name: score - best for name, score in found.items()}
+
+
+def _without_legs(run: AnyRun, number: Index, kept: Index) -> AnyRun:
+    drop = ~np.isin(number, kept)
+    return replace(run, pieces=run.pieces.without(drop)) if drop.any() else run
+
+
+def _leg_number(run: Observed) -> Index:
+    """Which leg in driving order a piece belongs to, shape (p,)."""
+    return np.asarray(np.cumsum(np.append(0, np.diff(run.pieces.leg) != 0)))
+
+
+def _every_line_once(run: AnyRun) -> AnyRun:
+    """The first leg on every line: laps repeat them."""
+    number = _leg_number(run)
+    first = np.flatnonzero(np.append(1, np.diff(number)))
+    lines = np.hstack([run.pieces.origin[first], run.pieces.direction[first]]).round(6)
+    return _without_legs(run, number, np.unique(lines, axis=0, return_index=True)[1])
+
+
 def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
     """Some legs of every run, spread evenly: enough for poses and first tables."""
     share, found = FEW // len(runs), []
     for run in runs:
-        number = np.cumsum(np.append(0, np.diff(run.pieces.leg) != 0))
-        # multiples of the golden section keep no step with the laps of a path
+        number = _leg_number(run)
+        # multiples of the golden section keep no step with the order of a path
         order = np.argsort((np.arange(number[-1] + 1) * GOLDEN) % 1.0)
         size = np.cumsum(np.bincount(number)[order])
-        kept = order[: int(np.searchsorted(size, share)) + 1]
-        drop = ~np.isin(number, kept)
-        found.append(replace(run, pieces=run.pieces.without(drop)) if drop.any() else run)
+        found.append(_without_legs(run, number, order[: int(np.searchsorted(size, share)) + 1]))
     return found
 
 

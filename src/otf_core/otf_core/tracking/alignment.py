@@ -114,15 +114,22 @@ def line_step(
     centre = points.mean(axis=0)
     local = points - centre
     size = np.sqrt(np.mean(np.einsum('ij,ij->i', local, local))) or 1.0
-    turn = np.cross(np.eye(3)[:, None, :], local[None] / size).transpose(1, 2, 0)
-    columns = np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2)
-    columns = (
-        columns - direction[:, :, None] * np.einsum('ij,ijk->ik', direction, columns)[:, None]
-    )
+    local /= size
     offset = points - origin
-    offset = offset - direction * np.einsum('ij,ij->i', direction, offset)[:, None]
-    normal = np.einsum('n,nik,nil->kl', weight, columns, columns) / weight.sum()
-    right = -np.einsum('n,nik,ni->k', weight, columns, offset) / weight.sum()
+    offset -= direction * np.einsum('ij,ij->i', direction, offset)[:, None]
+    # a motion moves a point by [1, -l x] and, of that, along its line by [d, l x d]
+    share = weight / weight.sum()
+    weighted = local * share[:, None]
+    mean, square = weighted.sum(axis=0), weighted.T @ local
+    along = np.concatenate([direction, np.cross(local, direction)], axis=1)
+    normal = -(along * share[:, None]).T @ along
+    normal[:3, :3] += share.sum() * np.eye(3)
+    normal[3:, 3:] += np.trace(square) * np.eye(3) - square
+    skew = np.cross(mean, np.eye(3))  # rows mean x e_k
+    normal[:3, 3:] += skew
+    normal[3:, :3] += skew.T
+    turned = np.cross(weighted, offset).sum(axis=0)
+    right = -np.concatenate([share @ offset, turned])
     if np.linalg.eigvalsh(normal)[0] < 1e-7:
         raise InputError(
             'the driven lines do not fix the place of the tracker (all parallel or too few); '
@@ -257,11 +264,10 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
         driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
         rounded = _rounded(match, driven, config)
     pose = _refine(match, driven, rounded, config)
-    points = pose.apply(samples.xyz)
     found = Alignment(
         pose,
         driven.shape.corners,
-        sample_chords(match, driven, points, config.corner_exclusion, 4 * tolerance),
+        sample_chords(match, driven, pose, samples.xyz, config.corner_exclusion, 4 * tolerance),
         _coverage(match, guide, 4 * tolerance),
         _reaches_end(match, guide.vertices, tolerance),
         driven.shape,
@@ -270,7 +276,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     )
     if driven.shape.straight:
         return found
-    return _on_arcs(found, points, SHORT_CURVE * config.corner_exclusion)
+    return _on_arcs(found, pose.apply(samples.xyz), SHORT_CURVE * config.corner_exclusion)
 
 
 def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.frames import RigidTransform
 from otf_core.model.path import MIN_LEG, Legs
 from otf_core.tracking.curves import Lines, PathShape, shape_of
 from otf_core.tracking.order import FORWARD, OFF_PATH, Match
@@ -192,8 +193,9 @@ def driven_path(match: Match, shape: PathShape, vertex: Index, slack: float) -> 
 
 
 def sample_chords(
-    match: Match, driven: Driven, points: Array, exclusion: float, slack: float
-) -> Index:
+    match: Match, driven: Driven, T_machine_tracker: RigidTransform, xyz: Array,
+    exclusion: float, slack: float,
+) -> Index:  # fmt: skip
     """Chord of every sample, ``OFF_PATH`` where there is none.
 
     Where the machine came to a leg from elsewhere, or left it, between its ends, ``exclusion`` is
@@ -203,26 +205,30 @@ def sample_chords(
     ----------
     match : Match
     driven : Driven
-    points : ndarray, shape (n, 3), m
-        Samples in the machine frame.
+    T_machine_tracker : RigidTransform
+    xyz : ndarray, shape (n, 3), m
+        Samples in the tracker frame.
     exclusion, slack : float
         m.
     """
     track, lines = match.track, Lines.of(driven.shape)
-    chord = np.full(len(points), OFF_PATH, dtype=np.int64)
+    chord = np.full(len(xyz), OFF_PATH, dtype=np.int64)
     for k in np.flatnonzero(driven.chord != OFF_PATH).tolist():
         first, last = int(driven.chord[k]), int(driven.last[k])
         part = slice(int(track.hops[track.start[k]]), int(track.hops[track.stop[k]]) + 1)
         chord[part] = first
         if last > first:
             way = driven.shape.corners[last + 1] - driven.shape.corners[first]
-            share = (points[part] - driven.shape.corners[first]) @ way / float(way @ way)
+            points = T_machine_tracker.apply(xyz[part])
+            share = (points - driven.shape.corners[first]) @ way / float(way @ way)
             chord[part] += np.clip(share * (last + 1 - first), 0, last - first).astype(np.int64)
-    on = np.flatnonzero(chord != OFF_PATH)
-    chord[on] = lines.settled(points[on], chord[on])
+    if not lines.shape.straight:
+        on = np.flatnonzero(chord != OFF_PATH)
+        chord[on] = lines.settled(T_machine_tracker.apply(xyz[on]), chord[on])
     for at, beyond in _entries(match, driven, lines, slack):
+        points = T_machine_tracker.apply(xyz[beyond[0] : beyond[1] + 1])
         near = np.flatnonzero(np.linalg.norm(points - at, axis=1) < exclusion)
-        chord[near[(near >= beyond[0]) & (near <= beyond[1])]] = OFF_PATH
+        chord[beyond[0] + near] = OFF_PATH
     return chord
 
 

@@ -30,6 +30,8 @@ GAP_TIME = 0.05
 """s; at least this long without samples, and a hop of movement, is a gap."""
 STRIDE_TIME = 0.005
 """s; samples are looked at this often."""
+BLOCK = 65536
+"""samples that are turned into Python numbers at once."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +94,19 @@ def _hop_selection(points: Array) -> NDArray[np.int64]:
     kept = [0]
     x0, y0, z0 = points[0].tolist()
     limit = HOP * HOP
-    for i, (x, y, z) in enumerate(points.tolist()):
-        if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 >= limit:
-            kept.append(i)
-            x0, y0, z0 = x, y, z
+    for start in range(0, len(points), BLOCK):
+        for i, (x, y, z) in enumerate(points[start : start + BLOCK].tolist(), start):
+            if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 >= limit:
+                kept.append(i)
+                x0, y0, z0 = x, y, z
     return np.array(kept, dtype=np.int64)
+
+
+def _middle_of_three(points: Array) -> Array:
+    """Medians of three successive points (n, 3), component by component, shape (n - 2, 3)."""
+    before, at, after = points[:-2], points[1:-1], points[2:]
+    middle = np.minimum(np.maximum(before, at), after)
+    return np.asarray(np.maximum(middle, np.minimum(before, at), out=middle))
 
 
 def _farthest(points: Array, i: int, j: int) -> tuple[int, float]:
@@ -174,7 +184,7 @@ def measured_track(samples: Samples, tolerance: float) -> Track:
     index = np.arange(0, len(samples), stride)
     points = samples.xyz[index].copy()
     if len(points) > 2:
-        points[1:-1] = np.median(np.stack([points[:-2], points[1:-1], points[2:]]), axis=0)
+        points[1:-1] = _middle_of_three(points)
     kept = _hop_selection(points) if len(points) else index
     if len(kept) < 10:
         raise InputError(

@@ -186,12 +186,20 @@ def test_command_calibrates_a_standstill_run(tmp_path, capsys):
     simulated = ['simulate', *common, '--path', str(tmp_path / 'points.csv'), '--rate', '100',
                  '--corner-dwell', '1', '--out', str(tmp_path / 'bag')]  # fmt: skip
     assert cli.main(simulated) == 0
-    out = ['--method', 'standstill', '--out', str(tmp_path / 'out')]
+    out = ['--method', 'standstill', '--out', str(tmp_path / 'out'), '--residuals-csv']
     assert cli.main(['calibrate', str(tmp_path / 'bag'), *common, *out]) == 0
     assert '100 path pieces' in capsys.readouterr().out
     header, *rows = (tmp_path / 'out' / 'residuals.csv').read_text().splitlines()
     assert header.endswith('deviation1,deviation2,deviation3,residual1,residual2,residual3')
     assert len(rows) == 100
+    numbers = np.array([row.split(',') for row in rows], dtype=float)
+    with np.load(tmp_path / 'out' / 'residuals.npz') as arrays:
+        assert arrays['axes'].shape == (100, 3, 3)
+        np.testing.assert_array_equal(arrays['q'], numbers[:, 5:8])
+        np.testing.assert_array_equal(
+            arrays['axes'][:, 1, 2], numbers[:, header.split(',').index('a2z')]
+        )
+        np.testing.assert_array_equal(arrays['residual'], numbers[:, -3:])
 
 
 def test_edge_points_lie_on_edges_and_spread_points_inside():

@@ -10,6 +10,7 @@ from otf_tracker_driver.backends.base import Backend, CommonConfig
 _CLASSES = (
     'simulated.SimulatedTracker',
     'replay.Replay',
+    'emscon.Emscon',
 )
 """FILE.CLASS, by the files of this folder; FILE also names the backend and its parameters."""
 

@@ -104,6 +104,11 @@ class Backend(ABC):
     def finished(self) -> bool:
         """True once ``poll`` has returned the last sample."""
 
+    @property
+    def trouble(self) -> str:
+        """What hinders a stream that is under way and goes on by itself; empty if nothing."""
+        return ''
+
     def stop(self) -> None:  # noqa: B027
         """End the stream; nothing happens if there is none."""
 

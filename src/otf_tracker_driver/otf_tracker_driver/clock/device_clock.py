@@ -25,6 +25,8 @@ EARLY = 5 * 10**6
 """ns; a packet that much beneath the line is impossible without a jump."""
 LATE = 80 * 10**6
 """ns; recorded packets are late by 60 ms at most."""
+HELD_UP = 10**9
+"""ns; a first packet that is followed by one earlier by less was held up; more is a jump."""
 LATE_FOR = 5 * 10**9
 """ns; if all packets are late for so long, the clock has jumped back."""
 RAISED = 3 * 10**6
@@ -80,10 +82,13 @@ class DeviceClock:
         Host minus device time; None until the clock has settled.
     epoch : int
         Changes with every jump and restart.
+    ended : Line or None
+        Of the epoch that a jump has ended, for packets that wait since before it.
     """
 
     def __init__(self) -> None:
         self.line: Line | None = None
+        self.ended: Line | None = None
         self.epoch = 0
         self._packets = self._jumps = self._late = 0
         self._delay = self._spread = 0.0
@@ -115,12 +120,12 @@ class DeviceClock:
         above = delay - int(self.line.at(np.int64(device_ns)))
         self._delay = above * 1e-9
         if above < -EARLY:
-            return self._jump([(device_ns, delay)])
+            return self._jump([(device_ns, delay)], self.line)
         if above > LATE:
             self._late += 1
             self._suspects.append((device_ns, delay))
             lasted = device_ns - self._suspects[0][0]
-            return self._jump(self._suspects) if lasted >= LATE_FOR else Verdict.WAIT
+            return self._jump(self._suspects, None) if lasted >= LATE_FOR else Verdict.WAIT
         self._suspects.clear()
         self._add(device_ns, delay)
         self._fit()
@@ -133,6 +138,12 @@ class DeviceClock:
             self._fit()
 
     def _settle(self, device_ns: int, delay: int, arrival_ns: int) -> Verdict:
+        least = min((other for _, other in self._points), default=delay)
+        if delay < least - LATE:
+            if len(self._points) > 1 or delay < least - HELD_UP:
+                self._fit()
+                return self._jump([(device_ns, delay)], self.line)
+            self._points.clear()  # the first packet was late
         if not self._points:
             self._began = arrival_ns
         self._add(device_ns, delay)
@@ -141,11 +152,12 @@ class DeviceClock:
         self._fit()
         return Verdict.STAMP
 
-    def _jump(self, points: list[tuple[int, int]]) -> Verdict:
-        """Begin a new epoch with these points."""
+    def _jump(self, points: list[tuple[int, int]], ended: Line | None) -> Verdict:
+        """Begin a new epoch with these points; those that wait may belong to the one before."""
         self._jumps += 1
         points = list(points)
         self.restart()
+        self.ended = ended
         self._began = sum(points[0])
         for device_ns, delay in points:
             self._add(device_ns, delay)

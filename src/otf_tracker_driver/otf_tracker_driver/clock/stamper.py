@@ -76,13 +76,13 @@ class Stamper:
         self.dropped += sum(len(packet.device_ns) for packet in self._waiting)
         self._waiting.clear()
         self._clock.restart()
-        self._device = None
+        self._epoch, self._given, self._device = self._clock.epoch, None, None
         return rest
 
     def flush(self) -> list[Samples]:
         """Return what still waits, stamped as well as can be."""
         self._clock.give_up_waiting()
-        return self._release()
+        return self._release(self._clock.line)
 
     def take(
         self, device_ns: NDArray[np.int64], xyz: NDArray[np.float64], arrival_ns: int
@@ -117,8 +117,11 @@ class Stamper:
             return rest
         self._device = int(packet.device_ns[-1])
         verdict = self._clock.take(int(device_ns[-1]), arrival_ns)
+        if self._epoch != self._clock.epoch:
+            rest += self._release(self._clock.ended)
+            self._epoch, self._given = self._clock.epoch, None
         self._waiting.append(packet)
-        return rest if verdict is Verdict.WAIT else rest + self._release()
+        return rest if verdict is Verdict.WAIT else rest + self._release(self._clock.line)
 
     def _increasing(self, packet: Packet) -> Packet:
         """Leave out samples that are not later than all before them."""
@@ -128,16 +131,13 @@ class Stamper:
         self.dropped += int(np.count_nonzero(~new))
         return Packet(packet.device_ns[new], packet.xyz[new])
 
-    def _release(self) -> list[Samples]:
-        line = self._clock.line
+    def _release(self, line: Line | None) -> list[Samples]:
         if line is None:
             return []
         waiting, self._waiting = self._waiting, []
         return [self._stamped(packet, line) for packet in waiting if len(packet.device_ns)]
 
     def _stamped(self, packet: Packet, line: Line) -> Samples:
-        if self._epoch != self._clock.epoch:
-            self._epoch, self._given = self._clock.epoch, None
         device = packet.device_ns
         stamp = device + line.at(device)
         if self._given is not None:

@@ -31,6 +31,11 @@ class Framer:
     def __init__(self) -> None:
         self._held = bytearray()
 
+    @property
+    def partial(self) -> bool:
+        """True if a packet has begun that is not complete."""
+        return bool(self._held)
+
     def feed(self, chunk: bytes) -> Iterator[bytes]:
         """Take bytes as they arrived; yield the packets that are complete.
 

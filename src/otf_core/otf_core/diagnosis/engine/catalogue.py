@@ -5,21 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES, DECOYS
-from otf_core.diagnosis.engine.evidence import Option, axis_subsets
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, search
 from otf_core.diagnosis.engine.spectral import Line, strongest_lines
-from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape, Terms
-from otf_core.solving.columns import column_size
+from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
+from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
 from otf_core.solving.sample_states import sample_residuals
-
-Array = NDArray[np.float64]
 
 DETECTABLE = 25.0
 """Rise of the sum of squares at which an effect is found."""
@@ -27,8 +22,6 @@ INVISIBLE_SHARE = 0.1
 """Largest share of its amplitude that an effect leaves and still counts as not visible."""
 PLAUSIBLE = 5e-6
 """m; an effect that would have to be larger to be found counts as not visible."""
-NO_TRACE = 1e-9
-"""m per unit; terms that move the target less across the path have no trace at all."""
 LINE_SCORE = 8.0
 """Least score of a spectral line to be tried as a shape."""
 
@@ -52,6 +45,17 @@ class Visibility:
     def visible(self) -> bool:
         """False if the effect leaves no trace that could be told."""
         return self.share > INVISIBLE_SHARE and self.smallest < PLAUSIBLE
+
+
+def sight_of(tried: Tried) -> Visibility:
+    """How well the data see one shape of an effect."""
+    acts = tried.size > NO_TRACE
+    if not acts.any():
+        return Visibility(0.0, np.inf)
+    whole, left = tried.whole[acts], tried.normal.diagonal()[acts]
+    ratio = np.sqrt(left / np.maximum(whole, 1e-300))
+    found = np.sqrt(DETECTABLE / np.maximum(left, 1e-300)) * tried.size[acts]
+    return Visibility(float(np.median(ratio)), float(np.median(found)))
 
 
 def shapes_from_lines(lines: Sequence[Line]) -> dict[str, list[Shape]]:
@@ -102,16 +106,16 @@ class Found:
 def search_catalogue(rows: Rows, exclude: Sequence[str]) -> Found:
     """Search rows for the effects of the catalogue, less the excluded ones, and for decoys."""
     shapes = shapes_from_lines(spectral_lines(rows))
-    options, visible = collect_options(rows, [*effects_without(exclude), *DECOYS], shapes)
-    causes, considered = search(rows, options)
+    tried, visible = tried_effects(rows, [*effects_without(exclude), *DECOYS], shapes)
+    causes, considered = search(rows, tried)
     sight = {name: v for name, v in visible.items() if name not in DECOY_NAMES}
     return Found(tuple(causes), tuple(considered), sight)
 
 
-def collect_options(
+def tried_effects(
     rows: Rows, effects: Sequence[Effect], shapes: Mapping[str, Sequence[Shape]]
-) -> tuple[dict[str, list[Option]], dict[str, Visibility]]:
-    """Project all columns of all effects.
+) -> tuple[dict[str, list[Tried]], dict[str, Visibility]]:
+    """Reduce the columns of all effects to their products, effect by effect.
 
     Parameters
     ----------
@@ -122,17 +126,17 @@ def collect_options(
 
     Returns
     -------
-    options : mapping of effect name to list of Option
+    tried : mapping of effect name to list of Tried
     visible : mapping of effect name to Visibility
     """
-    options: dict[str, list[Option]] = {}
+    tried: dict[str, list[Tried]] = {}
     visible: dict[str, Visibility] = {}
     for effect in effects:
         chosen, stand_in = shapes_of(rows, effect, shapes)
-        tried = try_shapes(rows, effect, chosen or stand_in)
-        options[effect.name] = [o for t in tried for o in t.options()] if chosen else []
-        visible[effect.name] = best_sight([t.visibility() for t in tried])
-    return options, visible
+        found = tried_shapes(rows, effect, chosen or stand_in)
+        tried[effect.name] = found if chosen else []
+        visible[effect.name] = best_sight([sight_of(t) for t in found])
+    return tried, visible
 
 
 def best_sight(seen: Sequence[Visibility]) -> Visibility:
@@ -151,70 +155,3 @@ def shapes_of(
     if wave is None:
         return found.get(effect.name, effect.shapes(rows.states[0])), ()
     return found.get(effect.name, ()), (effect.complete_shape({wave.parameter: wave.probe}),)
-
-
-@dataclass(frozen=True)
-class Tried:
-    """Columns of one shape of an effect: ``plain``, whitened, and with the tables taken off."""
-
-    effect: Effect
-    shape: Shape
-    terms: Terms
-    plain: Array
-    whole: Array
-    white: Array
-
-    @cached_property
-    def size(self) -> Array:
-        """Root mean square of the columns where they act, shape (k,), m."""
-        return column_size(self.plain)
-
-    @property
-    def acts(self) -> NDArray[np.bool_]:
-        """Terms that move the target across the path, shape (k,)."""
-        return self.size > NO_TRACE
-
-    def options(self) -> list[Option]:
-        """Options for all terms that act, and for those of each axis."""
-        size = self.size
-        found = []
-        for subset in axis_subsets(self.terms):
-            take = subset[self.acts[subset]]
-            if take.size:
-                own = self.white[:, take]
-                found.append(
-                    Option(
-                        self.effect, self.shape, self.terms, take, own, size[take], own,
-                        self.plain[:, take],
-                    )
-                )  # fmt: skip
-        return found
-
-    def visibility(self) -> Visibility:
-        """How well the data see this shape."""
-        size = self.size
-        acts = self.acts
-        if not acts.any():
-            return Visibility(0.0, np.inf)
-        whole = np.einsum('ij,ij->j', self.whole, self.whole)[acts]
-        left = np.einsum('ij,ij->j', self.white, self.white)[acts]
-        ratio = np.sqrt(left / np.maximum(whole, 1e-300))
-        found = np.sqrt(DETECTABLE / np.maximum(left, 1e-300)) * size[acts]
-        return Visibility(float(np.median(ratio)), float(np.median(found)))
-
-
-def try_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[Tried]:
-    """Columns of all shapes, whitened and projected at once."""
-    terms = [rows.terms(effect, shape) for shape in shapes]
-    kept = [(s, t) for s, t in zip(shapes, terms, strict=True) if t.names]
-    if not kept:
-        return []
-    plain = np.concatenate([rows.plain_columns(effect, s) for s, _ in kept], axis=1)
-    whole = rows.whiten(plain)
-    white = rows.project(whole)
-    found, start = [], 0
-    for shape, term in kept:
-        part = slice(start, start + len(term.names))
-        start = part.stop
-        found.append(Tried(effect, shape, term, plain[:, part], whole[:, part], white[:, part]))
-    return found

@@ -40,7 +40,7 @@ class Option:
     effect : Effect
     shape : mapping of str to float
     terms : Terms
-        Of all runs; columns those of the first.
+        Of all runs; columns of one point of the first.
     take : ndarray of int, shape (k,)
         Terms that take part.
     white : ndarray, shape (r, k)

@@ -4,7 +4,8 @@
 With W the inverse Cholesky factor of the noise covariance (``normal.Whitener``): A holds the
 columns of poses and tables, E those of an effect, y the deviations, all multiplied by W, so that
 independent noise of unit variance is left in y. What an effect adds beyond the tables is what
-remains of E once A is projected out.
+remains of E once A is projected out. Columns of effects are made where they are asked for and not
+kept: all of them together are many times as large as A.
 """
 
 from __future__ import annotations
@@ -33,6 +34,32 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
+ROWS = 4_000
+"""Rows that are projected at once; bounds the memory."""
+BLOCK = 600_000
+"""Pieces times terms at which an effect is evaluated at once; bounds the memory."""
+
+
+@dataclass(frozen=True)
+class Pulled:
+    """Whitened columns Q, set up for their products with what effects add beyond the tables.
+
+    With E = W D the columns of an effect, N the normal matrix of A: Q' (E - A N^-1 A' E) is
+    (W' Q)' D - (N^-1 A' Q)' (A' E), so E need not be whitened again.
+
+    Attributes
+    ----------
+    white, plain : ndarray, shape (r, q)
+        Q, and W' Q.
+    inner : ndarray, shape (b, q)
+        N^-1 A' Q.
+    """
+
+    white: Array
+    plain: Array
+    inner: Array
+
+
 @dataclass(frozen=True)
 class Rows:
     """Rows of all runs, one run after the other, component by component.
@@ -48,8 +75,8 @@ class Rows:
         As solved.
     states : tuple of State
         One per run, one entry per piece.
-    plain_base, plain_deviation : ndarray, shape (r, b) and (r,), m
-        ``base`` and ``deviation`` before whitening.
+    plain_deviation : ndarray, shape (r,), m
+        ``deviation`` before whitening.
     fold : ndarray of int, shape (r,)
         Group of legs each row belongs to, for judging on rows that were not fitted.
     limit : float
@@ -68,7 +95,6 @@ class Rows:
     whiteners: tuple[Whitener, ...]
     tables: ErrorTables
     states: tuple[State, ...]
-    plain_base: Array
     plain_deviation: Array
     fold: Index
     limit: float
@@ -84,21 +110,30 @@ class Rows:
             for r, s in zip(self.runs, self.done.runs, strict=True)
         )
 
+    def columns_in_run(self, effect: Effect, shape: Shape, run: int) -> Array:
+        """Displacements of one run across the path per unit of each term, shape (r of it, k)."""
+        solved, state = self.done.runs[run], self.states[run]
+        if effect.wave is not None and self.runs:
+            samples = effect.terms(self.sample_states[run], shape).columns
+            columns = across(solved, self.runs[run].pieces.mean_of(samples))
+            return columns.reshape(-1, columns.shape[2])
+        axes, count = solved.system.axes, len(effect.terms(state.part(slice(0, 1)), shape).names)
+        found = np.empty((len(axes), len(state), count))
+        step = max(1, BLOCK // max(count, 1))
+        for start in range(0, len(state), step):
+            part = slice(start, start + step)
+            terms = effect.terms(state.part(part), shape)
+            found[:, part] = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ terms.columns, 0, 1)
+        return found.reshape(-1, count)
+
     def plain_columns(self, effect: Effect, shape: Shape) -> Array:
         """Displacements across the path per unit of each term, shape (r, k)."""
-        parts = []
-        for k, solved in enumerate(self.done.runs):
-            if effect.wave is not None and self.runs:
-                samples = effect.terms(self.sample_states[k], shape).columns
-                columns = self.runs[k].pieces.mean_of(samples)
-            else:
-                columns = effect.terms(self.states[k], shape).columns
-            parts.append(across(solved, columns).reshape(-1, columns.shape[2]))
+        parts = [self.columns_in_run(effect, shape, k) for k in range(len(self.done.runs))]
         return linalg.block_diag(*parts) if effect.own_per_run else np.concatenate(parts)
 
     def terms(self, effect: Effect, shape: Shape) -> Terms:
-        """Terms of the columns; each run's own where they differ from run to run."""
-        first = effect.terms(self.states[0], shape)
+        """Terms of the columns, those of one point; each run's own where they differ."""
+        first = effect.terms(self.states[0].part(slice(0, 1)), shape)
         runs = range(len(self.states)) if effect.own_per_run else range(1)
         return Terms(
             tuple(name_in_run(name, k) for k in runs for name in first.names),
@@ -118,17 +153,41 @@ class Rows:
             whitener.whiten(part).reshape(-1, *columns.shape[1:]) for whitener, part in parts
         ])  # fmt: skip
 
+    def whiten_run(self, columns: Array, run: int) -> None:
+        """Whiten columns (r of the run, k) of one run in place."""
+        values = columns.reshape(*self.done.runs[run].system.deviation.shape, -1)
+        whitener = self.whiteners[run]
+        for (low, high), leg in zip(whitener.bounds, whitener.inverses, strict=True):
+            for component, inverse in enumerate(leg):
+                values[component, low:high] = inverse @ values[component, low:high]
+
+    def pulled(self, white: Array) -> Pulled:
+        """Set up products of whitened columns (r, q) with what effects add beyond the tables."""
+        parts = zip(self.whiteners, self.by_run(white), strict=True)
+        plain = np.concatenate([
+            w.whiten_transposed(part).reshape(-1, white.shape[1]) for w, part in parts
+        ])  # fmt: skip
+        inner = linalg.cho_solve((self.factor, True), self.base.T @ white)
+        return Pulled(white, plain, inner)
+
     def left(self, plain: Array) -> Array:
         """Deviations (r,) less tables and poses as the calibration fits them, m."""
         parts = [part[..., None] for part in self.by_run(plain)]
         fitted = sensitivity(self.done, parts)[:, 0]
-        model = [solved.system.design @ fitted for solved in self.done.runs]
+        model = [solved.system.rows.times(fitted).reshape(-1) for solved in self.done.runs]
         return np.asarray(plain - np.concatenate(model))
 
     @cached_property
     def base(self) -> Array:
         """Whitened columns of the unknowns in ``use``, in units of ``limit``, shape (r, b)."""
-        return self.whiten(self.plain_base)
+        gauge = self.done.unknowns.gauge[:, self.use] * self.limit
+        ends = np.cumsum([0, *(s.system.deviation.size for s in self.done.runs)])
+        found = np.empty((ends[-1], len(self.use)))
+        for k, (solved, whitener) in enumerate(zip(self.done.runs, self.whiteners, strict=True)):
+            plain = (solved.system.design @ gauge).toarray()
+            white = whitener.whiten(plain.reshape(*solved.system.deviation.shape, -1))
+            found[ends[k] : ends[k + 1]] = white.reshape(plain.shape)
+        return found
 
     @cached_property
     def deviation(self) -> Array:
@@ -141,6 +200,12 @@ class Rows:
         return np.asarray(linalg.cholesky(self.base.T @ self.base + self.ridge, lower=True))
 
     @cached_property
+    def slack(self) -> Array:
+        """Tie-breaker in units of the normal matrix, L^-1 R L^-T, shape (b, b)."""
+        half = linalg.solve_triangular(self.factor, self.ridge, lower=True)
+        return np.asarray(linalg.solve_triangular(self.factor, half.T, lower=True))
+
+    @cached_property
     def ridge(self) -> Array:
         """Tie-breaker for what the data do not determine, shape (b, b)."""
         smooth = smoothness(self.done.unknowns)
@@ -149,7 +214,10 @@ class Rows:
     def project(self, columns: Array) -> Array:
         """Columns (r, k) less what tables and poses can follow of them."""
         inner = linalg.cho_solve((self.factor, True), self.base.T @ columns)
-        return np.asarray(columns - self.base @ inner)
+        found = np.array(columns)
+        for start in range(0, len(found), ROWS):
+            found[start : start + ROWS] -= self.base[start : start + ROWS] @ inner
+        return found
 
     @cached_property
     def residual(self) -> Array:
@@ -180,11 +248,9 @@ def rows_of(observed: Sequence[Observed], done: JointSolution, limit: float) -> 
     seen = identifiable_blocks(summed(systems, done.unknowns, whiteners), done.unknowns, limit)
     use = free_columns(done.unknowns, seen)
     tables = tables_of(observed[0].machine, done.unknowns, done.solution)
-    plain, deviation, fold, states = [], [], [], []
+    deviation, fold, states = [], [], []
     for run, solved, number in zip(observed, done.runs, leg_numbers(done), strict=True):
         states.append(piece_state(run, solved, done.unknowns.knots, tables))
-        design = solved.system.design @ done.unknowns.gauge
-        plain.append(design[:, use].toarray() * limit)
         deviation.append(solved.system.deviation.reshape(-1))
         fold.append(np.tile(fold_of(number), len(solved.system.axes)))
     return Rows(
@@ -193,7 +259,6 @@ def rows_of(observed: Sequence[Observed], done: JointSolution, limit: float) -> 
         whiteners=tuple(whiteners),
         tables=tables,
         states=tuple(states),
-        plain_base=np.concatenate(plain),
         plain_deviation=np.concatenate(deviation),
         fold=np.concatenate(fold),
         limit=limit,

@@ -5,19 +5,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES
-from otf_core.diagnosis.engine.evidence import Estimate, Option, average, estimate, log_evidence
+from otf_core.diagnosis.engine.evidence import Estimate, Option, average, estimate
 from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.tried import Tried
 from otf_core.solving.columns import column_size
 from otf_core.solving.residual_check import check_residuals
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 NEEDED_EVIDENCE = 9.0
 """Logarithm of the odds that an effect needs before it is named (8000 to 1)."""
@@ -64,47 +65,22 @@ def fit_out(option: Option, residual: Array) -> Array:
     return residual - option.white @ fit.value
 
 
-class _Candidate:
-    """An option beside the causes found so far, by its products alone.
-
-    With Q an orthonormal basis of the columns of the causes and a residual y free of them, the
-    columns E less what Q can follow have the products E'E - (Q'E)'(Q'E) and E'y; no columns are
-    written again.
-    """
-
-    def __init__(self, option: Option) -> None:
-        self.option = option
-        self.normal = option.own.T @ option.own
-
-    def take_out(self, basis: Array) -> None:
-        """Leave out what further orthonormal columns (r, k) can follow."""
-        shared = basis.T @ self.option.own
-        self.normal = self.normal - shared.T @ shared
+Candidates = Mapping[str, Sequence[Tried]]
+Ranking = list[tuple[float, Tried, Index]]
+"""Score of every effect, and its best option: the shape and its terms."""
 
 
-Candidates = Mapping[str, Sequence[_Candidate]]
-
-
-def _products(candidates: Candidates, residual: Array) -> dict[str, list[Array]]:
-    """Return E'y of every candidate, for a residual free of the causes found."""
-    return {n: [c.option.own.T @ residual for c in group] for n, group in candidates.items()}
-
-
-def _ranking(
-    candidates: Candidates, products: Mapping[str, Sequence[Array]], variance: float
-) -> list[tuple[float, Option]]:
+def _ranking(candidates: Candidates, variance: float) -> Ranking:
     """Score and best option of every effect, best first."""
-    ranking = []
-    for name, group in candidates.items():
-        if not group:
+    ranking: Ranking = []
+    for group in candidates.values():
+        pairs = [(tried, take) for tried in group for take in tried.takes]
+        if not pairs:
             continue
-        scores = [
-            log_evidence(c.normal, right, c.option.size, variance)
-            for c, right in zip(group, products[name], strict=True)
-        ]
-        doubt = DECOY_DOUBT if group[0].option.effect.name in DECOY_NAMES else 0.0
-        ranking.append((average(scores) - doubt, group[int(np.argmax(scores))].option))
-    return sorted(ranking, key=lambda pair: -pair[0])
+        scores = [tried.odds(take, variance) for tried, take in pairs]
+        doubt = DECOY_DOUBT if group[0].effect.name in DECOY_NAMES else 0.0
+        ranking.append((average(scores) - doubt, *pairs[int(np.argmax(scores))]))
+    return sorted(ranking, key=lambda entry: -entry[0])
 
 
 def _same_trace(best: Option, other: Option, residual: Array) -> bool:
@@ -143,10 +119,11 @@ def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Optio
     return refined if better > estimate(option.white, option.size, residual).gain else option
 
 
-def search(
-    rows: Rows, options: Mapping[str, Sequence[Option]]
-) -> tuple[list[Cause], list[tuple[str, float]]]:
+def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, float]]]:
     """Find effects one after the other.
+
+    With Q an orthonormal basis of the columns of the causes, what is left of the columns P of an
+    effect has the products P'P - (Q'P)'(Q'P) and P'y - (Q'P)'(Q'y): no columns are written again.
 
     Returns
     -------
@@ -157,51 +134,55 @@ def search(
     """
     residual = rows.residual
     basis = np.zeros((len(residual), 0))
-    candidates = {name: [_Candidate(o) for o in group] for name, group in options.items()}
+    candidates = {name: list(group) for name, group in tried.items()}
     causes: list[Cause] = []
     considered: list[tuple[str, float]] = []
-    while len(causes) < MAX_CAUSES:
-        products = _products(candidates, residual)
-        first = _ranking(candidates, products, 1.0)
+    while True:
+        first = _ranking(candidates, 1.0)
         if not first:
             break
         # noise is judged on what the best candidate leaves: its own trace must not count as noise
-        left = fit_out(_free_of(basis, first[0][1]), residual)
-        ranking = _ranking(candidates, products, noise_variance(rows, left))
-        considered = [(o.effect.name, s) for s, o in ranking]
+        best = _free_of(basis, first[0][1].source.option(first[0][2]))
+        ranking = _ranking(candidates, noise_variance(rows, fit_out(best, residual)))
+        considered = [(t.effect.name, s) for s, t, _ in ranking]
         if ranking[0][0] < NEEDED_EVIDENCE:
             break
         causes.append(_cause(ranking, basis, rows, residual))
         option = causes[-1].option
-        name = option.effect.name
-        group = candidates.pop(name)
+        group = candidates.pop(option.effect.name)
         if option.effect.wave is not None:  # each axis has a period of its own
-            others = [c for c in group if c.option.axes]
-            candidates[name] = [c for c in others if not set(c.option.axes) & set(option.axes)]
+            candidates[option.effect.name] = [_other_axes(t, option.axes) for t in group]
+        if len(causes) == MAX_CAUSES:
+            break
         taken = _orthonormal(option.white)
         basis = np.concatenate([basis, taken], axis=1)
-        residual = residual - taken @ (taken.T @ residual)
-        for candidate in chain.from_iterable(candidates.values()):
-            candidate.take_out(taken)
+        amount, pulled = taken.T @ residual, rows.pulled(taken)
+        residual = residual - taken @ amount
+        candidates = {n: [t.without(pulled, amount) for t in g] for n, g in candidates.items()}
     return causes, considered
 
 
-def _cause(
-    ranking: Sequence[tuple[float, Option]], basis: Array, rows: Rows, residual: Array
-) -> Cause:
+def _other_axes(tried: Tried, axes: Sequence[str]) -> Tried:
+    """Keep the options of single axes that are not among these."""
+    takes = [take for take in tried.takes if tried.axes(take)]
+    return tried.only([take for take in takes if not set(tried.axes(take)) & set(axes)])
+
+
+def _cause(ranking: Ranking, basis: Array, rows: Rows, residual: Array) -> Cause:
     """The first of a ranking as a cause, with what is not told from it."""
-    score = ranking[0][0]
-    option = _refined(_free_of(basis, ranking[0][1]), basis, rows, residual)
+    score, tried, take = ranking[0]
+    option = _refined(_free_of(basis, tried.source.option(take)), basis, rows, residual)
+
+    def same(other: Tried, take: Index) -> bool:
+        return _same_trace(option, _free_of(basis, other.source.option(take)), residual)
+
     close = [
-        o.effect.name
-        for s, o in ranking[1:]
-        if o.effect.name not in DECOY_NAMES
-        and (
-            s > score - CLOSE_EVIDENCE
-            or (s > NEEDED_EVIDENCE and _same_trace(option, _free_of(basis, o), residual))
-        )
+        t.effect.name
+        for s, t, own in ranking[1:]
+        if t.effect.name not in DECOY_NAMES
+        and (s > score - CLOSE_EVIDENCE or (s > NEEDED_EVIDENCE and same(t, own)))
     ]
-    odds = np.array([0.0] + [s for s, _ in ranking])
+    odds = np.array([0.0] + [s for s, _, _ in ranking])
     confidence = float(np.exp(score - np.logaddexp.reduce(odds)))
     return Cause(option, score, confidence, tuple(close[:4]))
 

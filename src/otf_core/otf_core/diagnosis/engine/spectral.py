@@ -16,7 +16,6 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.stats import gamma
 
 from otf_core.effects import Effect
 from otf_core.effects.base import Wave
@@ -80,6 +79,8 @@ def _over_level(power: Array, place: Array) -> Array:
 
 def _improbability(value: float, shape: float, trials: int) -> float:
     """Minus log of the probability of such a value in so many trials."""
+    from scipy.stats import gamma  # 0.4 s that only a diagnosis pays
+
     return float(-gamma.logsf(value, shape) - np.log(max(trials, 1)))
 
 

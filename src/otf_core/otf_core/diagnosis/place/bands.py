@@ -8,6 +8,7 @@ the squares of all bands add up to the square of the residual, and the noise is 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -37,6 +38,7 @@ MOVING = 0.2
 """Direction component from which an axis counts as moving along."""
 
 
+@cache
 def fourier_basis(count: int) -> tuple[Array, Index]:
     """Orthonormal real Fourier basis.
 

@@ -94,11 +94,8 @@ class LegSums:
 
 def leg_rows(view: RunView, residual: Array) -> Iterator[tuple[slice, list[LegRows]]]:
     """Yield the pieces of each leg and its components."""
-    for (low, high), leg in zip(view.bounds, view.whitener.factors, strict=True):
-        yield (
-            slice(low, high),
-            [LegRows(residual[c, low:high], f @ f.T) for c, f in enumerate(leg)],
-        )
+    for (low, high), leg in zip(view.bounds, view.covariances, strict=True):
+        yield slice(low, high), [LegRows(residual[c, low:high], k) for c, k in enumerate(leg)]
 
 
 def rows_along(rows: Sequence[LegRows], weights: Array) -> LegRows:
@@ -118,12 +115,13 @@ def leg_sums(rows: Sequence[LegRows], member: NDArray[np.bool_], pieces: Array) 
         Which groups each value belongs to.
     pieces : ndarray, shape (g,)
     """
-    inside = member.astype(float)
-    square, noise, variance = (np.zeros(inside.shape[1]) for _ in range(3))
+    square, noise, variance = (np.zeros(member.shape[1]) for _ in range(3))
+    here = np.flatnonzero(member.any(axis=0))
+    inside = member[:, here].astype(float)
     for row in rows:
-        square += inside.T @ row.values**2
-        noise += inside.T @ np.diag(row.covariance)
-        variance += 2.0 * ((row.covariance**2 @ inside) * inside).sum(axis=0)
+        square[here] += inside.T @ row.values**2
+        noise[here] += inside.T @ np.diag(row.covariance)
+        variance[here] += 2.0 * ((row.covariance**2 @ inside) * inside).sum(axis=0)
     return LegSums(square, noise, variance, pieces)
 
 

@@ -34,6 +34,8 @@ SEVERAL = ('sense', 'product')
 REFINEMENTS = 3
 KEPT = 8
 """Of many shapes of a family so many are fitted exactly."""
+TOGETHER = 8
+"""Shapes whose columns are made at once; bounds the memory."""
 EXACT = 24
 """Families of more shapes are screened."""
 
@@ -68,6 +70,17 @@ def _candidates(
     views: Sequence[RunView], shapes: Sequence[GapShape], project: Projection
 ) -> list[_Candidate]:
     """Shapes of equal numbers of scales with their whitened columns, less what tables follow."""
+    found = (
+        _candidates_of(views, shapes[k : k + TOGETHER], project)
+        for k in range(0, len(shapes), TOGETHER)
+    )
+    return [candidate for some in found for candidate in some]
+
+
+def _candidates_of(
+    views: Sequence[RunView], shapes: Sequence[GapShape], project: Projection
+) -> list[_Candidate]:
+    """Some of these, at once."""
     wide = []
     for view in views:
         scales = np.concatenate([s.scales(view) for s in shapes], axis=1)

@@ -80,6 +80,11 @@ class RunView:
         ]
         return Whitener.from_factors(self.bounds, scaled)
 
+    @cached_property
+    def covariances(self) -> tuple[tuple[Array, ...], ...]:
+        """Noise covariance of every leg and component, m^2."""
+        return tuple(tuple(f @ f.T for f in leg) for leg in self.whitener.factors)
+
     def _typical(self, low: int, high: int) -> tuple[Array, ...]:
         gap = np.abs(self.time[low:high, None] - self.time[None, low:high])
         matrix = 0.99 * np.exp(-gap / TYPICAL_CORRELATION_TIME) + 0.01 * np.eye(high - low)

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects that are tried, by the products of their columns alone.
+
+With E the whitened columns of one shape of an effect, A those of tables and poses, y what they
+leave, L L' = N the normal matrix of A with its tie-breaker R, X = A'E and Z = L^-1 X, the columns
+P = E - A N^-1 X that remain have the products
+
+    P'P = E'E - Z'(1 + L^-1 R L^-T) Z,    P'y = (W'y)' D - (N^-1 A'y)' X
+
+(D: E before whitening by W). Columns are made, reduced to these and forgotten, some shapes at a
+time; those of the causes found are made again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from otf_core.diagnosis.engine.evidence import Option, axis_subsets, log_evidence
+from otf_core.diagnosis.engine.rows import Pulled, Rows
+from otf_core.effects import Effect, Shape, Terms
+from otf_core.solving.columns import column_size
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+NO_TRACE = 1e-9
+"""m per unit; terms that move the target less across the path have no trace at all."""
+FAINT = 1e-6
+"""Share of the squares below which products are differences of rounding errors: such columns are
+projected themselves."""
+NARROW = 32
+"""Columns whose sizes are found at once."""
+MEMORY = 32e6
+"""Bytes of columns that are whitened at once; more if one shape alone needs it."""
+
+
+class Source(Protocol):
+    """Where the columns of one shape of an effect come from."""
+
+    def option(self, take: Index) -> Option:
+        """Make the columns of some terms."""
+
+    def shared(self, pulled: Pulled) -> Array:
+        """Return the products (q, k) of whitened columns with what the effect adds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """One shape of an effect.
+
+    Attributes
+    ----------
+    effect : Effect
+    shape : mapping of str to float
+    terms : Terms
+    size : ndarray, shape (k,), m
+        Root mean square of the columns where they act.
+    whole : ndarray, shape (k,)
+        Squares of the whitened columns.
+    normal, right : ndarray, shape (k, k) and (k,)
+        P'P and P'y, less what the causes found so far can follow.
+    takes : tuple of ndarray of int
+        Terms of every option: all that act, and those of each axis.
+    source : Source
+    """
+
+    effect: Effect
+    shape: Shape
+    terms: Terms
+    size: Array
+    whole: Array
+    normal: Array
+    right: Array
+    takes: tuple[Index, ...]
+    source: Source
+
+    def axes(self, take: Index) -> tuple[str, ...]:
+        """Machine axes of some terms."""
+        return tuple(sorted({self.terms.axes[i] for i in take} - {''}))
+
+    def odds(self, take: Index, variance: float) -> float:
+        """Evidence of an option, see ``log_evidence``."""
+        place = np.ix_(take, take)
+        return log_evidence(self.normal[place], self.right[take], self.size[take], variance)
+
+    def without(self, pulled: Pulled, amount: Array) -> Tried:
+        """Leave out what orthonormal columns can follow, and of y ``amount`` (q,) of them."""
+        shared = self.source.shared(pulled)
+        return replace(
+            self, normal=self.normal - shared.T @ shared, right=self.right - shared.T @ amount
+        )
+
+    def only(self, takes: Sequence[Index]) -> Tried:
+        """Keep some of the options."""
+        return replace(self, takes=tuple(takes))
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """Columns made from the rows of runs; ``cross`` (b, k) is A'E."""
+
+    rows: Rows
+    effect: Effect
+    shape: Shape
+    terms: Terms
+    cross: Array
+
+    def option(self, take: Index) -> Option:
+        """Make the columns of some terms."""
+        plain = self.rows.plain_columns(self.effect, self.shape)[:, take]
+        own = self.rows.project(self.rows.whiten(plain))
+        size = column_size(plain)
+        return Option(self.effect, self.shape, self.terms, take, own, size, own, plain)
+
+    def shared(self, pulled: Pulled) -> Array:
+        """Products of whitened columns with what the effect adds."""
+        ends = np.cumsum([0, *(s.system.deviation.size for s in self.rows.done.runs)])
+        parts = [
+            pulled.plain[low:high].T @ self.rows.columns_in_run(self.effect, self.shape, k)
+            for k, (low, high) in enumerate(pairwise(ends))
+        ]
+        own = self.effect.own_per_run
+        found = np.concatenate(parts, axis=1) if own else np.asarray(sum(parts))
+        return np.asarray(found - pulled.inner.T @ self.cross)
+
+
+def tried_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[Tried]:
+    """Reduce the columns of shapes of an effect to their products."""
+    pulled = rows.pulled(rows.residual[:, None])
+    return [t for some in _batches(rows, effect, shapes) for t in _reduced(rows, some, pulled)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """A shape, its terms, and the place of its columns of one run in those of a batch."""
+
+    effect: Effect
+    shape: Shape
+    terms: Terms
+    place: slice
+
+
+def _batches(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> Iterator[list[_Shape]]:
+    """Shapes whose columns fit into ``MEMORY`` together."""
+    runs = len(rows.states)
+    most = MEMORY / 8.0 / len(rows.plain_deviation) * (runs if effect.own_per_run else 1)
+    batch: list[_Shape] = []
+    start = 0
+    for shape in shapes:
+        terms = rows.terms(effect, shape)
+        width = terms.columns.shape[2]
+        if not width:
+            continue
+        if batch and start + width > most:
+            yield batch
+            batch, start = [], 0
+        batch.append(_Shape(effect, shape, terms, slice(start, start + width)))
+        start += width
+    if batch:
+        yield batch
+
+
+def _reduced(rows: Rows, batch: Sequence[_Shape], pulled: Pulled) -> list[Tried]:
+    """Products of the columns of a batch; run by run where each has coefficients of its own."""
+    effect, runs = batch[0].effect, range(len(rows.states))
+    groups = [[k] for k in runs] if effect.own_per_run else [list(runs)]
+    found = [_group(rows, batch, group, pulled) for group in groups]
+    pairs = zip(batch, zip(*found, strict=True), strict=True)
+    return [_joined(rows, one, parts, pulled) for one, parts in pairs]
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Of the columns of some runs: ``column_size``, E'E, A'E, E' times the residual."""
+
+    size: Array
+    square: Array
+    cross: Array
+    right: Array
+
+
+def _group(
+    rows: Rows, batch: Sequence[_Shape], group: Sequence[int], pulled: Pulled
+) -> list[_Sums]:
+    """Sums over runs that share their coefficients."""
+    ends = np.cumsum([0, *(s.system.deviation.size for s in rows.done.runs)])
+    plain = [_beside([rows.columns_in_run(s.effect, s.shape, k) for s in batch]) for k in group]
+    size = _sizes(plain)
+    cross, right = np.zeros((len(rows.use), len(size))), np.zeros(len(size))
+    squares = [np.zeros((s.place.stop - s.place.start,) * 2) for s in batch]
+    for k, columns in zip(group, plain, strict=True):
+        part = slice(ends[k], ends[k + 1])
+        right += columns.T @ pulled.plain[part, 0]
+        rows.whiten_run(columns, k)
+        cross += rows.base[part].T @ columns
+        for square, one in zip(squares, batch, strict=True):
+            own = columns[:, one.place]
+            square += own.T @ own
+    return [
+        _Sums(size[s.place], square, cross[:, s.place], right[s.place])
+        for s, square in zip(batch, squares, strict=True)
+    ]
+
+
+def _beside(parts: Sequence[Array]) -> Array:
+    """Columns side by side; no copy of one part alone."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+
+def _sizes(plain: Sequence[Array]) -> Array:
+    """``column_size`` of columns (r, k) of several runs, without another copy of all."""
+    wide = plain[0].shape[1]
+    parts = (slice(k, k + NARROW) for k in range(0, wide, NARROW))
+    return np.concatenate([column_size(np.concatenate([p[:, s] for p in plain])) for s in parts])
+
+
+def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> Tried:
+    """Products with what tables and poses can follow left out."""
+    size = np.concatenate([p.size for p in parts])
+    square = linalg.block_diag(*(p.square for p in parts))
+    cross = np.concatenate([p.cross for p in parts], axis=1)
+    right = np.concatenate([p.right for p in parts]) - pulled.inner[:, 0] @ cross
+    half = linalg.solve_triangular(rows.factor, cross, lower=True)
+    normal = square - half.T @ (half + rows.slack @ half)
+    whole, source = square.diagonal().copy(), Made(rows, one.effect, one.shape, one.terms, cross)
+    faint = np.flatnonzero((normal.diagonal() < FAINT * whole) & (size > NO_TRACE))
+    if faint.size:
+        own = source.option(faint).own
+        normal[np.ix_(faint, faint)], right[faint] = own.T @ own, own.T @ rows.residual
+    takes = (s[size[s] > NO_TRACE] for s in axis_subsets(one.terms))
+    return Tried(
+        one.effect,
+        one.shape,
+        one.terms,
+        size,
+        whole,
+        0.5 * (normal + normal.T),
+        right,
+        tuple(t for t in takes if t.size),
+        source,
+    )

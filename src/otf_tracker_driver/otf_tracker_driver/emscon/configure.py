@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything a tracker has to be told before it measures, each setting read back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+from otf_tracker_driver.emscon import codes
+from otf_tracker_driver.emscon.codes import Command, Status
+from otf_tracker_driver.emscon.commands import Value
+from otf_tracker_driver.emscon.errors import Refused, TrackerError
+from otf_tracker_driver.emscon.link import Link
+
+UNITS = (
+    codes.METRE,
+    codes.RADIAN,
+    codes.CELSIUS,
+    codes.MILLIBAR,
+    codes.RELATIVE_HUMIDITY,
+)
+WEATHER, TRANSFORMED, ORIENTED, UNSOLICITED, POSITIONS, TRY_MODE = 0, 1, 2, 4, 5, 6
+"""Places in the system settings."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """How the tracker is to measure.
+
+    Attributes
+    ----------
+    interval_ms : int
+        From sample to sample.
+    reflector : str
+        Name in the tracker's list; empty: the one that is set.
+    environment : tuple of float or None
+        Temperature, C; pressure, mbar; relative humidity, %. None: what the tracker knows.
+    """
+
+    interval_ms: int
+    reflector: str = ''
+    environment: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """What is known of a tracker once it is configured.
+
+    Attributes
+    ----------
+    name, version, reflector : str
+    serial : int
+    reflectors : tuple of str
+    environment : tuple of float or None
+        Temperature, C; pressure, mbar; relative humidity, %.
+    """
+
+    name: str
+    version: str
+    serial: int
+    reflector: str
+    reflectors: tuple[str, ...]
+    environment: tuple[float, float, float] | None
+
+    def __str__(self) -> str:
+        """One line for people."""
+        where = f'{self.name} {self.serial} (emScon {self.version}), reflector {self.reflector}'
+        if self.environment is None:
+            return where
+        temperature, pressure, humidity = self.environment
+        return f'{where}, {temperature:.1f} C, {pressure:.1f} mbar, {humidity:.0f} %'
+
+
+async def identify(link: Link) -> tuple[str, str, int, bool]:
+    """Return name, version, serial number, and whether the tracker is initialised."""
+    status = [int(v) for v in await link.ask(Command.GET_SYSTEM_STATUS)]
+    version = '.'.join(map(str, status[4:7]))
+    info = await _optional(link, Command.GET_TRACKER_INFO)
+    name = str(info[1]).strip() if info else ''
+    return name or 'tracker', version, status[9], status[1] == codes.PROCESSOR_INITIALISED
+
+
+async def configure(link: Link, wanted: Wanted) -> Tracker:
+    """Identify, initialise if needed, set everything and read it back.
+
+    Raises
+    ------
+    TrackerError
+        If the tracker keeps another setting, or does not know the reflector.
+    """
+    name, version, serial, initialised = await identify(link)
+    if not initialised:
+        await link.ask(Command.INITIALIZE)
+    await _set(link, Command.SET_UNITS, Command.GET_UNITS, *UNITS)
+    await _set_system(link, measured=wanted.environment is None)
+    cartesian = codes.CARTESIAN_RIGHT_HANDED
+    await _set(link, Command.SET_COORDINATE_SYSTEM, Command.GET_COORDINATE_SYSTEM, cartesian)
+    reflector, reflectors = await set_reflector(link, wanted.reflector)
+    if wanted.environment is not None:
+        await _set(link, Command.SET_ENVIRONMENT, Command.GET_ENVIRONMENT, *wanted.environment)
+    environment = await _optional(link, Command.GET_ENVIRONMENT)
+    mode = codes.CONTINUOUS_TIME
+    await _set(link, Command.SET_MEASUREMENT_MODE, Command.GET_MEASUREMENT_MODE, mode)
+    continuous = (wanted.interval_ms, 0, 0, 0)
+    await _set(link, Command.SET_CONTINUOUS_TIME, Command.GET_CONTINUOUS_TIME, *continuous)
+    known = tuple(float(v) for v in environment) if environment else None
+    return Tracker(name, version, serial, reflector, reflectors, known)  # type: ignore[arg-type]
+
+
+async def unchanged(link: Link) -> str:
+    """Say which setting that gives the samples their meaning has changed; empty if none."""
+    if await link.ask(Command.GET_UNITS) != UNITS:
+        return 'units'
+    if await link.ask(Command.GET_COORDINATE_SYSTEM) != (codes.CARTESIAN_RIGHT_HANDED,):
+        return 'coordinate system'
+    settings = await _optional(link, Command.GET_SYSTEM_SETTINGS)
+    if settings and (settings[TRANSFORMED] or settings[ORIENTED]):
+        return 'orientation or transformation'
+    return ''
+
+
+async def set_reflector(link: Link, name: str) -> tuple[str, tuple[str, ...]]:
+    """Set a reflector by its name, or keep the one that is set; return it and all names."""
+    known = await link.reflectors()
+    names = tuple(known.values())
+    if name:
+        number = next((n for n, other in known.items() if other == name), None)
+        if number is None:
+            near = get_close_matches(name, names, 1)
+            hint = f'did you mean {near[0]}? ' if near else ''
+            raise TrackerError(
+                f'reflector {name!r} is not known to the tracker; {hint}'
+                f'possible: {", ".join(names) or "none"}'
+            )
+        await _set(link, Command.SET_REFLECTOR, Command.GET_REFLECTOR, number)
+    (current,) = await link.ask(Command.GET_REFLECTOR)
+    return known.get(int(current), f'number {current}'), names
+
+
+async def _set_system(link: Link, measured: bool) -> None:
+    """Switch transformations off and reports on; keep the weather station if it is used."""
+    before = await _optional(link, Command.GET_SYSTEM_SETTINGS)
+    if before is None:
+        return
+    settings = [int(v) for v in before]
+    settings[TRANSFORMED] = settings[ORIENTED] = settings[POSITIONS] = settings[TRY_MODE] = 0
+    settings[UNSOLICITED] = 1
+    if not measured:
+        settings[WEATHER] = 0
+    await _set(link, Command.SET_SYSTEM_SETTINGS, Command.GET_SYSTEM_SETTINGS, *settings)
+
+
+async def _set(link: Link, set_: Command, get: Command, *values: Value) -> None:
+    """Set values and read them back."""
+    await link.ask(set_, *values)
+    got = await link.ask(get)
+    # servers may keep doubles with less digits
+    if any(abs(float(a) - float(b)) > 1e-3 for a, b in zip(got, values, strict=True)):
+        raise TrackerError(
+            f'{codes.command_text(set_)}: {values} is set, but the tracker keeps {got}; set it '
+            f'at the tracker, or see whether another program holds it'
+        )
+
+
+async def _optional(link: Link, command: Command) -> tuple[Value, ...] | None:
+    """Answer of a command that not every server knows."""
+    try:
+        return await link.ask(command)
+    except Refused as refused:
+        if refused.status != Status.NOT_IMPLEMENTED:
+            raise
+        return None

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can go wrong with a tracker; every message is one line that says what to do."""
+
+from __future__ import annotations
+
+from otf_core.errors import InputError
+from otf_tracker_driver.emscon.codes import command_text, status_text
+
+
+class TrackerError(InputError):
+    """The tracker cannot be used as it is."""
+
+
+class LinkError(TrackerError):
+    """There is no connection, or it was lost; connecting again may help."""
+
+
+class Refused(TrackerError):
+    """The tracker answered a command with an error.
+
+    Parameters
+    ----------
+    command, status : int
+
+    Attributes
+    ----------
+    status : int
+        Result code.
+    """
+
+    def __init__(self, command: int, status: int) -> None:
+        super().__init__(f'{command_text(command)}: {status_text(status)}')
+        self.status = status

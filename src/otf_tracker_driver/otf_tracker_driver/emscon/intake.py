@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From packets of a continuous measurement to stamped samples; nothing useless goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from otf_core.model.observation import Samples
+from otf_tracker_driver.clock.stamper import Stamper
+from otf_tracker_driver.emscon.codes import SAMPLE_TEXT, SampleStatus
+from otf_tracker_driver.emscon.packets import Measurements
+from otf_tracker_driver.emscon.state import SessionState
+
+FURTHEST = 200.0
+"""m; no tracker measures further."""
+MOST_GAPS = 1000
+
+
+class Intake:
+    """Checks, stamps and hands on samples; counts what it leaves out.
+
+    Parameters
+    ----------
+    state : SessionState
+    deliver : callable
+        Takes samples.
+    """
+
+    def __init__(self, state: SessionState, deliver: Callable[[Samples], None]) -> None:
+        self._state, self._deliver = state, deliver
+        self._stamper = Stamper()
+        self._last_ns: int | None = None
+        self._interrupted = False
+        self.last_range = 0.0
+
+    def begin(self) -> None:
+        """Begin a measurement: the tracker's clock starts again."""
+        self._hand_on(self._stamper.restart())
+
+    def end(self, interrupted: bool) -> None:
+        """Hand on what waits; mark the gap that follows if the stream was interrupted."""
+        self._hand_on(self._stamper.flush())
+        self._interrupted |= interrupted and self._last_ns is not None
+
+    def forget(self) -> None:
+        """Begin a stream that has nothing to do with the one before."""
+        self._last_ns, self._interrupted = None, False
+
+    def take(self, packet: Measurements, arrival_ns: int) -> bool:
+        """Take a packet; tell whether any of its samples saw a reflector."""
+        state, status = self._state, packet.status
+        state.packets += 1
+        if np.all(np.isfinite(packet.environment)):
+            state.environment = packet.environment
+        good = status == SampleStatus.OK
+        warned = status == SampleStatus.SPEED_WARNING
+        state.slow_down += int(np.count_nonzero(warned))
+        usable = good | warned
+        for code in np.unique(status[~usable]).tolist():
+            text = SAMPLE_TEXT.get(code, f'sample status {code}')
+            state.left_out[text] += int(np.count_nonzero(status == code))
+        with np.errstate(invalid='ignore', over='ignore'):
+            distance = np.linalg.norm(packet.value, axis=1)
+            sane = np.isfinite(packet.value).all(axis=1) & (distance < FURTHEST) & (distance > 0)
+        if np.any(usable & ~sane):
+            state.left_out['no point'] += int(np.count_nonzero(usable & ~sane))
+        kept = usable & sane
+        if kept.any():
+            self.last_range = float(distance[kept][-1])
+        self._hand_on(
+            self._stamper.take(packet.device_ns[kept], packet.value[kept], arrival_ns)
+            if kept.any()
+            else []
+        )
+        return not len(status) or not np.all(status == SampleStatus.PRISM_ERROR)
+
+    def _hand_on(self, parts: list[Samples]) -> None:
+        state = self._state
+        for part in parts:
+            if self._interrupted and self._last_ns is not None:
+                state.gaps = [*state.gaps[-MOST_GAPS:], (self._last_ns, int(part.stamp_ns[0]))]
+            self._interrupted, self._last_ns = False, int(part.stamp_ns[-1])
+            state.samples += len(part)
+            self._deliver(part)
+        state.clock = self._stamper.clock
+        state.repeated, state.squeezed = self._stamper.dropped, self._stamper.squeezed

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One connection to a tracker: commands with their answers, and whatever else it sends."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+
+from otf_tracker_driver.emscon import codes, commands, packets
+from otf_tracker_driver.emscon.codes import Command, Status
+from otf_tracker_driver.emscon.commands import Value
+from otf_tracker_driver.emscon.errors import LinkError, Refused, TrackerError
+from otf_tracker_driver.emscon.framing import Framer, ProtocolError
+
+Values = tuple[Value, ...]
+Unasked = Callable[[packets.Packet, int], None]
+
+ANSWER_WITHIN = 5.0
+"""s; for commands that move nothing."""
+MOVED_WITHIN = 120.0
+"""s; for commands that move the tracker or initialise it."""
+SLOW = {Command.INITIALIZE, Command.CHANGE_FACE, Command.GO_BIRD_BATH, Command.FIND_REFLECTOR}
+BUSY_FOR = 30.0
+"""s; a tracker that is busy longer than that is said to be."""
+BUSY_PAUSE = 0.2
+"""s"""
+MOST_REFLECTORS = 200
+CHUNK = 1 << 16
+HINT = 'is it on, and the address right?'
+
+
+class Link:
+    """Sends commands, waits for their answers, and hands on what comes unasked.
+
+    Parameters
+    ----------
+    reader, writer : asyncio streams
+    unasked : callable
+        Takes packets that answer nothing, and when their first byte arrived, ns; returns at once.
+    now_ns : callable
+        Time of the host.
+
+    Attributes
+    ----------
+    ended : asyncio.Future
+        Holds the LinkError that ended the connection.
+    unreadable, late_answers : int
+        Packets that were framed but made no sense; answers that nobody waits for.
+    """
+
+    def __init__(
+        self,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        unasked: Unasked,
+        now_ns: Callable[[], int],
+    ) -> None:
+        self._reader, self._writer = reader, writer
+        self._unasked, self._now_ns = unasked, now_ns
+        self._waiting: dict[int, deque[asyncio.Queue[packets.Answer]]] = {}
+        self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._heard = False
+        self.unreadable = self.late_answers = 0
+
+    async def read(self) -> None:
+        """Read until the connection ends; LinkError says why it did."""
+        framer, reason = Framer(), 'the tracker closed the connection'
+        begun_ns = 0
+        try:
+            while chunk := await self._reader.read(CHUNK):
+                arrival_ns = self._now_ns()
+                if not framer.partial:
+                    begun_ns = arrival_ns
+                for packet in framer.feed(chunk):
+                    self._take(packet, begun_ns)
+                    begun_ns = arrival_ns
+        except ProtocolError as error:
+            reason = f'{error}; is an emScon server listening there?'
+        except OSError as error:
+            reason = f'connection lost ({error.strerror or error})'
+        if not self._heard:
+            reason += ', before any answer; is another client connected?'
+        lost = LinkError(reason)
+        if not self.ended.done():
+            self.ended.set_exception(lost)
+            self.ended.exception()  # retrieved: nobody may be waiting
+        raise lost
+
+    def _take(self, raw: bytes, arrival_ns: int) -> None:
+        try:
+            packet = packets.decode(raw)
+        except ProtocolError:
+            self.unreadable += 1
+            return
+        self._heard = True
+        if isinstance(packet, packets.ErrorReport) and self._waiting.get(packet.command):
+            packet = packets.Answer(packet.command, packet.status, b'')
+        if not isinstance(packet, packets.Answer):
+            self._unasked(packet, arrival_ns)
+            return
+        waiting = self._waiting.get(packet.command)
+        if waiting and not waiting[0].full():
+            waiting[0].put_nowait(packet)
+        else:
+            self.late_answers += 1
+
+    async def ask(self, command: Command, *values: Value) -> Values:
+        """Send a command and return the values of its answer; waits while the tracker is busy.
+
+        Raises
+        ------
+        Refused
+            If the tracker answers with an error.
+        LinkError
+            If there is no answer, or no connection.
+        """
+        loop = asyncio.get_running_loop()
+        until = loop.time() + BUSY_FOR
+        while True:
+            try:
+                async with self._asked(command, values) as answers:
+                    return await self._answer(command, answers)
+            except Refused as refused:
+                if refused.status != Status.BUSY or loop.time() > until:
+                    raise
+            await asyncio.sleep(BUSY_PAUSE)
+
+    async def reflectors(self) -> dict[int, str]:
+        """Return number and name of all reflectors; each comes in an answer of its own."""
+        found: dict[int, str] = {}
+        async with self._asked(Command.GET_REFLECTORS, ()) as answers:
+            for _ in range(MOST_REFLECTORS):
+                total, number, _, _, name = await self._answer(Command.GET_REFLECTORS, answers)
+                found[int(number)] = str(name)
+                if len(found) >= int(total):
+                    return found
+        raise LinkError(f'the tracker lists more than {MOST_REFLECTORS} reflectors')
+
+    @contextlib.asynccontextmanager
+    async def _asked(
+        self, command: Command, values: Values
+    ) -> AsyncIterator[asyncio.Queue[packets.Answer]]:
+        """Send a command; its answers come in the queue until the block ends."""
+        answers: asyncio.Queue[packets.Answer] = asyncio.Queue(MOST_REFLECTORS)
+        waiting = self._waiting.setdefault(command, deque())
+        waiting.append(answers)
+        try:
+            self._writer.write(commands.encode_request(command, *values))
+            yield answers
+        finally:
+            waiting.remove(answers)
+
+    async def _answer(self, command: Command, answers: asyncio.Queue[packets.Answer]) -> Values:
+        limit = MOVED_WITHIN if command in SLOW else ANSWER_WITHIN
+        got = asyncio.ensure_future(answers.get())
+        try:
+            await asyncio.wait({got, self.ended}, timeout=limit, return_when='FIRST_COMPLETED')
+        finally:
+            got.cancel()
+        if got.cancelled() or not got.done():
+            if self.ended.done():
+                raise LinkError(str(self.ended.exception()))
+            what = codes.command_text(command)
+            raise LinkError(f'no answer to {what} within {limit:.0f} s; is it an emScon server?')
+        answer = got.result()
+        if answer.status != Status.OK:
+            raise Refused(command, answer.status)
+        try:
+            return commands.read_answer(command, answer.body)
+        except ProtocolError as error:
+            raise TrackerError(f'{error}; this version of the server is not known') from None
+
+
+@contextlib.asynccontextmanager
+async def connected(
+    host: str, port: int, unasked: Unasked, now_ns: Callable[[], int], within: float
+) -> AsyncIterator[Link]:
+    """Connect; the connection ends with the block.
+
+    Raises
+    ------
+    LinkError
+        If there is no connection within ``within`` s, or it is lost inside the block.
+    """
+    try:
+        opening = asyncio.open_connection(host, port)
+        reader, writer = await asyncio.wait_for(opening, within)
+    except (TimeoutError, asyncio.TimeoutError):
+        raise LinkError(
+            f'no connection within {within:g} s; is it on, and the address right?'
+        ) from None
+    except (OSError, UnicodeError, OverflowError) as error:
+        reason = getattr(error, 'strerror', None) or error
+        raise LinkError(f'no connection ({reason}); {HINT}') from None
+    writer.get_extra_info('socket').setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    link = Link(reader, writer, unasked, now_ns)
+    reading = asyncio.ensure_future(link.read())
+    try:
+        yield link
+    finally:
+        reading.cancel()
+        await asyncio.gather(reading, return_exceptions=True)
+        writer.close()
+        with contextlib.suppress(OSError, asyncio.TimeoutError):
+            await asyncio.wait_for(writer.wait_closed(), 1.0)

@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A tracker that is kept connected, configured and, if wanted, streaming, whatever happens.
+
+One task lives as long as the session: connect, configure, wait until a stream is wanted, bring the
+beam onto the reflector, start, watch; on trouble say so at once, mend it, go on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from otf_core.model.observation import Samples
+from otf_tracker_driver.clock.stamper import HostClock
+from otf_tracker_driver.emscon import codes, state
+from otf_tracker_driver.emscon.codes import Command, Event, Status
+from otf_tracker_driver.emscon.configure import Wanted, configure, unchanged
+from otf_tracker_driver.emscon.errors import LinkError, Refused, TrackerError
+from otf_tracker_driver.emscon.intake import Intake
+from otf_tracker_driver.emscon.link import Link, connected
+from otf_tracker_driver.emscon.packets import (
+    ErrorReport,
+    Measurements,
+    Packet,
+    StatusChange,
+    Unused,
+)
+from otf_tracker_driver.emscon.state import SessionState
+
+T = TypeVar('T')
+
+CONNECT_WITHIN = 5.0
+"""s"""
+FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
+"""s; between attempts, doubled each time."""
+SILENT_FOR = 3.0
+"""s; a tracker that streams sends packets three times per second."""
+HARMLESS = frozenset({0, 1, 2, 3, 7, 17, 19, 24, 25, 26, 27, 28, 30, 31, 145, 151, 850, 999})
+"""Events that leave units and coordinates as they are."""
+MOST_HELD = 100
+"""Packets that wait for a setting to be read back."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the tracker listens."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        """As people write it."""
+        return f'{self.host}:{self.port}'
+
+
+class Session:
+    """Keeps one tracker at work; all methods belong to the thread of its event loop.
+
+    Parameters
+    ----------
+    address : Address
+    wanted : Wanted
+    find : bool
+        Whether the tracker may search for the reflector by itself.
+    deliver : callable
+        Takes stamped samples.
+
+    Attributes
+    ----------
+    state : SessionState
+    configured : asyncio.Event
+        Set once the tracker has been configured.
+    """
+
+    def __init__(
+        self, address: Address, wanted: Wanted, find: bool, deliver: Callable[[Samples], None]
+    ) -> None:
+        self._address, self._wanted, self._find = address, wanted, find
+        self.state = SessionState()
+        self.configured = asyncio.Event()
+        self._clock = HostClock()
+        self._intake = Intake(self.state, deliver)
+        self._link: Link | None = None
+        self._streaming = self._measuring = False
+        self._wake = asyncio.Event()
+        self._lost = ''
+        self._doubt = self._closing = False
+        self._held: list[tuple[Measurements, int]] = []
+        self._heard = 0.0
+
+    def stream(self, on: bool) -> None:
+        """Say whether a stream is wanted; a new one has nothing to do with that before."""
+        if on and not self._streaming:
+            self._intake.forget()
+            self._lost = ''
+        self._streaming = on
+        self._wake.set()
+
+    async def do(self, action: Callable[[Link], Awaitable[T]]) -> T:
+        """Have the tracker do something while it does not stream."""
+        if self._link is None or self.state.tracker is None:
+            raise TrackerError(f'not connected: {self.state.trouble or "wait"}')
+        if self._streaming:
+            raise TrackerError('the tracker is streaming; deactivate first')
+        return await action(self._link)
+
+    async def run(self) -> None:
+        """Connect and keep at it; raises TrackerError only if the first attempt fails."""
+        pause = FIRST_PAUSE
+        while True:
+            try:
+                self.state.phase = state.CONNECTING
+                arguments = self._unasked, self._clock.now_ns, CONNECT_WITHIN
+                address = self._address
+                async with connected(address.host, address.port, *arguments) as link:
+                    await self._configure(link)
+                    pause = FIRST_PAUSE
+                    await self._serve(link)
+            except TrackerError as error:
+                self._count(self._link)
+                if not self.configured.is_set():
+                    raise TrackerError(f'tracker at {self._address}: {error}') from None
+                self.state.phase = state.CONNECTING
+                self.state.trouble = f'tracker at {self._address}: {error}; connecting again'
+            finally:
+                self._link = None
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+    async def _configure(self, link: Link) -> None:
+        self.state.phase = state.CONFIGURING
+        self.state.tracker = await configure(link, self._wanted)
+        self.state.connections += 1
+        self._doubt = self._closing = False
+        self._link = link
+        self.configured.set()
+
+    async def _serve(self, link: Link) -> None:
+        """Stream whenever it is wanted; ends with an error only."""
+        while True:
+            if not self._streaming:
+                self.state.phase, self.state.trouble = state.READY, ''
+                await self._pause(link, None)
+                continue
+            try:
+                if await self._on_target(link):
+                    await self._measure(link)
+            except Refused as refused:
+                self.state.trouble = str(refused)
+                if refused.status == Status.NOT_INITIALISED:
+                    raise LinkError('the tracker is not initialised any more') from None
+                await self._pause(link, LONGEST_PAUSE)
+
+    async def _on_target(self, link: Link) -> bool:
+        """Bring the beam onto the reflector; False if no stream is wanted any more."""
+        pause = FIRST_PAUSE
+        while self._streaming:
+            seen = await _reflector_seen(link)
+            if seen:
+                return True
+            self.state.phase = state.SEARCHING
+            lost = self._lost or 'no reflector in the beam'
+            if self._find:
+                self.state.trouble = f'{lost}; the tracker searches for the reflector'
+                try:
+                    await link.ask(Command.FIND_REFLECTOR, self._intake.last_range or 3.0)
+                    return True
+                except Refused as refused:
+                    self.state.trouble = f'{lost}; searched in vain: {refused}; trying again'
+            else:
+                self.state.trouble = f'{lost}; bring the beam back onto the reflector'
+            await self._pause(link, pause)
+            pause = min(2 * pause, LONGEST_PAUSE / 2)
+        return False
+
+    async def _measure(self, link: Link) -> None:
+        """Start, and watch until the stream is not wanted any more or breaks off."""
+        self._lost, self._held = '', []
+        self._intake.begin()
+        self._measuring = True
+        try:
+            await link.ask(Command.START_MEASUREMENT)
+            self.state.phase, self.state.trouble = state.STREAMING, ''
+            self._heard = _now()
+            while self._streaming and not self._lost:
+                await self._pause(link, 1.0)
+                if self._doubt:
+                    await self._settle_doubt(link)
+                if _now() - self._heard > SILENT_FOR:
+                    self._interrupt(f'no samples for {SILENT_FOR:.0f} s')
+        except LinkError as error:
+            self._interrupt(str(error))
+            raise
+        finally:
+            self._measuring = False
+            self._leave_out_held('settings not confirmed')
+            self._intake.end(interrupted=bool(self._lost))
+        with contextlib.suppress(Refused):  # it may have stopped by itself
+            await link.ask(Command.STOP_MEASUREMENT)
+
+    async def _settle_doubt(self, link: Link) -> None:
+        """Read back what gives samples their meaning, after an event that may have changed it."""
+        self._doubt = False
+        changed = await unchanged(link)
+        if not changed:
+            held, self._held = self._held, []
+            for packet, arrival_ns in held:
+                self._intake.take(packet, arrival_ns)
+            return
+        self._leave_out_held(f'{changed} changed')
+        raise LinkError(f'another program has changed the {changed}; set again')
+
+    def _leave_out_held(self, reason: str) -> None:
+        if self._held:
+            self.state.left_out[reason] += sum(len(packet.status) for packet, _ in self._held)
+        self._held = []
+
+    async def _pause(self, link: Link, timeout: float | None) -> None:
+        """Wait until something happens; LinkError if that is the end of the connection."""
+        waking = asyncio.ensure_future(self._wake.wait())
+        try:
+            await asyncio.wait(
+                {waking, link.ended}, timeout=timeout, return_when=asyncio.FIRST_COMPLETED
+            )
+        finally:
+            waking.cancel()
+        self._wake.clear()
+        self._count(link)
+        if link.ended.done():
+            raise LinkError(str(link.ended.exception()))
+        if self._closing:
+            raise LinkError('the server is closing')
+
+    def _unasked(self, packet: Packet, arrival_ns: int) -> None:
+        """Take what the tracker sends by itself; called from its connection."""
+        if isinstance(packet, Measurements):
+            self._samples(packet, arrival_ns)
+        elif isinstance(packet, ErrorReport):
+            if self._measuring:
+                self._interrupt(codes.status_text(packet.status))
+        elif isinstance(packet, StatusChange):
+            self.state.last_event = codes.event_text(packet.event)
+            self._closing |= packet.event == Event.SERVER_CLOSING
+            self._doubt |= packet.event not in HARMLESS
+            self._wake.set()
+        elif isinstance(packet, Unused):
+            self.state.unused += 1
+
+    def _samples(self, packet: Measurements, arrival_ns: int) -> None:
+        if not self._measuring or self._lost:
+            return
+        self._heard = _now()
+        if self._doubt:
+            self._held = [*self._held[-MOST_HELD:], (packet, arrival_ns)]
+        elif not self._intake.take(packet, arrival_ns):
+            self._interrupt('no reflector in any sample')
+
+    def _interrupt(self, reason: str = '') -> None:
+        """Note that the stream broke off."""
+        if self._measuring and not self._lost:
+            self.state.interruptions += 1
+            self.state.trouble = self._lost = reason or 'connection lost'
+            self.state.phase = state.SEARCHING
+        self._wake.set()
+
+    def _count(self, link: Link | None) -> None:
+        """Take over the counters of a connection."""
+        if link is not None:
+            self.state.unreadable += link.unreadable
+            self.state.late_answers += link.late_answers
+            link.unreadable = link.late_answers = 0
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+async def _reflector_seen(link: Link) -> bool:
+    """Ask whether the tracker sees a reflector; servers that cannot tell are believed to."""
+    try:
+        _, bits = await link.ask(Command.GET_MEASUREMENT_STATUS)
+    except Refused:
+        return True
+    return bool(int(bits) & codes.REFLECTOR_SEEN)

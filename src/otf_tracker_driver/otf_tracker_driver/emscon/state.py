@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a tracker session does and has seen, for status and diagnostics."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from otf_tracker_driver.clock.device_clock import ClockState
+from otf_tracker_driver.emscon.configure import Tracker
+
+CONNECTING, CONFIGURING, READY = 'connecting', 'configuring', 'ready'
+STREAMING, SEARCHING, CLOSED = 'streaming', 'searching', 'closed'
+
+
+@dataclass
+class SessionState:
+    """Written by the session's thread, read by anyone; every field is replaced as a whole.
+
+    Attributes
+    ----------
+    phase : str
+        One of the names above.
+    trouble : str
+        What hinders the measurement just now; empty if nothing.
+    tracker : Tracker or None
+        None until configured.
+    clock : ClockState
+    environment : tuple of float or None
+        Temperature, C; pressure, mbar; relative humidity, %; of the last packet.
+    packets, samples : int
+        Received in all streams.
+    unreadable, late_answers, unused : int
+        Packets that made no sense; answers nobody waited for; packets of types not used.
+    left_out : Counter
+        Samples that were not handed on, by reason.
+    slow_down : int
+        Samples handed on though the tracker warns that the target is fast.
+    repeated, squeezed : int
+        Samples left out because their time had been there; samples moved behind a jump.
+    connections, interruptions : int
+        Connections made; times that the beam was lost, or the stream broke off otherwise.
+    gaps : list of pair of int
+        Stamps of the last sample before and the first after each interruption, ns.
+    last_event : str
+    """
+
+    phase: str = CONNECTING
+    trouble: str = ''
+    tracker: Tracker | None = None
+    clock: ClockState = field(default_factory=ClockState)
+    environment: tuple[float, float, float] | None = None
+    packets: int = 0
+    samples: int = 0
+    unreadable: int = 0
+    late_answers: int = 0
+    unused: int = 0
+    left_out: Counter[str] = field(default_factory=Counter)
+    slow_down: int = 0
+    repeated: int = 0
+    squeezed: int = 0
+    connections: int = 0
+    interruptions: int = 0
+    gaps: list[tuple[int, int]] = field(default_factory=list)
+    last_event: str = ''

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A tracker session in a thread of its own: nobody else ever waits for the network."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Future
+from typing import TypeVar
+
+import numpy as np
+
+from otf_core.model.observation import Samples
+from otf_tracker_driver.emscon.configure import Wanted
+from otf_tracker_driver.emscon.errors import TrackerError
+from otf_tracker_driver.emscon.link import Link
+from otf_tracker_driver.emscon.session import Address, Session
+from otf_tracker_driver.emscon.state import SessionState
+
+T = TypeVar('T')
+
+ENDED_WITHIN = 5.0
+"""s"""
+MOST_HELD = 10_000
+"""Packets that wait to be fetched, an hour of a tracker; the oldest are lost beyond."""
+
+
+class SessionThread:
+    """Runs a session; every method returns at once.
+
+    Parameters
+    ----------
+    address : Address
+    wanted : Wanted
+    find : bool
+        Whether the tracker may search for the reflector by itself.
+    """
+
+    def __init__(self, address: Address, wanted: Wanted, find: bool) -> None:
+        self._address, self._wanted, self._find = address, wanted, find
+        self._samples: deque[Samples] = deque(maxlen=MOST_HELD)
+        self._made = threading.Event()
+        self._session: Session | None = None
+        self._run: Future[None] = Future()
+        self._thread = threading.Thread(target=self._work, name='emscon', daemon=True)
+        self._thread.start()
+        self._made.wait()
+
+    @property
+    def state(self) -> SessionState:
+        """What the session does and has seen."""
+        assert self._session is not None
+        return self._session.state
+
+    @property
+    def configured(self) -> bool:
+        """True once the tracker has been configured; TrackerError if it never will be."""
+        if self._run.done():
+            self._run.result()
+        assert self._session is not None
+        return self._session.configured.is_set()
+
+    def stream(self, on: bool) -> None:
+        """Start or stop a stream; what was not fetched of the one before is forgotten."""
+        self._call(self._switch, on)
+
+    def fetch(self) -> list[Samples]:
+        """Samples that have come since the last call."""
+        parts = []
+        while self._samples:
+            parts.append(self._samples.popleft())
+        return parts
+
+    def do(self, action: Callable[[Link], Awaitable[T]]) -> Future[T]:
+        """Have the tracker do something while it does not stream; see actions.py."""
+        assert self._session is not None
+        return asyncio.run_coroutine_threadsafe(self._session.do(action), self._loop)
+
+    def close(self) -> None:
+        """Stop the measurement, disconnect, end the thread."""
+        self._call(self._end)
+        self._thread.join(ENDED_WITHIN)
+
+    def _call(self, function: Callable[..., None], *arguments: object) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has ended by itself
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    def _switch(self, on: bool) -> None:
+        assert self._session is not None
+        self._samples.clear()
+        self._streaming = on
+        self._session.stream(on)
+
+    def _end(self) -> None:
+        self._task.cancel()
+
+    def _work(self) -> None:
+        asyncio.run(self._main())
+
+    async def _main(self) -> None:
+        self._loop, self._streaming = asyncio.get_running_loop(), False
+        self._session = Session(self._address, self._wanted, self._find, self._take)
+        self._task = asyncio.ensure_future(self._session.run())
+        self._made.set()
+        try:
+            await self._task
+        except asyncio.CancelledError:
+            self._run.set_exception(TrackerError('disconnected'))
+        except TrackerError as error:
+            self._run.set_exception(error)
+
+    def _take(self, samples: Samples) -> None:
+        if self._streaming:
+            self._samples.append(samples)
+
+
+def joined(parts: list[Samples]) -> Samples:
+    """All samples of a list that is not empty, as one."""
+    return Samples(
+        np.concatenate([part.stamp_ns for part in parts]),
+        np.concatenate([part.xyz for part in parts]),
+    )

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An emulated tracker in a thread of its own, listening on a free port."""
+
+import asyncio
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+from cells import MACHINE, SHORT
+
+from otf_core.config import PlannerConfig
+from otf_core.model.machine import machine_from_dict
+from otf_tracker_driver.emulator.cell import Cell
+from otf_tracker_driver.emulator.faults import read_faults
+from otf_tracker_driver.emulator.server import EmulatedTracker
+
+DRIFT = 18e-6
+_CELLS = {}
+
+
+def cell(seed=1):
+    """The small cell, simulated once."""
+    if seed not in _CELLS:
+        machine = machine_from_dict(MACHINE)
+        _CELLS[seed] = Cell(machine, PlannerConfig(**SHORT), seed, DRIFT)
+    return _CELLS[seed]
+
+
+class Running:
+    """What a test sees of a running emulator: its port, and what it has measured when."""
+
+    def __init__(self, faults, seed):
+        self.true_ns = {}
+        self._ahead = time.time_ns() - time.monotonic_ns()
+        arguments = cell(), read_faults(faults), seed, DRIFT, self._record
+        self.tracker = EmulatedTracker(*arguments)
+        self.tracker.device.initialised = 'initialize' not in faults
+        self._loop = asyncio.new_event_loop()
+        self._ready, self._thread = threading.Event(), threading.Thread(target=self._run)
+        self.port = 0
+
+    def _record(self, seconds, xyz):
+        ns = np.rint(seconds * 1e9).astype(np.int64) + self._ahead
+        self.true_ns.update(zip(map(bytes, xyz), ns.tolist(), strict=True))
+
+    def error_ms(self, samples):
+        """Stamps less true times of measurement, ms."""
+        true = np.array([self.true_ns[bytes(point)] for point in samples.xyz])
+        return (samples.stamp_ns - true) / 1e6
+
+    def _run(self):
+        self._loop.run_until_complete(self._serve())
+
+    async def _serve(self):
+        server = await asyncio.start_server(self.tracker.accept, '127.0.0.1', 0)
+        self.port = server.sockets[0].getsockname()[1]
+        self._stop = asyncio.Event()
+        self._ready.set()
+        await self._stop.wait()
+        server.close()
+        await self.tracker.close()
+
+    def start(self):
+        self._thread.start()
+        assert self._ready.wait(10)
+
+    def stop(self):
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(10)
+        self._loop.close()
+
+
+@contextmanager
+def emulator(faults='', seed=1):
+    """Run an emulated tracker."""
+    running = Running(faults, seed)
+    running.start()
+    try:
+        yield running
+    finally:
+        running.stop()
