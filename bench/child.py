@@ -33,7 +33,8 @@ class Cost:
 
 def core_on_path(tree: Path = ROOT) -> dict[str, str]:
     """Environment in which a child imports otf_core from a source tree."""
-    return {**os.environ, 'PYTHONPATH': str(tree / 'src/otf_core')}
+    places = [str(tree / 'src/otf_core'), os.environ.get('PYTHONPATH', '')]
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, places))}
 
 
 def measured(words: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> Cost:

@@ -78,12 +78,15 @@ def main() -> int:
     parser.add_argument('--limit', type=float, default=1.3)
     parser.add_argument('--only', type=texts, default=())
     chosen = parser.parse_args()
+    if unknown := set(chosen.only) - set(commands(Path())):
+        parser.error(f'--only: {", ".join(unknown)}; possible: {", ".join(commands(Path()))}')
     print(f'working tree against {chosen.commit}; {circumstances()}')
     git = ['git', '-C', str(ROOT), 'worktree']
     with tempfile.TemporaryDirectory() as name:
         scratch, before = Path(name), Path(name) / 'before'
         add = [*git, 'add', '--quiet', '--detach', str(before), chosen.commit]
-        subprocess.run(add, check=True)
+        if subprocess.run(add).returncode:
+            return 2
         try:
             slower = compare(before, scratch, chosen)
         finally:
