@@ -75,11 +75,9 @@ class JointSolution:
     solution : Solution
     roughness : Roughness
     normal : NormalEquations
-        Of the first iteration.
+        Of the first iteration, or of the last, see ``settled``.
     runs : tuple of SolvedRun
     iterations : int
-    guessed : bool
-        The first iteration knew no tables, see ``settled``.
     """
 
     unknowns: Unknowns
@@ -88,7 +86,6 @@ class JointSolution:
     normal: NormalEquations
     runs: tuple[SolvedRun, ...]
     iterations: int
-    guessed: bool = False
 
 
 @dataclass(frozen=True)
@@ -275,7 +272,7 @@ def solve_jointly(
     normal = summed(systems, unknowns, whiteners)
     rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
-    left, rows = left_by(systems, solution), [s.rows for s in systems]
+    left = left_by(systems, solution)
     change = np.inf
     for iteration in range(2, config.max_iterations + 1):
         motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
@@ -289,12 +286,9 @@ def solve_jointly(
         if not np.isfinite(change):
             break
         if change < config.alignment_stop:
-            guessed = start is None or start.tables is None
-            if not guessed:  # rows as they are in the normal equations
-                systems = [replace(s, rows=r) for s, r in zip(systems, rows, strict=True)]
             solved = zip(poses, systems, whiteners, left, strict=True)
             done = tuple(SolvedRun(*parts) for parts in solved)
-            return JointSolution(unknowns, solution, rough, normal, done, iteration, guessed)
+            return JointSolution(unknowns, solution, rough, normal, done, iteration)
     names = ', '.join(run.name for run in runs if run.name)
     raise InputError(
         f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
@@ -303,10 +297,10 @@ def solve_jointly(
 
 
 def settled(done: JointSolution, limit: float) -> JointSolution:
-    """Take the covariance at the last positions on the paths, if the first were guessed.
+    """Take the covariance at the last positions on the paths instead of the first.
 
-    They differ by 1e-4 of the noise, but contributions that are alike for the whole run are so
-    much larger than the noise that they would come out wrong by up to 1 %.
+    Contributions that are alike for the whole run are so much larger than the noise that they
+    would show the difference.
 
     Parameters
     ----------
@@ -314,13 +308,10 @@ def settled(done: JointSolution, limit: float) -> JointSolution:
     limit : float
         m and rad; ``unidentifiable_above``.
     """
-    if not done.guessed:
-        return done
     parts = [s.system for s in done.runs], done.unknowns, [s.whitener for s in done.runs]
     normal, old = summed(*parts), done.solution
     last = solve(normal, done.unknowns, limit, old.accepted, done.roughness.precision)
-    solution = replace(old, covariance=last.covariance)
-    return replace(done, normal=normal, solution=solution, guessed=False)
+    return replace(done, normal=normal, solution=replace(old, covariance=last.covariance))
 
 
 def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Whitener]:

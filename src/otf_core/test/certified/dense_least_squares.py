@@ -35,7 +35,9 @@ def least_squares(design, noise, prior):
 def solve(run, model, noise, prior, name='samples.csv', start=None):
     """Solve until pose, points of the path and errors agree; the first step and the last.
 
-    The noise is that at ``start``, the rigid pose if it is not given.
+    The noise is that at ``start``, the rigid pose if it is not given. A solution that starts from
+    the pose of an earlier one knows the points of the path from the first step on: its first step
+    is the last.
     """
     pieces, rigid = pieces_of(run, name)
     pose, machine = start or rigid, run['machine']
@@ -53,7 +55,7 @@ def solve(run, model, noise, prior, name='samples.csv', start=None):
         pose = moved(pose, value[:6])
         errors = np.append(np.zeros(6), value[6:])
         rows = rows_of(machine, pieces, pose, lambda q, x=errors: model.error_rows(q) @ x)
-    return steps[0], steps[-1]
+    return steps[-1 if start else 0], steps[-1]
 
 
 def residual_check(found):

@@ -19,7 +19,7 @@ from otf_core.model.machine import machine_from_dict
 from otf_core.model.presets import NOISE, TRACKERS, WORKSHOPS, typical_values
 from otf_core.planning.forecast import Setup, forecast, grid_uncertainty
 from otf_core.planning.judged import PlanReport
-from otf_core.planning.planned_budget import planned_systematic
+from otf_core.planning.planned_budget import planned_solution, planned_systematic
 from otf_core.reports.budget import budget_lines
 from otf_core.reports.calibration import format_result, result_to_dict
 from otf_core.reports.plan import format_report, report_to_dict
@@ -218,7 +218,7 @@ def planned(machine, plan):
     """What the forecast says of systematic contributions, and its text."""
     setup = Setup.of(machine, config=ForecastConfig(rate=100.0))
     found = forecast(plan, setup)
-    systematic = planned_systematic(plan, setup, found)
+    systematic = planned_systematic(planned_solution(plan, setup, found), found)
     report = PlanReport(plan, 'given', setup, found, (), (), (), systematic=systematic)
     return systematic, format_report(report), report_to_dict(report)
 
