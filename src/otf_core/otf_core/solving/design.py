@@ -142,15 +142,16 @@ class Design:
 
     def _reversal(self, pieces: Index | slice) -> Array:
         """Displacements (m, 3, k) by the reversal coefficients of some pieces."""
-        q, fixed = self.q[pieces], (self.travel[pieces], self.side[pieces], self.unknowns)
+        q, fixed = self.q[pieces], (self.travel[pieces], self.side[pieces])
         found = np.zeros((*q.shape, len(self._reversals)))
         if not self.unknowns.reversal:
             return found
         place = {n: k for k, n in enumerate(filter(is_reversal, self.unknowns.blocks))}
-        for shift in self.shifts:
-            part = q + (shift if shift.ndim == 1 else shift[pieces])
-            for name, columns in reversal_columns(self.machine, part, *fixed):
-                found[:, :, place[name]] += columns / len(self.shifts)
+        at = [q + (s if s.ndim == 1 else s[pieces]) for s in self.shifts]
+        travel, side = (np.concatenate([values] * len(at)) for values in fixed)
+        places = np.concatenate(at)
+        for name, columns in reversal_columns(self.machine, places, travel, side, self.unknowns):
+            np.mean(columns.reshape(len(at), *q.shape), axis=0, out=found[:, :, place[name]])
         return found
 
     def _blocks(self) -> Iterator[slice]:
@@ -270,6 +271,7 @@ class Design:
             return np.stack([self.times(v) for v in value.T], axis=2)
         own = value[:, None] if column is None else value
         of = np.zeros(len(self.q), dtype=np.int64) if column is None else column
+        row = np.arange(len(of))
         moved, angles = own[self._pose][:, of], own[self._angles][:, of]
         total = -moved[:3].T - crossed(moved[3:].T, self.points)
         for angle, name in zip(angles, SQUARENESS, strict=True):
@@ -282,7 +284,7 @@ class Design:
             wide = part.splines @ own[part.starts + np.arange(part.size)[:, None]].reshape(
                 part.size, -1
             )
-            six = wide.reshape(len(of), 6, -1)[np.arange(len(of)), :, of]
+            six = wide if column is None else wide.reshape(len(of), 6, -1)[row, :, of]
             total += (six[:, :3] + crossed(six[:, 3:], part.lever)) / len(self.shifts)
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, total))
 
