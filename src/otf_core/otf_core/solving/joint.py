@@ -163,7 +163,6 @@ def solve_robustly(
     config: CalibrationConfig,
     progress: Progress,
     start: Start | None = None,
-    first: JointSolution | None = None,
 ) -> tuple[list[AnyRun], JointSolution]:
     """Solve, leave out pieces far from the solution, fit the noise, solve again.
 
@@ -174,8 +173,6 @@ def solve_robustly(
     ----------
     runs, unknowns, config, progress, start
         As of ``solve_jointly``.
-    first : JointSolution, optional
-        First solution, if there is one.
 
     Returns
     -------
@@ -185,23 +182,41 @@ def solve_robustly(
     """
     runs = list(runs)
     for _ in range(MAX_REPETITIONS):
-        done = first or solve_jointly(runs, unknowns, config, progress, start)
-        start, first = Start.after(runs[0].machine, done), None
-        drop = [
-            _far_pieces(s.residual, r.pieces.leg, config.outlier_limit)
-            for s, r in zip(done.runs, runs, strict=True)
-        ]
-        fitted = [fitted_noise(r, s, done) for r, s in zip(runs, done.runs, strict=True)]
-        if not any(d.any() for d in drop) and all(
-            r.fitted is not None and _same_noise(f, r.fitted)
-            for f, r in zip(fitted, runs, strict=True)
-        ):
+        done = solve_jointly(runs, unknowns, config, progress, start)
+        better, settled_now = improved_runs(runs, done, config)
+        if settled_now:
             return runs, done
-        runs = [
-            replace(r, pieces=r.pieces.without(d), fitted=f.logs, pose=s.pose)
-            for r, d, f, s in zip(runs, drop, fitted, done.runs, strict=True)
-        ]
+        start, runs = Start.after(runs[0].machine, done), better
+        del done  # as large as the next one
     return runs, solve_jointly(runs, unknowns, config, progress, start)
+
+
+def improved_runs(
+    runs: Sequence[AnyRun], done: JointSolution, config: CalibrationConfig
+) -> tuple[list[AnyRun], bool]:
+    """Runs less pieces far from their solution, with noise as its residuals say it.
+
+    Returns
+    -------
+    runs : list, as given
+        With the poses of the solution.
+    settled : bool
+        Nothing was left out, and the noise has not changed.
+    """
+    drop = [
+        _far_pieces(s.residual, r.pieces.leg, config.outlier_limit)
+        for s, r in zip(done.runs, runs, strict=True)
+    ]
+    fitted = [fitted_noise(r, s, done) for r, s in zip(runs, done.runs, strict=True)]
+    same = not any(d.any() for d in drop) and all(
+        r.fitted is not None and _same_noise(f, r.fitted)
+        for f, r in zip(fitted, runs, strict=True)
+    )
+    better = [
+        replace(r, pieces=r.pieces.without(d), fitted=f.logs, pose=s.pose)
+        for r, d, f, s in zip(runs, drop, fitted, done.runs, strict=True)
+    ]
+    return better, same
 
 
 def _same_noise(found: FittedNoise, before: Array) -> bool:

@@ -102,7 +102,7 @@ def solve_with_reversal(
     """
     shapes = choose_shapes(runs, nodes, config, progress)
     plain = layout(shapes.bases, len(runs))
-    kept, done = solve_robustly(shapes.runs, plain, config, progress, first=shapes.done)
+    kept, done = solve_robustly(shapes.improved, plain, config, progress, shapes.start)
     choice = choose(kept, done, config)
     if choice.model == 'none':
         return ReversalSolution(kept, done, choice, (kept, done))

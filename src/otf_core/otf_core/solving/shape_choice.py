@@ -30,6 +30,7 @@ from otf_core.solving.joint import (
     Progress,
     SolvedRun,
     Start,
+    improved_runs,
     left_by,
     seen_blocks,
     solve_jointly,
@@ -71,8 +72,10 @@ class ShapeChoice(Generic[AnyRun]):
     bases : mapping of axis to Basis
     runs : list of Observed
         With poses to start from.
-    done : JointSolution
-        One linear solution, noise as it was known before.
+    improved : list of Observed
+        The same after one linear solution, see ``joint.improved_runs``.
+    start : Start
+        What that found.
     evidence : mapping of name to float
         Restricted log likelihood of everything that was tried, less the best; of the first lap
         where that was clear.
@@ -80,7 +83,8 @@ class ShapeChoice(Generic[AnyRun]):
 
     bases: Bases
     runs: list[AnyRun]
-    done: JointSolution
+    improved: list[AnyRun]
+    start: Start
     evidence: Mapping[str, float]
 
 
@@ -131,14 +135,14 @@ def choose_shapes(
     moved, few = (
         [replace(r, pose=p) for r, p in zip(own, poses, strict=True)] for own in (runs, once)
     )
-    tried = _try_all(few, nodes, start, limit, FIRST_TRIED)
-    scores = _scores(tried)
+    best, scores = _try_all(few, nodes, start, limit, FIRST_TRIED)
     if any(len(r.pieces) > len(o.pieces) for r, o in zip(runs, once, strict=True)):
-        near = [name for name in tried if scores[name] > -CLEAR_LEAD]
-        tried = _try_all(moved, nodes, start, limit, near)
-        scores |= _scores(tried)
-    best = max(tried, key=lambda name: scores[name])
-    return ShapeChoice(tried[best].unknowns.bases, moved, tried[best], scores)
+        near = [name for name in scores if scores[name] > -CLEAR_LEAD]
+        best, found = _try_all(moved, nodes, start, limit, near)
+        scores |= found
+    improved = improved_runs(moved, best, config)[0]
+    after = Start.after(runs[0].machine, best)
+    return ShapeChoice(best.unknowns.bases, moved, improved, after, scores)
 
 
 _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
@@ -174,25 +178,35 @@ def _try_all(
     start: Start,
     limit: float,
     names: Sequence[str],
-) -> dict[str, JointSolution]:
-    """Linear solutions with some functions, and with finer ones where the best leaves steps."""
+) -> tuple[JointSolution, dict[str, float]]:
+    """Linear solutions with some functions, and with finer ones where the best leaves steps.
+
+    Returns
+    -------
+    done : JointSolution
+        The most likely one.
+    scores : mapping of name to float
+        Log likelihoods, less the best.
+    """
     assert start.tables is not None
     unknowns = layout(_CHOICES[names[0]](nodes), len(runs))
     systems = systems_of(runs, [r.pose for r in runs], unknowns, start.tables)
     whiteners = whiteners_of(runs, systems)
-    tried = {n: _tried(runs, _CHOICES[n](nodes), start, whiteners, limit) for n in names}
-    scores = _scores(tried)
-    best = max(tried, key=lambda name: scores[name])
-    if FINER not in tried and any(_steps_unexplained(solved) for solved in tried[best].runs):
-        tried[FINER] = _tried(runs, _CHOICES[FINER](nodes), start, whiteners, limit)
-    return tried
-
-
-def _scores(tried: Mapping[str, JointSolution]) -> dict[str, float]:
-    """Log likelihoods, less the best."""
-    found = {name: _likelihood(done) for name, done in tried.items()}
-    best = max(found.values())
-    return {name: score - best for name, score in found.items()}
+    found: dict[str, float] = {}
+    best: JointSolution | None = None
+    waiting = list(names)
+    while waiting:
+        name = waiting.pop(0)
+        done = _tried(runs, _CHOICES[name](nodes), start, whiteners, limit)
+        found[name] = _likelihood(done)
+        if found[name] == max(found.values()):
+            best = done
+        assert best is not None
+        if not waiting and FINER not in found:
+            waiting = [FINER] if any(_steps_unexplained(s) for s in best.runs) else []
+    assert best is not None
+    top = max(found.values())
+    return best, {name: score - top for name, score in found.items()}
 
 
 def _without_legs(run: AnyRun, number: Index, kept: Index) -> AnyRun:
