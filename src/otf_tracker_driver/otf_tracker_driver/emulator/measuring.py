@@ -33,6 +33,8 @@ LATEST = 0.06
 """s, as recorded."""
 JUMP = 2.0
 """s"""
+COARSE = 0.002
+"""s; what the timers of an event loop are coarse by, amply."""
 Record = Callable[[NDArray[np.float64], NDArray[np.float64]], None]
 
 
@@ -91,23 +93,27 @@ class Measuring:
         while True:
             end += PERIOD
             upto = int(end / TICK) // step + 1
+            lost = self._happens('beam_loss')
+            if lost:  # recorded trackers send what they have until then
+                upto = self._rng.randint(sent, upto)
+            packet = self._packet(step * np.arange(sent, upto))
             due = self._begun + end / (1 + self._drift)
-            await asyncio.sleep(max(0.0, due + self._delay() - time.monotonic()))
-            if self._happens('beam_loss'):  # recorded trackers send what they have until then
-                self._send(step * np.arange(sent, self._rng.randint(sent, upto)))
+            await _until(due + self._delay())
+            if self._happens('silent'):
+                return False
+            if packet:
+                self._put(packet)
+            if lost:
                 self._device.seen = False
                 self._put(encode_error(Command.UNSOLICITED, Status.BEAM_LOST))
                 return True
-            if self._happens('silent'):
-                return False
             self._strange()
-            self._send(step * np.arange(sent, upto))
             sent = upto
 
-    def _send(self, tick: NDArray[np.int64]) -> None:
-        """Send the samples at these ticks since the start of the measurement."""
+    def _packet(self, tick: NDArray[np.int64]) -> bytes:
+        """Packet of the samples at these ticks since the start of the measurement, if any."""
         if not len(tick):
-            return
+            return b''
         xyz = self._cell.at(self._first_tick + tick)
         if self._record:
             self._record(np.asarray(self._begun + tick * TICK / (1 + self._drift)), xyz)
@@ -125,9 +131,7 @@ class Measuring:
         environment = self._device.kept[Command.GET_ENVIRONMENT]
         packet = Measurements(0, environment, status, device_ns, self._device.shown(xyz))  # type: ignore[arg-type]
         extended = self._device.kept[Command.GET_STATISTIC_MODE][1]
-        self._put(
-            encode_measurements(packet, PacketType.MULTI_2 if extended else PacketType.MULTI)
-        )
+        return encode_measurements(packet, PacketType.MULTI_2 if extended else PacketType.MULTI)
 
     def _strange(self) -> None:
         """Send what the client cannot know, or what another program does."""
@@ -146,3 +150,10 @@ class Measuring:
 
     def _happens(self, fault: str) -> bool:
         return self._rng.random() < float(getattr(self._faults, fault))
+
+
+async def _until(due: float) -> None:
+    """Sleep until a time on the monotonic clock, s; event loops wake a millisecond late."""
+    await asyncio.sleep(max(0.0, due - time.monotonic() - COARSE))
+    while time.monotonic() < due:
+        await asyncio.sleep(0)
