@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rows leg by leg: products, rows of touched unknowns and sums against whole dense matrices."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from core_cells import pieces_of, small_plan, some_machine, transform_pose, white, zero_tables
+from scipy.linalg import block_diag
+
+from otf_core.model.nodes import table_nodes
+from otf_core.noise.model import Misfit
+from otf_core.solving.normal import sum_groups
+from otf_core.solving.shape_choice import linear_bases, smooth_bases
+from otf_core.solving.system import build_system
+from otf_core.solving.unknowns import layout
+from otf_core.solving.whitener import Whitener, leg_parts
+
+
+def cell(bases, *, reversal=0, spread=0.0):
+    machine = some_machine()
+    pose = transform_pose(machine, 3)
+    path = small_plan(machine).path
+    pieces = pieces_of(machine, path, zero_tables(machine), pose, size=0.03)
+    count = len(pieces)
+    rng = np.random.default_rng(4)
+    pieces = replace(
+        pieces,
+        time=0.2 * np.arange(count) + pieces.leg,
+        duration=np.full(count, 0.15),
+        spread=rng.uniform(0.5, 1.5, count) * spread if spread else np.zeros(0),
+    )
+    unknowns = layout(bases(table_nodes(machine, machine.lower, machine.upper)), 1, reversal)
+    return machine, pieces, unknowns, build_system(machine, pieces, pose, unknowns)
+
+
+CASES = {
+    'hats': (linear_bases, {}),
+    'splines, means over pieces': (smooth_bases, {'spread': 0.009}),
+    'reversal': (linear_bases, {'reversal': 3, 'spread': 0.009}),
+}
+
+
+@pytest.fixture(params=CASES, scope='module')
+def case(request):
+    bases, given = CASES[request.param]
+    return cell(bases, **given)
+
+
+def close(found, wanted):
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13 * np.abs(wanted).max())
+
+
+def test_products_are_those_of_the_dense_rows(case):
+    _, pieces, unknowns, system = case
+    dense, rng = system.rows.dense(slice(None)), np.random.default_rng(5)
+    assert dense.shape == (2, len(pieces), unknowns.full)
+    values = rng.standard_normal((unknowns.full, 3))
+    close(system.rows.times(values[:, 0]), dense @ values[:, 0])
+    close(system.rows.times(values), dense @ values)
+    column = rng.integers(0, 3, len(pieces))
+    close(system.rows.times(values, column), np.einsum('cpf,fp->cp', dense, values[:, column]))
+    rows = rng.standard_normal((2, len(pieces), 2))
+    close(system.rows.transposed(rows), np.einsum('cpf,cpk->fk', dense, rows))
+    close(system.rows.transposed(rows[..., 0]), np.einsum('cpf,cp->f', dense, rows[..., 0]))
+    close(system.design.toarray(), dense.reshape(-1, unknowns.full))
+
+
+def test_rows_of_touched_unknowns_leave_nothing_out(case):
+    _, pieces, unknowns, system = case
+    dense = system.rows.dense(slice(None))
+    touched = []
+    for own in np.split(np.arange(len(pieces)), np.flatnonzero(np.diff(pieces.leg)) + 1):
+        columns, rows = system.rows.touched(own, width=2)
+        assert np.all(np.diff(columns) > 0)
+        whole = np.zeros((2, len(own), unknowns.full))
+        whole[:, :, columns] = rows[:, :, :-2]
+        np.testing.assert_array_equal(whole, dense[:, own])
+        assert not rows[:, :, -2:].any()
+        touched.append(len(columns))
+    assert min(touched) < 0.8 * unknowns.full
+
+
+def test_mean_over_a_piece_is_that_of_its_two_gauss_points():
+    _, pieces, unknowns, _ = cell(smooth_bases)
+    machine, pose = some_machine(), transform_pose(some_machine(), 3)
+    spread = np.full(len(pieces), 0.008)
+    both = build_system(machine, replace(pieces, spread=spread), pose, unknowns)
+    value = np.random.default_rng(6).standard_normal(unknowns.full)
+    single = []
+    for sign in (1, -1):
+        # the same pieces, moved along their lines as a whole
+        reach = sign * 0.008 * pieces.direction
+        xyz = pieces.xyz + reach @ pose.rotation
+        moved = build_system(machine, replace(pieces, xyz=xyz), pose, unknowns)
+        # directions of rows turn with the beam: those of the centres count
+        rows = replace(moved.rows, axes=both.axes)
+        single.append(rows.times(value))
+    close(both.rows.times(value), 0.5 * (single[0] + single[1]))
+
+
+def test_sums_of_groups_are_those_of_generalised_least_squares(case):
+    machine, pieces, unknowns, system = case
+    noise, misfit = white(machine), Misfit(4e-7, 9e-7)
+    whitener = Whitener.of(system, pieces, noise, misfit)
+    extra = np.random.default_rng(7).standard_normal((2, len(pieces), 2)) * 1e-3
+    group = np.arange(len(whitener.bounds)) % 3
+    found = sum_groups(system, unknowns, whitener, group, extra)
+    free = system.rows.dense(slice(None)) @ unknowns.gauge.toarray()
+    whole = np.concatenate([free, extra, system.deviation[..., None]], axis=2)
+    for g, own in enumerate(found):
+        total = 0.0
+        for (low, high), mine in zip(whitener.bounds, group, strict=True):
+            if mine != g:
+                continue
+            blocks = [
+                sum(leg_parts(system, pieces, noise, misfit, c, low, high)) for c in range(2)
+            ]
+            rows = whole[:, low:high].reshape(-1, whole.shape[2])
+            total = total + rows.T @ np.linalg.solve(block_diag(*blocks), rows)
+        scale = np.sqrt(np.diag(total))
+        unit = np.outer(scale, scale)
+        np.testing.assert_allclose(own.matrix / unit[:-1, :-1], (total / unit)[:-1, :-1],
+                                   rtol=0, atol=1e-11)  # fmt: skip
+        assert own.square == pytest.approx(total[-1, -1], rel=1e-10)
+        laps = [high - low for (low, high), mine in zip(whitener.bounds, group, strict=True)
+                if mine == g]  # fmt: skip
+        assert own.rows == 2 * sum(laps)
+    twice = found[0].repeated(2.0)
+    np.testing.assert_array_equal(twice.matrix, 2.0 * found[0].matrix)
+    assert (twice.rows, twice.square) == (2 * found[0].rows, 2.0 * found[0].square)
+
+
+def test_whitened_noise_is_white_whatever_the_lengths_of_the_legs(case):
+    machine, pieces, _, system = case
+    whitener = Whitener.of(system, pieces, white(machine), Misfit(4e-7, 9e-7))
+    assert len({high - low for low, high in whitener.bounds}) > 1
+    values = np.random.default_rng(8).standard_normal((2, len(pieces)))
+    close(whitener.unwhiten(whitener.whiten(values)), values)
+    for c, low, high, factor in whitener.parts():
+        covariance = sum(
+            leg_parts(system, pieces, white(machine), Misfit(4e-7, 9e-7), c, low, high)
+        )
+        close(factor @ factor.T, covariance)
+        close(whitener.expected[c, low:high], np.sqrt(np.diag(covariance)))
+        wanted = np.linalg.solve(covariance, values[c, low:high])
+        close(whitener.weighted(values)[c, low:high], wanted)
+    again = Whitener.from_factors(whitener.bounds, whitener.factors)
+    close(again.whiten(values), whitener.whiten(values))
