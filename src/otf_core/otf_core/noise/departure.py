@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
-from scipy.special import logsumexp
+from scipy.special import gammaln, logsumexp, stdtr
 
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
@@ -85,11 +84,18 @@ def probability_beyond(seen: float, u: float, limit: float, freedom: float) -> f
     at, u, spread = float(np.clip(np.log(seen), 0.0, end)), max(u, BEST), 0.5 * edge
     # means of the likelihood over both priors
     y = np.arange(-5.0 * spread, end, 0.2 * BEST)
-    prior, seen_at = stats.norm.pdf(y, 0.0, spread), stats.t.pdf((y - at) / u, freedom) / u
+    prior, seen_at = np.exp(-0.5 * (y / spread) ** 2), _student_density((y - at) / u, freedom) / u
     specified = float(np.sum(prior * seen_at) / np.sum(prior))
-    inside = np.diff(stats.t.cdf((np.array([edge, end]) - at) / u, freedom))[0]
+    inside = np.diff(stdtr(freedom, (np.array([edge, end]) - at) / u))[0]
     beyond = float(inside) / (end - edge)
     return beyond / (beyond + specified)
+
+
+def _student_density(t: Array, freedom: float) -> Array:
+    """Density of Student's t; ``scipy.stats`` has it too, and takes 0.4 s to import."""
+    half = 0.5 * freedom
+    size = np.exp(gammaln(half + 0.5) - gammaln(half)) / np.sqrt(freedom * np.pi)
+    return np.asarray(size * (1.0 + t**2 / freedom) ** -(half + 0.5))
 
 
 def _tails(windows: list[Array], step: float) -> tuple[float, float]:

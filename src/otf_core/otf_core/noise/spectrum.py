@@ -9,9 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.signal import welch
-from scipy.stats import chi2
-from scipy.stats import f as f_ratio
 
 from otf_core.noise.model import NoiseModel
 
@@ -59,6 +56,8 @@ class Peak:
 
 def spectrum(windows: Sequence[Array], step: float) -> Spectrum:
     """Averaged spectrum of windows (n, c) by Welch's method, half-overlapping segments."""
+    from scipy.signal import welch  # 0.3 s
+
     lengths = np.array([len(w) for w in windows])
     size = int(min(SEGMENT / step, np.median(lengths)))
     long = [w for w in windows if len(w) >= size]
@@ -94,6 +93,9 @@ def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:
     expected : ndarray, shape (c, m)
         Shape of the density without peaks, see ``expected_density``; its size does not matter.
     """
+    from scipy.stats import chi2  # 0.4 s
+    from scipy.stats import f as f_ratio
+
     bins = seen.frequency.size
     if bins < 2 * NEIGHBOURS:
         return ()

@@ -55,7 +55,8 @@ class Trace:
     @classmethod
     def of(cls, first: Tried, last: Tried) -> Trace:
         """For the first and the last shape of an effect."""
-        simple, rich = (_columns(tried) for tried in (first, last))
+        simple = _columns(first)
+        rich = simple if last is first else _columns(last)
         values, vectors = np.linalg.eigh(rich.T @ rich)
         seen = values > 1e-9 * values[-1]
         return cls(simple, rich @ (vectors[:, seen] / np.sqrt(values[seen])))

@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from otf_core.config import SimulationConfig
@@ -51,6 +50,8 @@ def drawn(noise: NoiseComponent, rng: np.random.Generator, n: int, rate: float) 
     ndarray, shape (n,), m or rad
     """
     step, time = 1.0 / rate, noise.correlation_time
+    from scipy.signal import lfilter  # 0.3 s
+
     decay = math.exp(-step / time) if time > 0 else 0.0
     drive = rng.standard_normal(n) * math.sqrt(1.0 - decay**2)
     drive[0] = rng.standard_normal()

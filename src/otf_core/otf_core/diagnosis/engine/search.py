@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES
 from otf_core.diagnosis.engine.evidence import Estimate, Option, average, estimate
@@ -109,6 +108,8 @@ def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Optio
     def loss(logarithm: float) -> float:
         trial = at(start * float(np.exp(logarithm)))
         return -estimate(trial.white, trial.size, residual).gain
+
+    from scipy.optimize import minimize_scalar  # 0.1 s
 
     width = option.effect.refine_width
     best = minimize_scalar(
