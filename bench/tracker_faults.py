@@ -31,7 +31,7 @@ FAULTS = (
 def main(minutes=10.0, seed=1):
     """Run and print."""
     # never at a standstill for long: the points tell when they were measured
-    planning = PlannerConfig(passes=max(1, round(minutes / 3)))
+    planning = PlannerConfig(passes=max(1, round(minutes / 2)))
     cell = Cell(machine_from_dict(MACHINE), planning, seed, DRIFT)
     with emulator(FAULTS, seed, cell) as running:
         backend = Emscon(CommonConfig(), EmsconConfig(port=running.port))

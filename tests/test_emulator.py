@@ -189,7 +189,7 @@ def test_packets_hold_as_many_samples_as_recorded_ones(monkeypatch, interval_ms)
     def count(packet):
         sizes[struct.unpack_from('<i', packet, 12)[0]] += 1
 
-    monkeypatch.setattr(measuring.asyncio, 'sleep', no_sleep)
+    monkeypatch.setattr(measuring, '_until', no_sleep)
     made = measuring.Measuring(
         device, cell(), measuring.Drive(), DRIFT, Faults(), random.Random(1), count
     )

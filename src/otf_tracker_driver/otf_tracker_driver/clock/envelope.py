@@ -31,6 +31,9 @@ LOWERED = 1.1
 whose density rises from zero, such as sums of the age of a packet's last sample and of its way,
 less for those whose density does not."""
 
+MOST_LOWERED = 3e6
+"""ns; for few packets, some of them very late."""
+
 
 @dataclass(frozen=True)
 class Line:
@@ -77,5 +80,5 @@ def beneath(device_ns: NDArray[np.int64], delay_ns: NDArray[np.int64]) -> Line:
     median = np.median(above, axis=1) - least
     cost = n * np.log(median + SHARPEST) + 0.5 * (RATES / USUAL_RATE) ** 2
     best = int(cost.argmin())
-    lowered = LOWERED * float(median[best]) / math.sqrt(n)
+    lowered = min(LOWERED * float(median[best]) / math.sqrt(n), MOST_LOWERED)
     return Line(origin, base + round(float(least[best]) - lowered), float(RATES[best]))

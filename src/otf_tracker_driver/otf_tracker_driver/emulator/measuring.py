@@ -94,8 +94,9 @@ class Measuring:
             end += PERIOD
             upto = int(end / TICK) // step + 1
             lost = self._happens('beam_loss')
-            if lost:  # recorded trackers send what they have until then
+            if lost:  # recorded trackers send at once what they have
                 upto = self._rng.randint(sent, upto)
+                end = upto * step * TICK
             packet = self._packet(step * np.arange(sent, upto))
             due = self._begun + end / (1 + self._drift)
             await _until(due + self._delay())
