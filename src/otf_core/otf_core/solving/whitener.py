@@ -25,11 +25,13 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 NO_MISFIT = Misfit()
+MEMORY = 8e6
+"""Bytes of covariances that are factored at once."""
 
 
 @dataclass(frozen=True)
 class Alike:
-    """Legs of as many pieces.
+    """Some legs of as many pieces.
 
     Attributes
     ----------
@@ -95,9 +97,8 @@ class Whitener:
         bounds = leg_bounds(pieces.leg)
         low, high = np.array(bounds, dtype=np.int64).reshape(-1, 2).T
         alike = []
-        for size in np.unique(high - low):
-            legs = np.flatnonzero(high - low == size)
-            own = low[legs, None] + np.arange(size)
+        for legs in _alike(high - low):
+            own = low[legs, None] + np.arange(high[legs[0]] - low[legs[0]])
             windows = (pieces.time[own], pieces.duration[own], pieces.count[own])
             white, slow, own_misfit, lasting = covariance_parts(
                 noise, misfit, system.shares[:, :, own], windows
@@ -117,8 +118,7 @@ class Whitener:
         """From the lower Cholesky factors (m, m) of every leg and component."""
         size = np.array([high - low for low, high in bounds])
         alike = []
-        for m in np.unique(size):
-            legs = np.flatnonzero(size == m)
+        for legs in _alike(size):
             own = np.array([np.arange(*bounds[k]) for k in legs.tolist()])
             stacked = np.stack([np.stack(list(factors[k])) for k in legs.tolist()], axis=1)
             alike.append(Alike.of(legs, own, stacked))
@@ -152,9 +152,9 @@ class Whitener:
 
     def parts(self) -> Iterator[tuple[int, int, int, Array]]:
         """Component, first piece, one past the last and factor of the rows of every leg."""
-        for (low, high), leg in zip(self.bounds, self.factors, strict=True):
-            for component, factor in enumerate(leg):
-                yield component, low, high, factor
+        for (low, high), leg in zip(self.bounds, self.inverses, strict=True):
+            for component, inverse in enumerate(leg):
+                yield component, low, high, _inverse(inverse)
 
     def _applied(self, matrix: Callable[[Alike], Array], values: Array) -> Array:
         """Matrices of the legs times values (c, p, ...)."""
@@ -179,6 +179,14 @@ class Whitener:
     def weighted(self, values: Array) -> Array:
         """Multiply values (c, p, ...) by the inverse covariance of the noise."""
         return self.whiten_transposed(self.whiten(values))
+
+
+def _alike(size: Index) -> Iterator[Index]:
+    """Legs of one size at a time, by the sizes (n,) of all; no more than fit into ``MEMORY``."""
+    for m in np.unique(size).tolist():
+        legs = np.flatnonzero(size == m)
+        most = max(1, int(MEMORY / (16.0 * m**2)))
+        yield from (legs[k : k + most] for k in range(0, len(legs), most))
 
 
 def _inverse(lower: Array) -> Array:
