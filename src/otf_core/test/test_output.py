@@ -184,8 +184,9 @@ def test_folder_filled_meanwhile_is_not_mixed(out):
 
 
 SLOW = """
-import sys, time
+import signal, sys, time
 from otf_core.files.output import OutputFolder
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where jobs run behind
 with OutputFolder(sys.argv[1]).filled('test') as new:
     (new / 'a.json').write_text('half')
     print('begun', flush=True)
