@@ -59,6 +59,8 @@ NOTABLE = 0.05
 FEW = 3000
 """Pieces that the first solution is made of, which finds poses and positions on the paths."""
 GOLDEN = 0.6180339887498949
+LAP = 0.7
+"""Share of a run that the first legs on every line are at most, if it has laps."""
 CLEAR_LEAD = 50.0
 """Log likelihood by which functions that are worse in one lap are out for all of them."""
 
@@ -220,11 +222,12 @@ def _leg_number(run: Observed) -> Index:
 
 
 def _every_line_once(run: AnyRun) -> AnyRun:
-    """The first leg on every line: laps repeat them."""
+    """The first leg on every line where laps repeat them, or the run itself."""
     number = _leg_number(run)
     first = np.flatnonzero(np.append(1, np.diff(number)))
     lines = np.hstack([run.pieces.origin[first], run.pieces.direction[first]]).round(6)
-    return _without_legs(run, number, np.unique(lines, axis=0, return_index=True)[1])
+    once = _without_legs(run, number, np.unique(lines, axis=0, return_index=True)[1])
+    return once if len(once.pieces) < LAP * len(run.pieces) else run
 
 
 def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
