@@ -2,7 +2,7 @@
 """./otf test: lint, types, the core suites without ROS, the workspace suite with it.
 
 The core suite proper is quick; whole simulated cells through whole pipelines are a suite of their
-own.
+own. So are devices and their protocols: they wait more than they compute, and run side by side.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import workspace
 ROOT = Path(layout.ROOT)
 CORE_SUITE = 'src/otf_core/test'
 WHOLE_CELLS = f'{CORE_SUITE}/whole'
+DEVICES = 'tests/devices'
 NO_TESTS = 5  # pytest's exit code when nothing was collected
 
 # Runs with the variables of the core suite: fails if any part of ROS can be imported there.
@@ -63,7 +64,16 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
             core,
         ),
         Check(f'pytest {WHOLE_CELLS}', [python, '-m', 'pytest', '-n', '2', WHOLE_CELLS], core),
-        Check('pytest tests', [node_python, '-m', 'pytest', 'tests'], workspace_env),
+        Check(
+            f'pytest {DEVICES}',
+            [node_python, '-m', 'pytest', '-n', '4', '--dist', 'worksteal', DEVICES],
+            workspace_env,
+        ),
+        Check(
+            'pytest tests',
+            [node_python, '-m', 'pytest', f'--ignore={DEVICES}', 'tests'],
+            workspace_env,
+        ),
     ]
 
 
@@ -72,7 +82,7 @@ def chosen_checks(workspace_env: dict[str, str], arguments: list[str]) -> list[C
     paths = [word for word in arguments if Path(word.partition('::')[0]).exists()]
     other = [word for word in arguments if word not in paths]
     checks = []
-    for check in all_checks(workspace_env)[-3:]:
+    for check in all_checks(workspace_env)[-4:]:
         mine = [absolute(word) for word in paths if suite_of(word) == check.command[-1]]
         if mine or not paths:
             targets = mine or check.command[-1:]
@@ -83,9 +93,9 @@ def chosen_checks(workspace_env: dict[str, str], arguments: list[str]) -> list[C
 def suite_of(word: str) -> str:
     """Suite that a test file or folder belongs to; the whole of core is the core suite."""
     place = Path(absolute(word).partition('::')[0])
-    for suite in (WHOLE_CELLS, 'src/otf_core'):
+    for suite in (WHOLE_CELLS, 'src/otf_core', DEVICES):
         if ROOT / suite == place or ROOT / suite in place.parents:
-            return suite if suite == WHOLE_CELLS else CORE_SUITE
+            return CORE_SUITE if suite == 'src/otf_core' else suite
     return 'tests'
 
 

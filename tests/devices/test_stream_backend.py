@@ -22,7 +22,7 @@ from otf_tracker_driver.stream.lines import LONGEST, Lines, Unreadable, read_poi
 
 PATIENCE = 20.0
 """s"""
-CART = Path(__file__).parents[1] / 'src/otf_core/test/data/cart_stream.csv'
+CART = Path(__file__).parents[2] / 'src/otf_core/test/data/cart_stream.csv'
 
 
 def described(folder, **changes):
