@@ -19,10 +19,9 @@ from otf_calibrator.results import ResultPublishers
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
 from otf_core.config import CalibrationConfig
-from otf_core.errors import Cancelled, ConfigError, OtfError
+from otf_core.errors import ConfigError, OtfError
 from otf_msgs.msg import TrackerStatus
 from otf_ros import app, convert, qos, services
-from otf_ros.convert_result import summary
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
 
@@ -104,22 +103,14 @@ class Calibrator(Node):
         reason = self._session.complete()
         if reason:
             self.get_logger().info(self._session.start(reason))
-        self._look_ahead()
+        early = self._session.look_ahead()
+        if early:
+            method = self._read_settings()[0].method
+            self.get_logger().info(self._results.publish_provisional(early, method))
         diagnosed = self._session.diagnosed()
         if diagnosed:
             self._tell(*diagnosed)
         self._state.publish(self._session)
-
-    def _look_ahead(self) -> None:
-        """Publish what the first lap says of machine and set-up, while the others are driven."""
-        job = self._session.look_ahead()
-        if job is None or isinstance(job.exception(), Cancelled):
-            return
-        if job.exception():
-            self.get_logger().warning(f'no provisional solution: {job.exception()}')
-            return
-        self._results.publish_provisional(job.result(), self._read_settings()[0].method)
-        self.get_logger().info(f'provisional: {summary(job.result())}')
 
     def _finish(self, job: Future[Calibrated]) -> None:
         """Publish what a calibration gave."""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
+
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 
@@ -10,6 +12,7 @@ from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
 from otf_core.calibration.result import CalibrationResult
+from otf_core.errors import Cancelled
 from otf_core.model.motions import MOTIONS
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, GapReport
@@ -60,11 +63,21 @@ class ResultPublishers:
         self._result.publish(message)
         return list(message.warnings)
 
-    def publish_provisional(self, result: CalibrationResult, method: str) -> None:
-        """Publish what the samples of a run say so far."""
+    def publish_provisional(self, job: Future[CalibrationResult], method: str) -> str:
+        """Publish what the samples of a run say so far; return what to tell of it."""
+        error = job.exception()
+        if error:
+            ended = isinstance(error, Cancelled)
+            return (
+                'the run is over before its provisional result'
+                if ended
+                else f'no provisional result: {error}'
+            )
+        result = job.result()
         message = convert_result.result_to_message(result, self._clock.now().to_msg(), method)
         message.warnings = list(result.warnings)
         self._provisional.publish(message)
+        return f'provisional: {convert_result.summary(result)}'
 
     def publish_failure(self, exit_code: int, text: str) -> None:
         """Publish that there is no result, and why; the tables published before stay."""
