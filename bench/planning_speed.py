@@ -12,14 +12,10 @@ Usage: PYTHONPATH=src/otf_core python bench/planning_speed.py
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import tempfile
-import time
-from dataclasses import dataclass
 from pathlib import Path
 
-from otf_core.files.writing import write_text
+from child import Cost, measured
 
 SEED = 20_260_012
 ROOT = Path(__file__).parent.parent
@@ -41,31 +37,14 @@ tracker: {u_range: 0.5e-6, u_angle: 2.0e-6}
 """
 
 
-@dataclass(frozen=True)
-class Cost:
-    """What a command took: wall and processor time in s, largest resident memory in MB."""
-
-    wall: float
-    processor: float
-    memory: float
-
-    def row(self, name: str) -> str:
-        """Line of the table."""
-        return f'| {name} | {self.wall:.1f} | {self.processor:.1f} | {self.memory:.0f} |'
-
-
 def command(*words: str | Path) -> Cost:
     """Run a command of the core in a process of its own; SystemExit if it fails."""
-    start = time.perf_counter()
-    child = subprocess.Popen(
-        [sys.executable, '-m', 'otf_core.cli', *map(str, words)], stdout=subprocess.DEVNULL
-    )
-    _, status, used = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    if child.returncode:
-        raise SystemExit(f'{words[0]} ended with {child.returncode}')
-    wall = time.perf_counter() - start
-    return Cost(wall, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / 1e6)
+    return measured(['-m', 'otf_core.cli', *words])
+
+
+def row(name: str, cost: Cost) -> str:
+    """Line of the table."""
+    return f'| {name} | {cost.wall:.1f} | {cost.processor:.1f} | {cost.peak / 1e6:.0f} |'
 
 
 def main() -> None:
@@ -77,17 +56,16 @@ def main() -> None:
         for number, machine in enumerate(MACHINES):
             cost = command('plan', '--machine', ROOT / machine, '--out', folder / f'plan{number}')
             name = 'demo cell' if number == 0 else Path(machine).parent.name
-            print(cost.row(f'plan, {name}'), flush=True)
+            print(row(f'plan, {name}', cost), flush=True)
         gantry, plan, bag = folder / 'gantry.yaml', folder / 'plan', folder / 'bag'
-        write_text(gantry, GANTRY)
+        gantry.write_text(GANTRY, encoding='utf-8')
         once = ('--passes', '1')
-        print(command('plan', '--machine', gantry, '--out', plan, *once).row('plan, gantry'))
+        print(row('plan, gantry', command('plan', '--machine', gantry, '--out', plan, *once)))
         run = ('--machine', gantry, '--path', plan / 'plan.json', '--seed', str(SEED))
-        print(command('simulate', *run, '--out', bag).row('simulate, gantry'), flush=True)
+        print(row('simulate, gantry', command('simulate', *run, '--out', bag)), flush=True)
         out = folder / 'tables'
-        print(
-            command('calibrate', bag, '--machine', gantry, '--out', out).row('calibrate, gantry')
-        )
+        cost = command('calibrate', bag, '--machine', gantry, '--out', out)
+        print(row('calibrate, gantry', cost))
 
 
 if __name__ == '__main__':

@@ -18,7 +18,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath, sides_of_travel
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.model import NoiseModel, covariance_parts
 from otf_core.pieces.pieces import Pieces
 from otf_core.planning.creator import plan_path
 from otf_core.sim.drive import Drive
@@ -310,3 +310,10 @@ def fit_pieces(machine, pieces, pose, iterations=3, limit=1e-4, ranges=None):
 def corner_path(machine, *shares):
     """Path through points given as shares of the axis ranges."""
     return NominalPath(machine.lower + np.array(shares, float) * (machine.upper - machine.lower))
+
+
+def leg_parts(system, pieces, noise, misfit, component, low, high):
+    """Parts of the covariance of one component of the pieces of one leg."""
+    part = slice(low, high)
+    windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
+    return covariance_parts(noise, misfit, system.shares[:, component, part], windows)

@@ -5,7 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from core_cells import pieces_of, small_plan, some_machine, transform_pose, white, zero_tables
+from core_cells import (
+    leg_parts,
+    pieces_of,
+    small_plan,
+    some_machine,
+    transform_pose,
+    white,
+    zero_tables,
+)
 from scipy.linalg import block_diag
 
 from otf_core.model.nodes import table_nodes
@@ -14,7 +22,7 @@ from otf_core.solving.normal import sum_groups
 from otf_core.solving.shape_choice import linear_bases, smooth_bases
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import layout
-from otf_core.solving.whitener import Whitener, leg_parts
+from otf_core.solving.whitener import Whitener
 
 
 def cell(bases, *, reversal=0, spread=0.0):

@@ -6,7 +6,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from core_cells import corner_path, pieces_of, some_machine, transform_pose, zero_tables
+from core_cells import (
+    corner_path,
+    leg_parts,
+    pieces_of,
+    some_machine,
+    transform_pose,
+    zero_tables,
+)
 from scipy.stats import multivariate_normal
 
 from otf_core.model.path import leg_bounds
@@ -27,7 +34,7 @@ from otf_core.solving.basis import cubic
 from otf_core.solving.noise_fit import HIGHEST, LOWEST, PRIOR, _lines, _slopes, fit_noise
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import layout
-from otf_core.solving.whitener import Whitener, leg_parts
+from otf_core.solving.whitener import Whitener
 
 RANGE = NoiseComponent(1e-6, 1e-6 * np.sqrt(0.5), 0.3)
 ANGLE = NoiseComponent(2e-6, 2e-6 * np.sqrt(0.4), 0.3)

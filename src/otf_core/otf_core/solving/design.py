@@ -104,11 +104,6 @@ class Design:
     side: Array
     nodal_lever: bool = False
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and unknowns."""
-        return self.axes.shape[0] * self.axes.shape[1], self.unknowns.full
-
     @cached_property
     def _parts(self) -> list[list[AxisPart]]:
         """The three axes at every shift."""

@@ -204,18 +204,3 @@ def _two_passes(pieces: Pieces, own: Index, covariance: Array) -> InputError:
         f'leg {leg} of the path: its samples belong to two passes; '
         f'path and track do not agree there'
     )
-
-
-def leg_parts(
-    system: System,
-    pieces: Pieces,
-    noise: NoiseModel,
-    misfit: Misfit,
-    component: int,
-    low: int,
-    high: int,
-) -> tuple[Array, Array, Array, Array]:
-    """Parts of the covariance of successive pieces of one leg; see ``noise.covariance_parts``."""
-    part = slice(low, high)
-    windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
-    return covariance_parts(noise, misfit, system.shares[:, component, part], windows)
