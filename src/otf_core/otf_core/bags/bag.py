@@ -62,13 +62,16 @@ def read_bag(source: str | Path) -> BagContent:
         If the bag is damaged, cut off or does not hold usable points and one usable path; the
         message says what, where and what to do.
     """
-    recording = _Recording(source, (POINT, PATH))
-    return BagContent(recording.samples(), recording.path())
+    reading = BagReading(source, (POINT, PATH))
+    reading.require(POINT, PATH)
+    return BagContent(reading.samples(), reading.path())
 
 
 def read_points(source: str | Path) -> Samples:
     """Read the points of a bag that may lack a path; otherwise as ``read_bag``."""
-    return _Recording(source, (POINT,)).samples()
+    reading = BagReading(source, (POINT,))
+    reading.require(POINT)
+    return reading.samples()
 
 
 def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = False) -> None:
@@ -100,8 +103,32 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
     write_recording(Path(folder), samples, content.path, overwrite)
 
 
-class _Recording:
-    """Raw points and paths of the wanted topics of one bag."""
+@dataclass(frozen=True)
+class Received:
+    """Points as they were received.
+
+    Attributes
+    ----------
+    stamp_ns : ndarray of int64, shape (n,), ns
+        As stamped by the tracker.
+    xyz : ndarray, shape (n, 3), m
+    log_time : ndarray of int64, shape (n,), ns
+        When they were recorded; ascending.
+    """
+
+    stamp_ns: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    log_time: NDArray[np.int64]
+
+
+class BagReading:
+    """Raw points and paths of the wanted topics of one bag, as far as it holds them.
+
+    Attributes
+    ----------
+    topics : dict of topic to message type
+        All that are in the bag.
+    """
 
     def __init__(self, source: str | Path, wanted: tuple[Topic, ...]) -> None:
         self._where = str(source)
@@ -111,15 +138,18 @@ class _Recording:
         self._paths: list[NDArray[np.float64]] = []
         self._last_path: bytes | None = None
         self._points = 0
-        found: dict[str, str] = {}
-        for block in locate(source).messages({t.name: t.type for t in wanted}, found):
+        self.topics: dict[str, str] = {}
+        for block in locate(source).messages({t.name: t.type for t in wanted}, self.topics):
             try:
                 self._add(block)
             except InputError as error:
                 raise InputError(f'{self._where}: {block.topic}: {error}') from None
+
+    def require(self, *wanted: Topic) -> None:
+        """Refuse a bag without these topics; InputError names those that it has."""
         for topic in wanted:
-            if topic.name not in found:
-                listed = ', '.join(f'{n} ({t})' for n, t in sorted(found.items())) or 'none'
+            if topic.name not in self.topics:
+                listed = ', '.join(f'{n} ({t})' for n, t in sorted(self.topics.items())) or 'none'
                 raise InputError(
                     f'{self._where}: topic {topic.name} is missing; topics in the bag: {listed}; '
                     f'record it or remap to that name'
@@ -144,16 +174,20 @@ class _Recording:
             if not any(np.array_equal(points, known, equal_nan=True) for known in self._paths):
                 self._paths.append(points)
 
-    def samples(self) -> Samples:
-        """Return the points in time order; the recording does not keep them."""
+    def received(self) -> Received:
+        """Return the points in the order of reception; they are not kept."""
         log_time = self._log_time.joined()
         as_received = bool(np.all(log_time[1:] >= log_time[:-1]))
-        order = None if as_received else np.argsort(log_time, kind='stable')
-        del log_time
         stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
-        if order is not None:
-            stamp_ns, xyz = stamp_ns[order], xyz[order]
-        return in_time_order(f'{self._where}: {POINT.name}', stamp_ns, xyz)
+        if as_received:
+            return Received(stamp_ns, xyz, log_time)
+        order = np.argsort(log_time, kind='stable')
+        return Received(stamp_ns[order], xyz[order], log_time[order])
+
+    def samples(self) -> Samples:
+        """Return the points in time order; they are not kept."""
+        points = self.received()
+        return in_time_order(f'{self._where}: {POINT.name}', points.stamp_ns, points.xyz)
 
     def path(self) -> NominalPath:
         """Return the only path."""
