@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from otf_core.calibration.calibrate import MIN_COVERAGE
 from otf_core.checking.checked import Check, Checked, errors, warnings
 from otf_core.checking.seen import Seen
-from otf_core.config import CalibrationConfig
-from otf_core.model.path import Legs, NominalPath
 from otf_core.model.observation import Samples
+from otf_core.model.path import Legs, NominalPath
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.order import OFF_PATH
 
@@ -31,7 +30,7 @@ def _ask(seen: Seen) -> Checked:
     problems = errors(*(seen.why(step) for step in ('following', 'run')))
     if found is None or seen.samples is None or seen.path is None:
         return Checked('', facts, problems)
-    missing = _missing(seen.samples, seen.path, found)
+    missing = _missing(seen.samples, seen.path, found, seen.config.corner_exclusion)
     facts['legs_missing'] = len(missing)
     if coverage < WHOLE:
         corners = 1e3 * seen.path.corners()[0]
@@ -53,10 +52,9 @@ def _place(point: NDArray[np.float64]) -> str:
     return ', '.join(f'{v:.0f}' for v in point + 0.0)
 
 
-def _missing(samples: Samples, path: NominalPath, found: Alignment) -> list[int]:
+def _missing(samples: Samples, path: NominalPath, found: Alignment, margin: float) -> list[int]:
     """Legs of the published path of which less than half was seen."""
     legs = Legs(path.corners()[0])
-    margin = CalibrationConfig().corner_exclusion
     on = found.leg != OFF_PATH
     number = found.leg[on]
     published = number if found.published is None else found.published[number]

@@ -25,7 +25,9 @@ def _ask(seen: Seen) -> Checked:
         'mean_grid_u_um': 1e6 * found.mean_grid_u,
         'not_identifiable': list(unseen),
         'mean_u': {
-            name: float(np.sqrt(np.mean(u**2))) for name, u in found.u.items() if name not in unseen
+            name: float(np.sqrt(np.mean(u**2)))
+            for name, u in found.u.items()
+            if name not in unseen
         },
     }
     words = f'errors in the volume to {1e6 * found.mean_grid_u:.2f} um (k = 1, noise alone)'

@@ -78,14 +78,14 @@ def look(source: str, machine: Machine | None, config: CalibrationConfig) -> See
     """
     refused = _Refusals()
     with _remarks(source) as remarks, one_thread():
-        seen = _read(source, refused)
+        seen = _read(source, config, refused)
         if seen.samples is not None:
-            seen = _followed(replace(seen, machine=machine), config, refused)
+            seen = _followed(replace(seen, machine=machine), refused)
     return replace(seen, machine=machine, remarks=tuple(remarks), refused=refused)
 
 
-def _read(source: str, refused: _Refusals) -> Seen:
-    seen = Seen(source, {})
+def _read(source: str, config: CalibrationConfig, refused: _Refusals) -> Seen:
+    seen = Seen(source, {}, config)
     with refused.of('bag', source):
         reading = BagReading(source, (POINT, PATH))
         seen = replace(seen, topics=reading.topics)
@@ -102,9 +102,10 @@ def _read(source: str, refused: _Refusals) -> Seen:
     return seen
 
 
-def _followed(seen: Seen, config: CalibrationConfig, refused: _Refusals) -> Seen:
+def _followed(seen: Seen, refused: _Refusals) -> Seen:
     """Align and reduce what was read."""
     name, samples, path, machine = seen.name, seen.samples, seen.path, seen.machine
+    config = seen.config
     assert samples is not None
     if path is None:
         with refused.of('stamps', name):

@@ -8,10 +8,8 @@ import numpy as np
 from otf_core.checking.checked import Check, Checked, warnings
 from otf_core.checking.seen import Seen
 
-PER_PIECE = 4.0
-"""Samples of a path piece of 8 mm at the top feed that are wanted at least."""
-PIECE = 0.008
-"""m; samples are averaged over pieces of about this length (CalibrationConfig.piece_length)."""
+PER_PIECE = 2.0
+"""Samples of a path piece at the top feed that are wanted at least."""
 FAST = 99.0
 """Percentile of the steps that is taken for the top feed."""
 
@@ -24,11 +22,11 @@ def _ask(seen: Seen) -> Checked:
     apart = np.linalg.norm(np.diff(samples.xyz, axis=0), axis=1)
     usual = np.diff(samples.stamp_ns) < 1.5 * samples.step_ns
     spacing = float(np.percentile(apart[usual], FAST)) if usual.any() else 0.0
-    coarse = ''
-    if spacing > PIECE / PER_PIECE:
+    coarse, enough = '', seen.config.piece_length / PER_PIECE
+    if spacing > enough:
         coarse = (
             f'samples lie {1e3 * spacing:.1f} mm apart at the top feed, above '
-            f'{1e3 * PIECE / PER_PIECE:g} mm: raise the rate of the tracker or drive slower'
+            f'{1e3 * enough:g} mm: raise the rate of the tracker or drive slower'
         )
     duration = float(samples.time[-1])
     return Checked(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.bags.bag import Received
+from otf_core.config import CalibrationConfig
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -27,6 +28,7 @@ class Seen:
     ----------
     name : str
     topics : mapping of topic to message type
+    config : CalibrationConfig
     received : Received, optional
     samples : Samples, optional
         In the order of time, unusable ones dropped.
@@ -45,6 +47,7 @@ class Seen:
 
     name: str
     topics: Mapping[str, str]
+    config: CalibrationConfig
     received: Received | None = None
     samples: Samples | None = None
     path: NominalPath | None = None

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from otf_core.checking.checked import Check, Checked, warnings
 from otf_core.checking.seen import Seen
-from otf_core.config import CalibrationConfig
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills, standstill_noise
 
 
 def _ask(seen: Seen) -> Checked:
     if seen.samples is None:
         return Checked()
-    runs = find_standstills(seen.samples, CalibrationConfig().standstill_speed)
+    runs = find_standstills(seen.samples, seen.config.standstill_speed)
     total = float((runs[:, 1] - runs[:, 0]).sum()) * seen.samples.step
     facts: dict[str, object] = {'standstills': len(runs), 'standstill_s': total}
     words = f'{len(runs)}, {total:.1f} s in all'

@@ -293,9 +293,7 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     """
     points = plan.path.points
     nodes = table_nodes(setup.machine, points.min(axis=0), points.max(axis=0))
-    equal = equal_pieces(
-        layout(smooth_bases(nodes)).knots, PART, setup.calibration.piece_length
-    )
+    equal = equal_pieces(layout(smooth_bases(nodes)).knots, PART, setup.calibration.piece_length)
     pieces = forecast_pieces(plan, as_needed(as_recorded(nodes, setup), equal), setup)
     duration = drive_times(plan, setup.config.acceleration).duration
     return forecast_of_pieces(pieces, tracker_pose(setup), nodes, points, setup, duration)

@@ -21,5 +21,7 @@ def format_check(report: CheckReport) -> str:
     lines += [f'{p.severity.upper()} {name}: {p.what}' for name, p in report.problems]
     lines += [''] if report.problems else []
     width = max(len(name) for name in report.checked)
-    lines += [f'{name:<{width}}  {found.words}' for name, found in report.checked.items() if found.words]
+    lines += [
+        f'{name:<{width}}  {found.words}' for name, found in report.checked.items() if found.words
+    ]
     return '\n'.join(lines)
