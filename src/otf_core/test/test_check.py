@@ -39,7 +39,7 @@ def named(report, severity):
     return [name for name, problem in report.problems if problem.severity == severity]
 
 
-def test_a_good_recording_is_usable_and_as_forecast(cell, samples, calibrated, checked):
+def test_a_good_recording_is_usable_and_says_what_it_shows(cell, samples, calibrated, checked):
     report = checked(samples)
     facts = report.to_dict()
     assert report.usable and not named(report, 'error')
@@ -47,10 +47,6 @@ def test_a_good_recording_is_usable_and_as_forecast(cell, samples, calibrated, c
     assert facts['gaps'] == facts['without_beam'] == facts['legs_missing'] == 0
     assert facts['coverage'] == pytest.approx(calibrated.fit.coverage, abs=1e-6)
     assert set(facts['forecast']['not_identifiable']) == set(calibrated.not_identifiable)
-    for name, expected in facts['forecast']['mean_u'].items():
-        if len(name) == 3 and name[0] == 'E':
-            u = calibrated.tables.motions[name].u
-            assert 1 / 3 < expected / np.sqrt(np.mean(u**2)) < 3, name
 
 
 def test_gaps_are_counted_and_placed(samples, checked):
