@@ -14,7 +14,7 @@ FACES = ('__init__', 'config', 'errors', 'threads', 'version')
 """All that lies beside the rooms: what is used everywhere, and the public names, loaded lazily."""
 FLOORS = (
     ('api', 'cli'),
-    ('reports',),
+    ('info', 'installation', 'reports'),
     ('blind', 'checking', 'validation'),
     ('planning',),
     ('diagnosis',),

@@ -11,7 +11,7 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
-from otf_core.cli.checking import run_check
+from otf_core.cli.checking import run_check, run_doctor, run_info
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -140,6 +140,11 @@ def _add_checking_verbs(verb: AddVerb) -> None:
         '--machine', help='machine.yaml: also its axes, its noise, and a forecast of u'
     )
     add_parameters(sub, CalibrationConfig, ('match_tolerance', 'standstill_speed'))
+
+    sub = verb('info', run_info)
+    sub.add_argument('file', help='a file or folder that otf wrote or reads')
+
+    verb('doctor', run_doctor)
 
 
 def _parser() -> Parser:

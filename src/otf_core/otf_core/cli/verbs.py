@@ -8,6 +8,8 @@ from __future__ import annotations
 
 VERBS = {
     'check': 'Is a recording usable? In seconds, before anyone dismounts the tracker.',
+    'info': 'What a file or folder of otf is and says.',
+    'doctor': 'What is wrong with this installation, and what to do.',
     'calibrate': 'Error tables from recorded bags.',
     'diagnose': 'Where and why a real run departs from its simulation.',
     'predict': 'Volumetric errors at points, from error tables: the mean of forward and backward '
@@ -25,6 +27,11 @@ EXAMPLES = {
         'otf check run1',
         'otf check run1 --machine machine.yaml --json',
     ),
+    'info': (
+        'otf info run1',
+        'otf info tables/error_tables.json --json',
+    ),
+    'doctor': ('otf doctor', 'otf doctor --json'),
     'calibrate': (
         'otf calibrate run1 --machine machine.yaml --out tables',
         'otf calibrate run1 run2 --machine machine.yaml --out tables --overwrite',
