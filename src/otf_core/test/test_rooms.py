@@ -14,8 +14,8 @@ FACES = ('__init__', 'config', 'errors', 'threads', 'version')
 """All that lies beside the rooms: what is used everywhere, and the public names, loaded lazily."""
 FLOORS = (
     ('api', 'cli'),
-    ('reports',),
-    ('blind', 'validation'),
+    ('info', 'installation', 'reports'),
+    ('blind', 'checking', 'validation'),
     ('planning',),
     ('diagnosis',),
     ('calibration',),
