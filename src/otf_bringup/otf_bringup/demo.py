@@ -22,7 +22,7 @@ import numpy as np
 from ament_index_python.packages import get_package_share_directory
 
 from otf_bringup.domain import free_domain
-from otf_bringup.processes import NodeProcess, ended_together
+from otf_bringup.processes import NodeProcess, ended_together, module_of
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError, OtfError
 from otf_core.files.writing import ensure_folder, write_text
@@ -138,7 +138,7 @@ def _start(
     nodes: list[NodeProcess] = []
     try:
         for name, parameters in given.items():
-            module = f'otf_{name}.node'
+            module = module_of(name)
             nodes.append(NodeProcess(name, module, parameters, out / 'log', environment))
     except BaseException:
         with ended_together(nodes):
