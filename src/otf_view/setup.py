@@ -9,6 +9,7 @@ setup(
         ('share/ament_index/resource_index/packages', ['resource/otf_view']),
         ('share/otf_view', ['package.xml']),
     ],
+    package_data={'otf_view': ['web/*']},
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},
     zip_safe=False,
