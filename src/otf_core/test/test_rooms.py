@@ -22,7 +22,7 @@ FLOORS = (
     ('budget', 'contradictions', 'sim'),
     ('solving',),
     ('effects', 'pieces', 'comparison'),
-    ('bags', 'noise', 'prediction', 'tracking'),
+    ('bags', 'live', 'noise', 'prediction', 'tracking'),
     ('model',),
     ('files',),
 )
