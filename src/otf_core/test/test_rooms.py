@@ -21,7 +21,7 @@ FLOORS = (
     ('calibration',),
     ('budget', 'contradictions', 'sim'),
     ('solving',),
-    ('effects', 'pieces', 'comparison'),
+    ('effects', 'pieces', 'comparison', 'exports'),
     ('bags', 'noise', 'prediction', 'tracking'),
     ('model',),
     ('files',),
