@@ -21,7 +21,7 @@ FLOORS = (
     ('calibration',),
     ('budget', 'contradictions', 'sim'),
     ('solving',),
-    ('effects', 'pieces', 'comparison'),
+    ('effects', 'pieces', 'comparison', 'exports'),
     ('bags', 'live', 'noise', 'prediction', 'tracking'),
     ('model',),
     ('files',),

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from otf_core.cli.checking import run_check, run_doctor, run_info
+from otf_core.cli.exporting import add_exporting_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -202,6 +203,7 @@ def _parser() -> Parser:
 
     _add_judging_verbs(verb)
     _add_planning_verbs(verb)
+    add_exporting_verbs(verb)
     return parser
 
 
