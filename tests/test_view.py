@@ -113,9 +113,12 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     reader = Reader(graph, page)
     assert reader.latest()['scene'] == {'path': None, 'volume': None, 'solved': None}
     start_cell(graph, machine_file, write_truth(tmp_path, machine_file))
-    graph.wait(lambda: early and volumes, 'a provisional result')
-    assert states[-1].name == 'BUFFERING' and volumes[0].provisional
+    graph.wait(lambda: early, 'a first look')
     graph.wait(lambda: reader.latest()['now']['distance_um'] is not None, 'it in the page')
+    assert reader.latest()['scene']['solved']['mae_after_um'] is None
+    graph.wait(lambda: len(early) > 1 and volumes, 'a provisional result')
+    assert states[-1].name == 'BUFFERING' and volumes[0].provisional
+    graph.wait(lambda: reader.latest()['scene']['solved']['motions'], 'it in the page')
     halfway = reader.latest()
     result, _ = graph.wait_for_result()
     graph.wait(lambda: not volumes[-1].provisional, 'the errors')
@@ -128,14 +131,22 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     check_scene(layers(late[-1]), paths[0], volumes[-1])
     check_run(layers(live[-1]), result)
     check_numbers({name: [m.data for m in messages] for name, messages in heard.items()}, result)
-    check_page(halfway, reader.latest(), early[0], result)
+    check_page(halfway, reader.latest(), early[1], result)
     graph.stop(page)
     assert reader.ended()
 
 
 def check_provisional(early, result, states):
     """What is said after the first lap agrees with the end, within what it says of itself."""
-    (early,) = early
+    sight, early = (m for m in early if m.status == m.OK)
+    assert (sight.status, sight.run_id) == (
+        sight.OK,
+        '',
+    ) and 'the tracker is found' in sight.message
+    assert 0.04 < sight.coverage < 0.5 and ERROR_SIZE / 20 < sight.path_mae_before < 3 * ERROR_SIZE
+    place, final = sight.alignment.translation, result.alignment.translation
+    away = np.subtract((place.x, place.y, place.z), (final.x, final.y, final.z))
+    assert np.linalg.norm(away) < 20 * ERROR_SIZE
     assert early.status == result.status == result.OK and result.samples_lost == 0
     assert 0.3 < early.samples / result.samples < 0.8
     assert abs(early.c0y - result.c0y) < 5 * early.u_c0y
