@@ -59,7 +59,9 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     recordings = read_recordings(arguments)
     result = calibrate_runs(recordings, config, prepare=PREPARATIONS[arguments.method])
     with out.filled('calibrate') as folder:
-        files = write_calibration(result, folder, residuals_csv=arguments.residuals_csv)
+        files = write_calibration(
+            result, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+        )
     say(format_result(result) + '\n' + listed(files, arguments.out))
     return _judged(result)
 
@@ -85,7 +87,9 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
         recordings, arguments.effects, twin_recording, config, method=arguments.method
     )
     with out.filled('calibrate') as folder:
-        files = write_with_effects(done, folder, residuals_csv=arguments.residuals_csv)
+        files = write_with_effects(
+            done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+        )
     say(f'{format_result(done.result)}\n\n{done.words}\n{listed(files, arguments.out)}')
     return _judged(done.result)
 

@@ -11,7 +11,6 @@ from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
 from otf_core.errors import ConfigError
 from otf_core.files.writing import write_text
 from otf_core.reports.gap_figures import figures
-from otf_core.reports.gap_style import STYLE
 from otf_core.reports.gap_words import (
     VERDICTS,
     confidence_words,
@@ -22,6 +21,7 @@ from otf_core.reports.gap_words import (
     shown_parameters,
     text,
 )
+from otf_core.reports.style import STYLE
 
 TITLE = 'Gap between run and simulation'
 
