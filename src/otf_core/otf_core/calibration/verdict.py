@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 
 PASS, FAIL, OPEN, UNKNOWN = 'pass', 'fail', 'not proven', 'not known'
 WHAT = {
-    VOLUMETRIC: 'largest volumetric error',
-    UNCERTAINTY: 'largest expanded uncertainty of the volumetric error',
+    VOLUMETRIC: 'volumetric error, at the point that decides',
+    UNCERTAINTY: 'expanded uncertainty of the volumetric error, largest',
 }
 
 

@@ -100,7 +100,8 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import REGISTRY
     from otf_core.pieces.finding import GATE
-    from otf_core.reports.diagnosis import format_diagnosis, write_diagnosis
+    from otf_core.reports.diagnosis import write_diagnosis
+    from otf_core.reports.gap_report import format_diagnosis
     from otf_core.sim.twin import twin_recording
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))

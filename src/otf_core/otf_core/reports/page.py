@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import html
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from otf_core.reports.drawing.typography import text
 from otf_core.reports.section import Cell, Picture, Section, Table
 from otf_core.reports.style import STYLE
 
@@ -37,15 +36,6 @@ class Heading:
     sentence: str
     mood: str = ''
     tiles: tuple[tuple[str, str, str], ...] = ()
-
-
-def text(value: object) -> str:
-    """Escape for HTML, with micrometres as metrologists write them."""
-    plain = re.sub(r'(?<![A-Za-z0-9_])u(m|rad)(?![A-Za-z0-9_])', r'µ\1', str(value))
-    plain = re.sub(r'(?<= )\+/-(?= )', '±', plain)
-    plain = re.sub(r'(?<![\w.])-(?=\d)', '\N{MINUS SIGN}', plain)
-    plain = re.sub(r'(?<=\d) (?=%)', '\u00a0', plain)
-    return html.escape(plain, quote=True)
 
 
 def _cell(cell: Cell, number: bool) -> str:
@@ -80,7 +70,9 @@ def _picture(picture: Picture) -> str:
     kind = COLUMNS[picture.columns]
     caption = f'<figcaption>{text(picture.caption)}</figcaption>' if picture.caption else ''
     parts = ''.join(f'<div>{part}</div>' for part in picture.parts)
-    return f'<figure>{title}<div class="pictures{kind}">{parts}</div>{caption}</figure>'
+    return (
+        f'<figure>{title}{picture.key}<div class="pictures{kind}">{parts}</div>{caption}</figure>'
+    )
 
 
 def _section(section: Section) -> str:

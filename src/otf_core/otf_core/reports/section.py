@@ -46,12 +46,15 @@ class Picture:
     columns : int
         Parts side by side on a wide page.
     title : str
+    key : str
+        What colours mean, as markup.
     """
 
     parts: tuple[str, ...]
     caption: str
     columns: int = 1
     title: str = ''
+    key: str = ''
 
 
 def no_pictures() -> Sequence[Picture]:

@@ -11,8 +11,8 @@ from otf_core.model.declared import KEYS
 from otf_core.reports.budget import GRID, BudgetLine, format_budget
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.page import text
-from otf_core.reports.quantities import listed, micro
+from otf_core.reports.drawing.typography import text
+from otf_core.reports.quantities import listed, micro, quantity, scaled
 from otf_core.reports.section import Picture, Section, Table
 
 TYPE_A = (NOISE, MISFIT, SMOOTHNESS)
@@ -37,7 +37,7 @@ def section(facts: Facts) -> Section:
     grid = facts.by_name[GRID]
     rows = tuple(_source(facts, name, grid) for name in budget.names if grid.parts[name] > 0)
     head = ('Source', 'Type', 'Distribution', 'Standard uncertainty stated',
-            'Sensitivity (um in the volume per unit)', 'In the volume (um)', 'Share (%)', 'dof',
+            'Sensitivity (um per unit)', 'In the volume (um)', 'Share (%)', 'dof',
             'Correlated')  # fmt: skip
     tables = (
         Table(head, rows, numbers=(5, 6, 7), title='Error vector in the volume'),
@@ -57,7 +57,7 @@ def _source(facts: Facts, name: str, grid: BudgetLine) -> tuple[str, ...]:
     return (
         name,
         'A' if name in TYPE_A else 'B',
-        'normal' if name in (NOISE, MISFIT, SMOOTHNESS, EFFECTS) else 'as declared, normal taken',
+        'normal',
         stated,
         sensitivity,
         micro(part, 3),
@@ -74,11 +74,15 @@ def _stated(facts: Facts, name: str, part: float) -> tuple[str, str]:
     values = {k: declared.values[k] for k in keys if declared and declared.values.get(k)}
     if not values:
         return 'from the data', '-'
-    words = ', '.join(f'{key} {value:g} {KEYS[key][0]}' for key, value in values.items())
+    words = ', '.join(
+        f'{key.replace("_", " ")} {quantity(value, None, KEYS[key][0])}'
+        for key, value in values.items()
+    )
     if len(values) > 1:
         return words, '-'
     (key, value), *_ = values.items()
-    return words, f'{1e6 * part / value:.3g} per {KEYS[key][0]}'
+    factor, unit = scaled(KEYS[key][0], value)
+    return words, f'{1e6 * part / (factor * value):.3g} per {unit}'
 
 
 def _quantities(facts: Facts) -> Table:
@@ -112,8 +116,8 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
         for k, n in enumerate(names)
     )
     caption = 'Standard uncertainty, k = 1: left in micrometres, right in microradians.'
-    legend = Picture((f'<p class="soft keys">{key}</p>',), '')
-    return [legend, Picture(tuple(parts), caption, columns=2)]
+    legend = f'<p class="soft keys">{key}</p>'
+    return [Picture(tuple(parts), caption, columns=2, key=legend)]
 
 
 def _bar(line: BudgetLine, names: Sequence[str], label: str) -> Bar:

@@ -22,6 +22,8 @@ NAMES = (*SQUARENESS, *MOTIONS)
 CELL, ROOM = 17.0, 42.0
 """px; size of a cell, room for names."""
 WARN = 0.8
+SHOWN = 6
+"""Pairs that are not folded away."""
 ROUNDS = 60
 """Of the power iteration."""
 
@@ -41,11 +43,13 @@ def section(facts: Facts) -> Section:
         f'counts. Predictions use the full covariance, so correlations are not lost.',
     )
     rows = tuple((*c.between, f'{c.r:.2f}') for c in strong[:LISTED])
-    tables = (
-        (Table(('Between', 'and', 'r'), rows, numbers=(2,), title='Strongest'),) if rows else ()
-    )
+    head = ('Between', 'and', 'r')
+    tables = [Table(head, rows[:SHOWN], numbers=(2,), title='Strongest')] if rows else []
+    if len(rows) > SHOWN:
+        more = f'The next ones, up to {LISTED}'
+        tables.append(Table(head, rows[SHOWN:], numbers=(2,), folded=more))
     data = {'pairs': len(strong), 'worst': {'share': share, 'members': dict(members)}}
-    return Section('correlations', 'Correlations', said, data, tables,
+    return Section('correlations', 'Correlations', said, data, tuple(tables),
                    draw=lambda: _pictures(facts))  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from otf_core.calibration.verdict import WHAT, Judged
+from otf_core.calibration.verdict import UNKNOWN, WHAT, Judged
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.quantities import listed, micro, micro_unit
 from otf_core.reports.section import Section, Table
@@ -31,4 +31,6 @@ def section(facts: Facts) -> Section:
 def _row(one: Judged) -> tuple[str, ...]:
     what = WHAT.get(one.name, f'{one.name}')
     unit = micro_unit(one.unit)
-    return what, micro(one.value), micro(one.U), micro(one.limit), unit, one.state
+    value = '' if one.state == UNKNOWN else micro(one.value)
+    wide = micro(one.U) if one.U else ''
+    return what, value, wide, micro(one.limit), unit, one.state

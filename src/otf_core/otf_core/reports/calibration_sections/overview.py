@@ -28,6 +28,7 @@ def section(facts: Facts) -> Section:
         + listed(f'{name} ({micro(size)} um)' for name, size in worst)
         + ', each alone, root mean square over the volume.',
         _good(facts),
+        *(f'{line[:1].upper()}{line[1:]}.' for line in _failures(facts)),
         *_unknown(facts),
     ]
     warnings = [
@@ -90,8 +91,7 @@ def heading(facts: Facts) -> Heading:
         badge, mood = 'pass', 'good'
     elif verdict:
         badge, mood = 'fail', 'bad'
-    own = [g for g in result.failed_gates if not verdict or g not in verdict.failures]
-    if own:
+    if own_gates(facts):
         badge, mood = 'quality gate failed', 'bad'
     if verdict:
         sentence = f'{verdict.sentence[:1].upper()}{verdict.sentence[1:]}. {sentence}'
@@ -104,8 +104,15 @@ def heading(facts: Facts) -> Heading:
     )
 
 
+def own_gates(facts: Facts) -> list[str]:
+    """Quality gates that failed, limits left out."""
+    verdict = facts.result.verdict
+    known = verdict.failures if verdict else ()
+    return [gate for gate in facts.result.failed_gates if gate not in known]
+
+
 def _good(facts: Facts) -> str:
-    fit, gates = facts.result.fit, facts.result.failed_gates
+    fit, gates = facts.result.fit, own_gates(facts)
     if gates:
         return f'Not good: {"; ".join(gates)}.'
     return (
@@ -113,6 +120,10 @@ def _good(facts: Facts) -> str:
         f'{micro(fit.residual_rms)} um root mean square across the path, '
         f'{fit.residual_ratio:.2f} times the noise that is specified for single samples.'
     )
+
+
+def _failures(facts: Facts) -> tuple[str, ...]:
+    return facts.result.verdict.failures if facts.result.verdict else ()
 
 
 def _unknown(facts: Facts) -> list[str]:

@@ -24,13 +24,16 @@ class Bar:
     words : str
         Beside the bar.
     mark : float, optional
-        A stroke at this size, e.g. a limit or what is expected.
+        A stroke at this size, e.g. what is expected.
+    ends : tuple of two floats, optional
+        An interval, drawn as a stroke along the bar.
     """
 
     name: str
     parts: tuple[tuple[float, str], ...]
     words: str
     mark: float | None = None
+    ends: tuple[float, float] | None = None
 
     @property
     def size(self) -> float:
@@ -51,7 +54,8 @@ def bars(rows: Sequence[Bar], title: str, *, names: float = 70.0, width: float =
     width : float, px
     """
     right = 110.0
-    top = max([1e-300, *(max(row.size, row.mark or 0.0) for row in rows)])
+    reach = (max(row.size, row.mark or 0.0, *(row.ends or ())) for row in rows)
+    top = max([1e-300, *reach])
     scale = (width - names - right) / top
     marks = []
     for k, row in enumerate(rows):
@@ -67,5 +71,9 @@ def bars(rows: Sequence[Bar], title: str, *, names: float = 70.0, width: float =
             at = names + row.mark * scale
             marks.append(f'<path class="line ink" d="M{at:.1f} {y - 2:.1f}v{THICK + 4:.1f}"/>')
             x = max(x, at)
+        if row.ends is not None:
+            low, high = (names + end * scale for end in row.ends)
+            marks.append(f'<path class="line ink" d="M{low:.1f} {y + 6:.1f}H{high:.1f}"/>')
+            x = max(x, high)
         marks.append(words(x + 6.0, y + 10.0, row.words))
     return svg(width, len(rows) * ROW + 4.0, marks, title)

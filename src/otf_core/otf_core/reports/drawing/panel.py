@@ -6,7 +6,7 @@ Marks carry a class for their colour and stroke (``style.STYLE``); nothing here 
 
 from __future__ import annotations
 
-import html
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -14,8 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from otf_core.reports.drawing.scale import Scale
+from otf_core.reports.drawing.typography import text as typeset
 
 Array = NDArray[np.float64]
+
+HEAD, SPREAD = 5.0, 0.45
+"""px and rad; length and half opening of arrow heads."""
 
 
 def polyline(points: Array, *, closed: bool = False) -> str:
@@ -26,9 +30,29 @@ def polyline(points: Array, *, closed: bool = False) -> str:
     return 'M' + text[1:] + ('z' if closed else '')
 
 
+def _arrow_heads(a: Array, b: Array) -> Array:
+    """Both sides of the heads of arrows a to b (n, 2), shape (n, 2, 2), px."""
+    step = a - b
+    length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
+    unit = step / length * np.minimum(HEAD, 0.6 * length)
+    sides = []
+    for turn in (SPREAD, -SPREAD):
+        c, s = math.cos(turn), math.sin(turn)
+        sides.append(b + unit @ np.array([[c, s], [-s, c]]))
+    return np.stack(sides, axis=1)
+
+
+def arrow_path(ends: Array) -> str:
+    """Path data of arrows with heads at the second of their ends (n, 2, 2), px."""
+    sides = _arrow_heads(ends[:, 0], ends[:, 1])
+    rows = np.concatenate([ends, sides[:, :1], ends[:, 1:], sides[:, 1:]], axis=1)
+    text = 'M%.1f %.1fL%.1f %.1fM%.1f %.1fL%.1f %.1fL%.1f %.1f'
+    return (text * len(rows)) % tuple(rows.reshape(-1).tolist())
+
+
 def svg(width: float, height: float, marks: Iterable[str], title: str) -> str:
     """An ``svg`` element; ``title`` is read to those who cannot see it."""
-    label = html.escape(title, quote=True)
+    label = typeset(title)
     return (
         f'<svg viewBox="0 0 {width:g} {height:g}" style="max-width:{1.25 * width:g}px" '
         f'role="img" aria-label="{label}">'
@@ -36,11 +60,11 @@ def svg(width: float, height: float, marks: Iterable[str], title: str) -> str:
     )
 
 
-def words(x: float, y: float, text: str, kind: str = '', *, turned: bool = False) -> str:
+def words(x: float, y: float, said: str, kind: str = '', *, turned: bool = False) -> str:
     """Text at a place, px; ``kind`` holds classes such as 'end', 'middle', 'soft', 'strong'."""
     turn = f' transform="rotate(-90 {x:.1f} {y:.1f})"' if turned else ''
     css = f' class="{kind}"' if kind else ''
-    return f'<text x="{x:.1f}" y="{y:.1f}"{css}{turn}>{html.escape(text)}</text>'
+    return f'<text x="{x:.1f}" y="{y:.1f}"{css}{turn}>{typeset(said)}</text>'
 
 
 @dataclass(frozen=True)
@@ -99,6 +123,11 @@ class Panel:
         ends = np.concatenate([self.points(x, low), self.points(x, high)], axis=1)
         text = ('M%.1f %.1fL%.1f %.1f' * len(ends)) % tuple(ends.reshape(-1).tolist())
         return f'<path class="line {kind}" d="{text}"/>'
+
+    def arrows(self, start: Array, end: Array, kind: str) -> str:
+        """Arrows between points, shape (n, 2)."""
+        ends = np.stack([self.points(*start.T), self.points(*end.T)], axis=1)
+        return f'<path class="line {kind}" d="{arrow_path(ends)}"/>'
 
     def columns(self, edges: ArrayLike, heights: ArrayLike, kind: str) -> str:
         """Columns from zero between edges (n + 1,)."""

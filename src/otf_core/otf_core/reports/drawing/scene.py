@@ -13,15 +13,13 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.reports.drawing.panel import svg, words
+from otf_core.reports.drawing.panel import arrow_path, svg, words
 
 Array = NDArray[np.float64]
 
 WIDTH, HEIGHT = 420.0, 350.0
 AZIMUTH, ELEVATION = math.radians(-58.0), math.radians(24.0)
 """From where the picture is seen first: from the front, a little from the right and above."""
-HEAD, SPREAD = 5.0, 0.45
-"""px and rad; length and half opening of arrow heads."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ Item = Strokes | Dots | Label
 EDGES = (
     ('X', (0.5, 0.0, 0.0), (0.0, -1.3, -1.2)),
     ('Y', (1.0, 0.5, 0.0), (1.3, 0.0, -1.2)),
-    ('Z', (0.0, 0.0, 1.0), (-0.7, -0.7, 0.9)),
+    ('Z', (0.0, 0.0, 1.0), (-1.1, -0.9, 1.1)),
 )
 """Where the axes are named: a place on the box, and which way off it."""
 
@@ -93,29 +91,14 @@ def _projected(points: Array) -> Array:
     )
 
 
-def _arrow_heads(a: Array, b: Array) -> Array:
-    """Both sides of the heads of arrows a to b (n, 2), shape (n, 2, 2), px."""
-    step = a - b
-    length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
-    unit = step / length * np.minimum(HEAD, 0.6 * length)
-    sides = []
-    for turn in (SPREAD, -SPREAD):
-        c, s = math.cos(turn), math.sin(turn)
-        sides.append(b + unit @ np.array([[c, s], [-s, c]]))
-    return np.stack(sides, axis=1)
-
-
 def _path(item: Strokes | Dots, points: Array) -> str:
     if isinstance(item, Dots):
         places = _projected(points)
         return ('M%.1f %.1fh0' * len(places)) % tuple(places.reshape(-1).tolist())
     ends = _projected(points.reshape(-1, 3)).reshape(-1, 2, 2)
-    if not item.arrows:
-        return ('M%.1f %.1fL%.1f %.1f' * len(ends)) % tuple(ends.reshape(-1).tolist())
-    sides = _arrow_heads(ends[:, 0], ends[:, 1])
-    rows = np.concatenate([ends, sides[:, :1], ends[:, 1:], sides[:, 1:]], axis=1)
-    text = 'M%.1f %.1fL%.1f %.1fM%.1f %.1fL%.1f %.1fL%.1f %.1f'
-    return (text * len(rows)) % tuple(rows.reshape(-1).tolist())
+    if item.arrows:
+        return arrow_path(ends)
+    return ('M%.1f %.1fL%.1f %.1f' * len(ends)) % tuple(ends.reshape(-1).tolist())
 
 
 def scene(items: Sequence[Item], low: Array, high: Array, title: str) -> str:
