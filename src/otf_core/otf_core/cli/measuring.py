@@ -7,13 +7,17 @@ import argparse
 from typing import TYPE_CHECKING
 
 from otf_core.cli.options import output_folder, parameters
-from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
+from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from otf_core.calibration.result import CalibrationResult
     from otf_core.pieces.runs import Recording
+
+TABLES = 'error_tables.json'
 
 
 def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
@@ -53,7 +57,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         return _calibrate_with_effects(arguments, config)
     from otf_core.calibration.calibrate import calibrate_runs
     from otf_core.pieces.methods import PREPARATIONS
-    from otf_core.reports.calibration import format_result, write_calibration
+    from otf_core.reports.calibration import write_calibration
 
     out = output_folder(arguments, *arguments.bag, *arguments.machine)
     recordings = read_recordings(arguments)
@@ -62,8 +66,21 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         files = write_calibration(
             result, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
         )
-    say(format_result(result) + '\n' + listed(files, arguments.out))
+    _answer_calibration(arguments, result, '', files)
     return _judged(result)
+
+
+def _answer_calibration(
+    arguments: argparse.Namespace, result: CalibrationResult, more: str, files: list[Path]
+) -> None:
+    """Print a calibration; ``more`` words follow its own."""
+    from otf_core.reports.calibration import facts_of
+    from otf_core.reports.calibration_report import calibration_sections
+    from otf_core.reports.section import sections_to_dict, sections_to_text
+
+    sections = calibration_sections(facts_of(result))
+    report = sections_to_dict(sections)
+    answer_from(arguments, f'{sections_to_text(sections)}\n{more}', files, TABLES, report=report)
 
 
 def _judged(result: CalibrationResult) -> int:
@@ -76,7 +93,6 @@ def _judged(result: CalibrationResult) -> int:
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
     """Error tables with effects taken off."""
     from otf_core.diagnosis.calibrate_with_effects import AUTO, calibrate_with_effects
-    from otf_core.reports.calibration import format_result
     from otf_core.reports.with_effects import write_with_effects
     from otf_core.sim.twin import twin_recording
 
@@ -90,7 +106,7 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
         files = write_with_effects(
             done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
         )
-    say(f'{format_result(done.result)}\n\n{done.words}\n{listed(files, arguments.out)}')
+    _answer_calibration(arguments, done.result, f'\n{done.words}\n', files)
     return _judged(done.result)
 
 
@@ -101,7 +117,8 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.effects import REGISTRY
     from otf_core.pieces.finding import GATE
     from otf_core.reports.diagnosis import write_diagnosis
-    from otf_core.reports.gap_report import format_diagnosis
+    from otf_core.reports.gap_report import gap_sections
+    from otf_core.reports.section import sections_to_dict, sections_to_text
     from otf_core.sim.twin import twin_recording
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
@@ -112,7 +129,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config)
     with out.filled('diagnose') as folder:
         files = write_diagnosis(diagnosis, folder)
-    say(format_diagnosis(diagnosis) + listed(files, arguments.out))
+    sections = gap_sections(diagnosis)
+    report = sections_to_dict(sections)
+    answer_from(arguments, sections_to_text(sections), files, 'gap.json', report=report)
     for remark in diagnosis.contradictions:
         note(f'otf: {remark.severity}: {remark.check}: {remark.words}')
     return QUALITY_GATE_FAILED if any(r.severity == GATE for r in diagnosis.contradictions) else 0
@@ -137,7 +156,7 @@ def run_noise(arguments: argparse.Namespace) -> int:
     origin = origin_of(Path(arguments.bag).name, samples)
     with out.filled('noise') as folder:
         files = write_noise(report, folder, provenance('noise', runs=[origin]))
-    say(format_noise(report) + '\n' + listed(files, arguments.out))
+    answer_from(arguments, format_noise(report) + '\n', files, 'noise.json')
     return 0
 
 
@@ -164,7 +183,11 @@ def run_predict(arguments: argparse.Namespace) -> int:
         write_csv(partial, header, columns, prediction.inside)
     for text in prediction.notes:
         note(f'otf predict: {text}')
-    say(prediction.summary)
+    names = header.split(',')
+    rows = np.hstack([columns, prediction.inside[:, None]]).tolist() if arguments.json else []
+    data = {'points': [dict(zip(names, row, strict=True)) for row in rows]}
+    about = {'notes': list(prediction.notes), 'u_contains': prediction.holds}
+    answer(arguments, prediction.summary, {**about, **data, 'out': arguments.out})
     return 0
 
 
@@ -190,5 +213,5 @@ def run_compare(arguments: argparse.Namespace) -> int:
     )
     with out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
-    say(format_comparison(result) + '\n' + listed(files, arguments.out))
+    answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
     return 0
