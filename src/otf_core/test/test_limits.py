@@ -2,6 +2,7 @@
 """Limits of machine.yaml: how they are read, and the verdict with its guard band."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -158,3 +159,11 @@ def test_limits_decide_the_exit_code_and_a_line_of_the_terminal(cell, tmp_path, 
     assert 'verdict: fail, of 2 limits 1 fail, 1 pass' in said.out
     assert 'quality gate failed: limits: EXX' in said.err
     assert not (tmp_path / 'out' / 'report.html').exists()
+
+
+def test_example_of_the_documentation_is_read():
+    text = (Path(__file__).parents[3] / 'docs/conventions.md').read_text(encoding='utf-8')
+    example = next(b for b in text.split('```') if b.startswith('yaml\nlimits:'))
+    machine = machine_from_dict(described(**yaml.safe_load(example.removeprefix('yaml\n'))))
+    assert machine.limits.values['EBY'] == 4e-5
+    assert machine.stated.conditions['warm_up_s'] == 3600

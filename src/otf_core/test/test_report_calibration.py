@@ -163,9 +163,9 @@ TEN_QUESTIONS = {
         r'an error is actual minus nominal position .* A correction has the opposite sign',
     'Does the machine go another way forward than backward?': r'Reversal model: \w+',
     'What is the largest contribution to the uncertainty?':
-        r'Error vector in the volume Source Type .* Share \(%\)',
+        r'The largest contribution in the volume is [a-z ]+: \d+ % of the variance',
     'Did machine or tracker drift during the run?':
-        r'closure of start and end\), with U \(k = 2\)',
+        r'(No drift beyond U|Larger than U: along [XYZ])',
     'With what, when and under which conditions was it measured, and how is it repeated?':
         r'serial number 750123 .* Clock of .* s\. .* How to repeat it: \./otf calibrate',
 }  # fmt: skip

@@ -16,6 +16,8 @@ from otf_core.reports.calibration import write_calibration
 from otf_core.reports.gap_report import report_html
 
 SCHEMA = 'otf-gap/1'
+REPORT_FILE, BESIDE_TABLES = 'report.html', 'gap_report.html'
+"""Name of the report; beside error_tables.json there is one of the calibration already."""
 
 
 def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -53,7 +55,9 @@ def effects_file(run: int) -> str:
     return f'effects_run_{run + 1}.yaml' if run else 'effects.yaml'
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
+def write_diagnosis(
+    diagnosis: Diagnosis, folder: str | Path, report: str = REPORT_FILE
+) -> list[Path]:
     """Write gap.json, report.html, and with causes effects.yaml and both calibrations.
 
     Parameters
@@ -61,6 +65,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
     diagnosis : Diagnosis
     folder : str or Path
         Made if missing.
+    report : str
+        Name of the report.
 
     Returns
     -------
@@ -79,7 +85,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
         write_calibration(calibration.plain, folder / 'calibration_plain', 'diagnose')
         write_calibration(calibration.result, folder / 'calibration_with_effects', 'diagnose')
         written.append(folder / 'calibration_with_effects')
-    write_text(folder / 'report.html', report_html(diagnosis))
+    write_text(folder / report, report_html(diagnosis))
     content = diagnosis_to_dict(diagnosis)
     write_text(folder / 'gap.json', json.dumps(content, indent=1) + '\n')
-    return [*written, folder / 'report.html', folder / 'gap.json']
+    return [*written, folder / report, folder / 'gap.json']

@@ -35,6 +35,10 @@ def section(facts: Facts) -> Section:
             f'Not stated in machine.yaml, hence not included: {listed(budget.not_stated)}.'
         )
     grid = facts.by_name[GRID]
+    most = max(grid.parts, key=lambda name: grid.parts[name])
+    share = 100.0 * grid.parts[most] ** 2 / max(grid.u**2, 1e-300)
+    words.insert(0, f'The largest contribution in the volume is {most}: {share:.0f} % of the '
+                    f'variance.')  # fmt: skip
     rows = tuple(_source(facts, name, grid) for name in budget.names if grid.parts[name] > 0)
     head = ('Source', 'Type', 'Distribution', 'Standard uncertainty stated',
             'Sensitivity (um per unit)', 'In the volume (um)', 'Share (%)', 'dof',

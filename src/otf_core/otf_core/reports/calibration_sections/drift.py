@@ -19,6 +19,7 @@ from otf_core.model.path import leg_bounds
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
+from otf_core.reports.quantities import listed
 from otf_core.reports.section import Picture, Section, Table
 
 Array = NDArray[np.float64]
@@ -59,7 +60,7 @@ def drift(run: RunResult) -> tuple[Array, Array, Array]:
 def section(facts: Facts) -> Section:
     """Return the section."""
     rows: list[tuple[str, ...]] = []
-    data = []
+    data, found = [], []
     for number, run in enumerate(facts.result.runs, start=1):
         time, value, u = drift(run)
         name = f'{number} {run.name}'.strip()
@@ -69,9 +70,13 @@ def section(facts: Facts) -> Section:
         change, wide = value[-1] - value[0], 2.0 * np.hypot(u[-1], u[0])
         parts = [f'{1e6 * c:.2f} +/- {1e6 * w:.2f}' for c, w in zip(change, wide, strict=True)]
         rows.append((name, *parts, f'{time[-1] - time[0]:.0f}'))
+        found += [f'{a} in run {name}' for a, c, w in zip(AXES, change, wide, strict=True)
+                  if abs(c) > w]  # fmt: skip
         data.append({'run': run.name, 'change': change.tolist(), 'U': wide.tolist(),
                      'time': float(time[-1] - time[0])})  # fmt: skip
+    said = f'Larger than U: along {listed(found)}.' if found else 'No drift beyond U.'
     words = (
+        said,
         'Change of the mean residual from the first to the last part of the run (closure of start '
         'and end), with U (k = 2). It also holds what the model lacks at the places driven then; '
         'a steady drift shows as a slope in the picture.',
