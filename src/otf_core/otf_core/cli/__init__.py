@@ -188,6 +188,9 @@ def _parser() -> Parser:
     sub.add_argument(
         '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
     )
+    sub.add_argument(
+        '--no-report', dest='report', action='store_false', help='leave report.html out'
+    )
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('diagnose', run_diagnose)

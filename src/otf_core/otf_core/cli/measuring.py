@@ -12,6 +12,8 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from otf_core.calibration.result import CalibrationResult
     from otf_core.pieces.runs import Recording
 
@@ -55,15 +57,30 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         return _calibrate_with_effects(arguments, config)
     from otf_core.calibration.calibrate import calibrate_runs
     from otf_core.pieces.methods import PREPARATIONS
-    from otf_core.reports.calibration import format_result, write_calibration
+    from otf_core.reports.calibration import write_calibration
 
     out = output_folder(arguments, *arguments.bag, *arguments.machine)
     recordings = read_recordings(arguments)
     result = calibrate_runs(recordings, config, prepare=PREPARATIONS[arguments.method])
     with out.filled('calibrate') as folder:
-        files = write_calibration(result, folder, residuals_csv=arguments.residuals_csv)
-    answer_from(arguments, format_result(result) + '\n', files, TABLES)
+        files = write_calibration(
+            result, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+        )
+    _answer_calibration(arguments, result, '', files)
     return _judged(result)
+
+
+def _answer_calibration(
+    arguments: argparse.Namespace, result: CalibrationResult, more: str, files: list[Path]
+) -> None:
+    """Print a calibration; ``more`` words follow its own."""
+    from otf_core.reports.calibration import facts_of
+    from otf_core.reports.calibration_report import calibration_sections
+    from otf_core.reports.section import sections_to_dict, sections_to_text
+
+    sections = calibration_sections(facts_of(result))
+    report = sections_to_dict(sections)
+    answer_from(arguments, f'{sections_to_text(sections)}\n{more}', files, TABLES, report=report)
 
 
 def _judged(result: CalibrationResult) -> int:
@@ -76,7 +93,6 @@ def _judged(result: CalibrationResult) -> int:
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
     """Error tables with effects taken off."""
     from otf_core.diagnosis.calibrate_with_effects import AUTO, calibrate_with_effects
-    from otf_core.reports.calibration import format_result
     from otf_core.reports.with_effects import write_with_effects
     from otf_core.sim.twin import twin_recording
 
@@ -87,8 +103,10 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
         recordings, arguments.effects, twin_recording, config, method=arguments.method
     )
     with out.filled('calibrate') as folder:
-        files = write_with_effects(done, folder, residuals_csv=arguments.residuals_csv)
-    answer_from(arguments, f'{format_result(done.result)}\n\n{done.words}\n', files, TABLES)
+        files = write_with_effects(
+            done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+        )
+    _answer_calibration(arguments, done.result, f'\n{done.words}\n', files)
     return _judged(done.result)
 
 
@@ -98,7 +116,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import REGISTRY
     from otf_core.pieces.finding import GATE
-    from otf_core.reports.diagnosis import format_diagnosis, write_diagnosis
+    from otf_core.reports.diagnosis import write_diagnosis
+    from otf_core.reports.gap_report import gap_sections
+    from otf_core.reports.section import sections_to_dict, sections_to_text
     from otf_core.sim.twin import twin_recording
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
@@ -109,7 +129,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config)
     with out.filled('diagnose') as folder:
         files = write_diagnosis(diagnosis, folder)
-    answer_from(arguments, format_diagnosis(diagnosis), files, 'gap.json')
+    sections = gap_sections(diagnosis)
+    report = sections_to_dict(sections)
+    answer_from(arguments, sections_to_text(sections), files, 'gap.json', report=report)
     for remark in diagnosis.contradictions:
         note(f'otf: {remark.severity}: {remark.check}: {remark.words}')
     return QUALITY_GATE_FAILED if any(r.severity == GATE for r in diagnosis.contradictions) else 0
