@@ -68,7 +68,9 @@ def test_a_folder_and_what_was_changed_in_it(results, capsys):
 
 
 def test_effects_points_and_direct_measurements(tmp_path, capsys):
-    write_effects(tmp_path / 'e.yaml', [AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6})], some_machine())
+    write_effects(
+        tmp_path / 'e.yaml', [AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6})], some_machine()
+    )
     kind, facts = said(tmp_path / 'e.yaml', capsys)
     assert kind == 'effects' and facts['effects'][0]['effect'] == 'backlash'
     write_points(tmp_path / 'p.csv', [[0, 0, 0], [0.1, 0.2, -0.3]])

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from otf_core.bags.bag import BagReading
+from otf_core.bags.bag import BagReading, path_of
 from otf_core.bags.sample_order import in_time_order
+from otf_core.bags.screening import Screening
 from otf_core.bags.topics import PATH, POINT
 from otf_core.checking.seen import Seen
 from otf_core.config import CalibrationConfig
@@ -35,28 +35,6 @@ class _Refusals(dict[str, str]):
             self[step] = str(error).removeprefix(f'{name}: ')
 
 
-class _Remarks(logging.Handler):
-    """What is logged while a recording is read."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(logging.WARNING)
-        self.texts: list[str] = []
-        self._name = name
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.texts.append(record.getMessage().removeprefix(f'{self._name}: '))
-
-
-@contextmanager
-def _remarks(name: str) -> Iterator[list[str]]:
-    handler, logger = _Remarks(name), logging.getLogger('otf_core')
-    logger.addHandler(handler)
-    try:
-        yield handler.texts
-    finally:
-        logger.removeHandler(handler)
-
-
 def look(source: str, machine: Machine | None, config: CalibrationConfig) -> Seen:
     """See what can be seen of a recording.
 
@@ -77,29 +55,33 @@ def look(source: str, machine: Machine | None, config: CalibrationConfig) -> See
         If there is no such file or folder.
     """
     refused = _Refusals()
-    with _remarks(source) as remarks, one_thread():
+    with one_thread():
         seen = _read(source, config, refused)
         if seen.samples is not None:
             seen = _followed(replace(seen, machine=machine), refused)
-    return replace(seen, machine=machine, remarks=tuple(remarks), refused=refused)
+    return replace(seen, machine=machine, refused=refused)
 
 
 def _read(source: str, config: CalibrationConfig, refused: _Refusals) -> Seen:
     seen = Seen(source, {}, config)
+    remarks: list[str] = []
     with refused.of('bag', source):
-        reading = BagReading(source, (POINT, PATH))
+        reading = BagReading(source)
+        remarks += reading.remarks
         seen = replace(seen, topics=reading.topics)
         with refused.of('path', source):
             reading.require(PATH)
-            seen = replace(seen, path=reading.path())
+            seen = replace(seen, path=path_of(source, [reading]))
         with refused.of('points', source):
             reading.require(POINT)
             received = reading.received()
             seen = replace(seen, received=received)
-            where = f'{source}: {POINT.name}'
-            samples = in_time_order(where, received.stamp_ns, received.xyz)
+            screening = Screening()
+            screening.foreign(reading.foreign)
+            raw = received.stamp_ns, received.xyz
+            samples = in_time_order(f'{source}: {POINT.name}', *raw, remarks, screening)
             seen = replace(seen, samples=samples)
-    return seen
+    return replace(seen, remarks=tuple(remarks))
 
 
 def _followed(seen: Seen, refused: _Refusals) -> Seen:

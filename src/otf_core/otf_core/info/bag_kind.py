@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from otf_core.bags.bag import BagReading
+from otf_core.bags.bag import BagReading, path_of
 from otf_core.bags.topics import PATH, POINT
 from otf_core.info.kind import Explained, Kind
 from otf_core.model.provenance import moment
@@ -20,7 +20,7 @@ def _is_bag(path: Path) -> bool:
 
 
 def _explain(path: Path) -> Explained:
-    reading = BagReading(path, (POINT, PATH))
+    reading = BagReading(path)
     rows = [('topic', f'{name}, {kind}') for name, kind in sorted(reading.topics.items())]
     facts: dict[str, object] = {'topics': dict(reading.topics)}
     if POINT.name in reading.topics:
@@ -31,10 +31,11 @@ def _explain(path: Path) -> Explained:
         rows += [('first', first)] if first else []
         facts |= {'samples': len(stamps), 'duration_s': seconds, 'first_stamp': first}
     if PATH.name in reading.topics:
-        path_driven = reading.path()
+        path_driven = path_of(str(path), [reading])
         points = len(path_driven.points)
         rows.append(('path', f'{points} corner points, {path_driven.length:.2f} m'))
         facts |= {'path_points': points, 'path_length': path_driven.length}
+    rows += [('INCOMPLETE', text) for text in reading.remarks]
     rows.append(('usable?', 'otf check says it'))
     return Explained(tuple(rows), facts)
 
