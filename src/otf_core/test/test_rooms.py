@@ -20,7 +20,7 @@ FLOORS = (
     ('diagnosis',),
     ('calibration',),
     ('budget', 'contradictions', 'sim'),
-    ('solving',),
+    ('inputs', 'solving'),
     ('effects', 'pieces', 'comparison'),
     ('bags', 'noise', 'prediction', 'tracking'),
     ('model',),

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +117,7 @@ def read_points(source: str | Path, *, recover: bool = False, point: Topic = POI
     return samples
 
 
-def samples_of(where: str, parts: Sequence[BagReading], remarks: list[str]) -> Samples:
+def samples_of(where: str, parts: Sequence[Reading], remarks: list[str]) -> Samples:
     """Join the points of parts; ``remarks`` is filled with what was repaired or left out."""
     raw = sorted((part.received() for part in parts), key=lambda r: r.stamp_ns[:1].tolist())
     stamp_ns, xyz = (
@@ -128,7 +129,7 @@ def samples_of(where: str, parts: Sequence[BagReading], remarks: list[str]) -> S
     return in_time_order(f'{where}: {parts[0].point.name}', stamp_ns, xyz, remarks, screening)
 
 
-def path_of(where: str, parts: Sequence[BagReading]) -> NominalPath:
+def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:
     """Return the path, if it is always the same."""
     where = f'{where}: {parts[0].path.name if parts[0].path else PATH.name}'
     paths = _different([corners for part in parts for corners in part.paths])
@@ -200,6 +201,18 @@ class Received:
     log_time: NDArray[np.int64]
 
 
+class Reading(Protocol):
+    """Points and paths of a recording as they were received, a bag or not."""
+
+    point: Topic
+    path: Topic | None
+    paths: list[NDArray[np.float64]]
+    foreign: Counter[str]
+
+    def received(self) -> Received:
+        """Return the points in the order of reception; they need not be kept."""
+
+
 class BagReading:
     """Raw points and paths of one bag, as far as it holds them.
 
@@ -221,6 +234,8 @@ class BagReading:
         What was left out.
     foreign : Counter of str
         Points left out for their frame, by frame_id.
+    said : list of str
+        How it was read, where that is not as usual.
     """
 
     def __init__(
@@ -241,6 +256,7 @@ class BagReading:
         self.topics: dict[str, str] = {}
         self.paths: list[NDArray[np.float64]] = []
         self.remarks: list[str] = []
+        self.said: list[str] = []
         self.foreign: Counter[str] = Counter()
         types: dict[str, tuple[str, ...]] = {point.name: tuple(FORMS)}
         types |= {} if path is None else {path.name: (path.type,)}
@@ -282,6 +298,7 @@ class BagReading:
             if kind != self.point.type or not self.point.frame:
                 self._form, frame = form_of(kind, bytes(block.buffer[first]))
                 self._frame = self.point.frame or frame
+                self.said.append(f'{self.point.name}: {kind} in frame {self._frame!r}')
         points = decode_points(
             block.buffer, block.start, block.size, self._frame, self._points, self._form
         )

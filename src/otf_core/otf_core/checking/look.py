@@ -7,16 +7,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from otf_core.bags.bag import BagReading, path_of
+from otf_core.bags.bag import path_of
 from otf_core.bags.sample_order import in_time_order
 from otf_core.bags.screening import Screening
-from otf_core.bags.topics import PATH, POINT
 from otf_core.checking.seen import Seen
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.stamps import check_samples
 from otf_core.errors import InputError
+from otf_core.inputs.recordings import Given, open_reading
 from otf_core.model.machine import Machine
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.threads import one_thread
@@ -35,7 +35,7 @@ class _Refusals(dict[str, str]):
             self[step] = str(error).removeprefix(f'{name}: ')
 
 
-def look(source: str, machine: Machine | None, config: CalibrationConfig) -> Seen:
+def look(source: str, machine: Machine | None, config: CalibrationConfig, given: Given) -> Seen:
     """See what can be seen of a recording.
 
     Parameters
@@ -44,6 +44,8 @@ def look(source: str, machine: Machine | None, config: CalibrationConfig) -> See
     machine : Machine, optional
         Without it the path is followed, but nothing is said of axes and uncertainties.
     config : CalibrationConfig
+    given : Given
+        How it is read.
 
     Returns
     -------
@@ -56,30 +58,31 @@ def look(source: str, machine: Machine | None, config: CalibrationConfig) -> See
     """
     refused = _Refusals()
     with one_thread():
-        seen = _read(source, config, refused)
+        seen = _read(source, config, given, refused)
         if seen.samples is not None:
             seen = _followed(replace(seen, machine=machine), refused)
     return replace(seen, machine=machine, refused=refused)
 
 
-def _read(source: str, config: CalibrationConfig, refused: _Refusals) -> Seen:
+def _read(source: str, config: CalibrationConfig, given: Given, refused: _Refusals) -> Seen:
     seen = Seen(source, {}, config)
     remarks: list[str] = []
     with refused.of('bag', source):
-        reading = BagReading(source)
+        reading = open_reading(source, given)
         remarks += reading.remarks
-        seen = replace(seen, topics=reading.topics)
+        seen = replace(seen, topics=reading.topics, said=tuple(reading.said))
         with refused.of('path', source):
-            reading.require(PATH)
+            if reading.path is not None:
+                reading.require(reading.path)
             seen = replace(seen, path=path_of(source, [reading]))
         with refused.of('points', source):
-            reading.require(POINT)
+            reading.require(reading.point)
             received = reading.received()
             seen = replace(seen, received=received)
             screening = Screening()
             screening.foreign(reading.foreign)
             raw = received.stamp_ns, received.xyz
-            samples = in_time_order(f'{source}: {POINT.name}', *raw, remarks, screening)
+            samples = in_time_order(f'{source}: {reading.point.name}', *raw, remarks, screening)
             seen = replace(seen, samples=samples)
     return replace(seen, remarks=tuple(remarks))
 

@@ -7,7 +7,11 @@ from pathlib import Path
 
 from otf_core.bags.bag import BagReading, path_of
 from otf_core.bags.topics import PATH, POINT
+from otf_core.errors import OtfError
 from otf_core.info.kind import Explained, Kind
+from otf_core.inputs.columns import find_columns
+from otf_core.inputs.text_points import TextReading, is_text
+from otf_core.inputs.text_table import read_text_table
 from otf_core.model.provenance import moment
 
 SUFFIXES = ('.mcap', '.db3', '.bag')
@@ -42,4 +46,32 @@ def _explain(path: Path) -> Explained:
 
 BAG = Kind(
     'recording', 'samples of a tracker; check, calibrate, diagnose read it', _is_bag, _explain
+)
+
+
+def _is_table(path: Path) -> bool:
+    if not is_text(path):
+        return False
+    try:
+        return bool(find_columns(read_text_table(path), None).point)
+    except OtfError:
+        return False
+
+
+def _explain_table(path: Path) -> Explained:
+    table = read_text_table(path)
+    reading = TextReading(path, rate=None if find_columns(table, None).time else 1.0)
+    raw = reading.received()
+    rows = [('read as', text) for text in reading.said]
+    low, high = raw.xyz.min(axis=0), raw.xyz.max(axis=0)
+    rows += [(axis, f'{a:.4f} to {b:.4f} m') for axis, a, b in zip('xyz', low, high, strict=True)]
+    facts = {'samples': len(raw.xyz), 'lower': low.tolist(), 'upper': high.tolist()}
+    return Explained(tuple(rows), facts)
+
+
+TABLE = Kind(
+    'table of samples',
+    'points of a tracker as text; check, calibrate, diagnose read it with --path',
+    _is_table,
+    _explain_table,
 )
