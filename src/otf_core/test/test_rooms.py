@@ -21,8 +21,8 @@ FLOORS = (
     ('calibration',),
     ('budget', 'contradictions', 'sim'),
     ('inputs', 'solving'),
-    ('effects', 'pieces', 'comparison'),
-    ('bags', 'noise', 'prediction', 'tracking'),
+    ('effects', 'pieces', 'comparison', 'exports'),
+    ('bags', 'live', 'noise', 'prediction', 'tracking'),
     ('model',),
     ('files',),
 )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.bags.bag import Received
+from otf_core.bags.bag_reading import Received
 from otf_core.checking.checked import Check, Checked, errors, warnings
 from otf_core.checking.seen import Seen
 from otf_core.model.provenance import moment

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from otf_core.bags.bag import path_of
+from otf_core.bags.bag_reading import path_of
 from otf_core.bags.sample_order import in_time_order
 from otf_core.bags.screening import Screening
 from otf_core.checking.seen import Seen

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.bags.bag import Received
+from otf_core.bags.bag_reading import Received
 from otf_core.config import CalibrationConfig
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples

@@ -12,6 +12,8 @@ import sys
 from collections.abc import Callable, Sequence
 
 from otf_core.cli.checking import run_check, run_doctor, run_info
+from otf_core.cli.completion import SHELLS, run_completion
+from otf_core.cli.exporting import add_exporting_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -149,6 +151,9 @@ def _add_checking_verbs(verb: AddVerb) -> None:
 
     verb('doctor', run_doctor)
 
+    sub = verb('completion', run_completion)
+    sub.add_argument('shell', choices=SHELLS)
+
 
 def _parser() -> Parser:
     parser = Parser(
@@ -205,6 +210,7 @@ def _parser() -> Parser:
 
     _add_judging_verbs(verb)
     _add_planning_verbs(verb)
+    add_exporting_verbs(verb)
     return parser
 
 

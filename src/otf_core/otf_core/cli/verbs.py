@@ -15,11 +15,14 @@ VERBS = {
     'predict': 'Volumetric errors at points, from error tables: the mean of forward and backward '
     'travel.',
     'compare': 'Error tables or direct measurements, motion by motion.',
+    'export': 'Error tables in the format of a control or a program.',
+    'import': 'Error tables from a lattice of volumetric errors in CSV.',
     'noise': 'Tracker noise in the standstills of a bag.',
     'plan': 'Path for a machine, forecast of what it can see, NC program.',
     'simulate': 'Bag of a simulated run.',
     'validate': "The paper's comparisons on simulated cells.",
     'blind': 'Blind trial: draw and seal cells, diagnose them, score.',
+    'completion': 'Script that lets a shell complete verbs, options and choices.',
 }
 
 EXAMPLES = {
@@ -48,6 +51,8 @@ EXAMPLES = {
         'otf compare before/error_tables.json after/error_tables.json --out change',
         'otf compare tables/error_tables.json direct.csv --machine machine.yaml --out direct',
     ),
+    'export': ('otf export tables --format linuxcnc --out mill.ini',),
+    'import': ('otf import lattice.csv --machine machine.yaml --out tables',),
     'noise': ('otf noise run1 --out noise',),
     'plan': (
         'otf plan --machine machine.yaml --out plan --dialect sinumerik',
@@ -59,4 +64,5 @@ EXAMPLES = {
     ),
     'validate': ('otf validate --quick --out validation',),
     'blind': ('otf blind --trials 24 --seed 5 --out trial',),
+    'completion': ('otf completion bash > ~/.local/share/bash-completion/completions/otf',),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from otf_core.bags.bag import BagReading, path_of
+from otf_core.bags.bag_reading import BagReading, path_of
 from otf_core.bags.topics import PATH, POINT
 from otf_core.errors import OtfError
 from otf_core.info.kind import Explained, Kind

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from otf_core.bags.bag import BagContent, BagReading, path_of, samples_of
+from otf_core.bags.bag import BagContent, samples_of
+from otf_core.bags.bag_reading import BagReading, path_of
 from otf_core.bags.topics import PATH, POINT, called
 from otf_core.errors import ConfigError
 from otf_core.inputs.path_file import read_path

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.bags.bag import Received
+from otf_core.bags.bag_reading import Received
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import InputError
 from otf_core.inputs.columns import LENGTHS, TIMES, Column, Columns, find_columns
