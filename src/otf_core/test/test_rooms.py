@@ -15,7 +15,7 @@ FACES = ('__init__', 'config', 'errors', 'threads', 'version')
 FLOORS = (
     ('api', 'cli'),
     ('reports',),
-    ('blind', 'validation'),
+    ('blind', 'validation', 'loop'),
     ('planning',),
     ('diagnosis',),
     ('calibration',),

@@ -11,6 +11,7 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
+from otf_core.cli.closing import add_closing_verbs
 from otf_core.cli.exporting import add_exporting_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
@@ -171,6 +172,7 @@ def _parser() -> Parser:
     _add_judging_verbs(verb)
     _add_planning_verbs(verb)
     add_exporting_verbs(verb)
+    add_closing_verbs(verb)
     return parser
 
 
