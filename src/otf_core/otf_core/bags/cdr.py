@@ -10,6 +10,8 @@ padding come before x. Checked against rosbags 0.11 (serde/cdr.py).
 from __future__ import annotations
 
 import struct
+from collections import Counter
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -66,9 +68,29 @@ def point_dtype(frame: str, order: str) -> np.dtype[np.void]:
     )
 
 
+@dataclass(frozen=True)
+class DecodedPoints:
+    """Points of many messages.
+
+    Attributes
+    ----------
+    stamp_ns : ndarray of int64, shape (n,), ns
+    xyz : ndarray of float64, shape (n, 3), m
+    kept : ndarray of bool, optional
+        Messages that they are of, where some were in another frame.
+    foreign : Counter of str
+        Messages in other frames, by frame_id.
+    """
+
+    stamp_ns: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    kept: NDArray[np.bool_] | None
+    foreign: Counter[str]
+
+
 def decode_points(
     buffer: Bytes, start: Index, size: Index, frame: str, first: int = 0
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+) -> DecodedPoints:
     """Decode many PointStamped messages at once.
 
     Parameters
@@ -78,24 +100,36 @@ def decode_points(
     start, size : ndarray of int64, shape (n,)
         Where each message begins and how many bytes it has; inside the buffer.
     frame : str
-        The frame_id every message must have.
+        The frame_id of the points; those of others are left out.
     first : int
         Number of the first message, for error texts.
-
-    Returns
-    -------
-    stamp_ns : ndarray of int64, shape (n,), ns
-    xyz : ndarray of float64, shape (n, 3), m
 
     Raises
     ------
     InputError
-        Names the first message that is no PointStamped, has another frame or a broken stamp.
+        Names the first message that is no PointStamped or has a broken stamp.
     """
     need = point_dtype(frame, '<').itemsize
     bad = (size < need) | (size > need + MAX_TRAILING)
-    if bad.any():
-        _refuse(buffer, start, size, frame, first, bad)
+    if not bad.any():
+        stamp_ns, xyz, bad = _decoded(buffer, start, frame)
+        if not bad.any():
+            return DecodedPoints(stamp_ns, xyz, None, Counter())
+    foreign = Counter(
+        _foreign_frame(bytes(buffer[start[i] : start[i] + min(int(size[i]), 4096)]), first + i)
+        for i in np.flatnonzero(bad).tolist()
+    )
+    if frame in foreign:  # of the same frame, but longer than it should be
+        raise InputError(f'a message of frame {frame!r} is no PointStamped in CDR')
+    stamp_ns, xyz, _ = _decoded(buffer, start[~bad], frame)
+    return DecodedPoints(stamp_ns, xyz, ~bad, foreign)
+
+
+def _decoded(
+    buffer: Bytes, start: Index, frame: str
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Stamps, points, and which messages are of another frame or broken."""
+    need = point_dtype(frame, '<').itemsize
     rows = gather(buffer, start, need)
     code = rows.view(point_dtype(frame, '<'))['encapsulation']
     stamp_ns, xyz = np.empty(start.size, np.int64), np.empty((start.size, 3))
@@ -110,18 +144,11 @@ def decode_points(
             bad[chosen] |= part['length'] != part.dtype['frame'].itemsize
             bad[chosen] |= part['frame'] != frame.encode()
             bad[chosen] |= part['nanosec'] >= SECOND_NS
-    if bad.any():
-        _refuse(buffer, start, size, frame, first, bad)
-    return stamp_ns, xyz
+    return stamp_ns, xyz, bad
 
 
-def _refuse(
-    buffer: Bytes, start: Index, size: Index, frame: str, first: int, bad: NDArray[np.bool_]
-) -> None:
-    """Raise InputError that says what is wrong with the first bad PointStamped."""
-    i = int(np.flatnonzero(bad)[0])
-    # a point needs few bytes: do not copy what a damaged length may claim
-    data = bytes(buffer[start[i] : start[i] + min(int(size[i]), 4096)])
+def _foreign_frame(data: bytes, number: int) -> str:
+    """Frame of a PointStamped that is not as expected; InputError says what else is wrong."""
     try:
         reader = CdrReader(data)
         _, nanosec = reader.numbers('iI')
@@ -129,10 +156,11 @@ def _refuse(
         reader.numbers('3d')
         reader.finish()
     except ValueError as error:
-        raise InputError(f'message {first + i} is no PointStamped in CDR ({error})') from None
-    if found != frame:
-        raise InputError(frame_text(f'message {first + i}', found, frame))
-    raise InputError(f'message {first + i}: header.stamp has nanosec {nanosec}, above 999999999')
+        raise InputError(f'message {number} is no PointStamped in CDR ({error})') from None
+    if nanosec >= SECOND_NS:
+        text = f'message {number}: header.stamp has nanosec {nanosec}, above 999999999'
+        raise InputError(text)
+    return found
 
 
 def frame_text(what: str, found: str, expected: str) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two topics of a bag: name, message type, frame and quality of service."""
+"""The topics of a bag: name, message type, frame and quality of service."""
 
 from __future__ import annotations
 
@@ -28,3 +28,5 @@ class Topic:
 
 POINT = Topic('/tracker/point', 'geometry_msgs/msg/PointStamped', 'tracker', 1000, 'volatile')
 PATH = Topic('/planner/path', 'nav_msgs/msg/Path', 'machine', 1, 'transient_local')
+STATUS = Topic('/tracker/status', 'otf_msgs/msg/TrackerStatus', 'tracker', 1, 'transient_local')
+"""Only in journals; nothing depends on it offline."""

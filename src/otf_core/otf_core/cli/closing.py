@@ -6,9 +6,9 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from otf_core.cli.exporting import AddVerb, add_json, show
+from otf_core.cli.exporting import AddVerb
 from otf_core.cli.options import add_out, add_parameters, output_folder, parameters
-from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note
+from otf_core.cli.output import QUALITY_GATE_FAILED, answer, listed, note
 from otf_core.config import LoopConfig, PlannerConfig, SimulationConfig
 
 WAYS = ('axes', 'volume', 'program')
@@ -16,12 +16,7 @@ WAYS = ('axes', 'volume', 'program')
 
 def add_closing_verbs(verb: AddVerb) -> None:
     """Add loop."""
-    sub = verb(
-        'loop',
-        run_loop,
-        'The whole circle on LinuxCNC with a simulated machine and tracker: drive, measure, '
-        'calibrate, compensate, drive other lines, prove it.',
-    )
+    sub = verb('loop', run_loop)
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'folder for loop.json, calibration, bags and what the control was given')
     sub.add_argument(
@@ -32,7 +27,6 @@ def add_closing_verbs(verb: AddVerb) -> None:
     sub.add_argument(
         '--diagnose', action='store_true', help='diagnose the fitted run too (diagnosis/; slow)'
     )
-    add_json(sub)
     add_parameters(sub, LoopConfig)
 
 
@@ -70,7 +64,7 @@ def run_loop(arguments: argparse.Namespace) -> int:
             files += write_diagnosis(found, folder / 'diagnosis')
         names = [f.relative_to(folder) for f in files]
     words = format_loop(circle) + listed([out.path / n for n in names], arguments.out)
-    show(arguments, loop_to_dict(circle), words)
+    answer(arguments, words, loop_to_dict(circle))
     gates = failed_gates(circle)
     for gate in gates:
         note(f'otf loop: quality gate failed: {gate}')

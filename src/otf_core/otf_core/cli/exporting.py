@@ -10,26 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import add_out, output_folder
-from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
+from otf_core.cli.output import QUALITY_GATE_FAILED, answer, listed, note
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES
 
 if TYPE_CHECKING:
     from otf_core.model.tables import TablesFile
 
-AddVerb = Callable[[str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
-
-
-def add_json(sub: argparse.ArgumentParser) -> None:
-    """Add --json."""
-    sub.add_argument(
-        '--json', action='store_true', help='one JSON object on stdout, words on stderr'
-    )
+AddVerb = Callable[[str, Callable[[argparse.Namespace], int]], argparse.ArgumentParser]
 
 
 def add_exporting_verbs(verb: AddVerb) -> None:
     """Add export and import."""
-    sub = verb('export', run_export, 'Error tables in the format of a control or a program.')
+    sub = verb('export', run_export)
     sub.add_argument('dir', metavar='DIR', help='results of otf calibrate, or error_tables.json')
     sub.add_argument('--format', required=True, choices=tuple(HOMES), help='whose format')
     add_out(
@@ -43,28 +36,17 @@ def add_exporting_verbs(verb: AddVerb) -> None:
     sub.add_argument(
         '--points', type=int, metavar='N', help='points per axis (default: by format)'
     )
-    add_json(sub)
 
-    sub = verb('import', run_import, 'Error tables from a lattice of volumetric errors in CSV.')
+    sub = verb('import', run_import)
     sub.add_argument('lattice', metavar='CSV', help='x,y,z,dx,dy,dz in m, as of lattice-csv')
     sub.add_argument('--machine', required=True, help='machine.yaml: how rotations act')
     add_out(sub, 'folder for error_tables.json')
-    add_json(sub)
 
 
 def tables_file(name: str) -> Path:
     """Path of the error tables in a folder of results, or the file itself."""
     path = Path(name)
     return path / 'error_tables.json' if path.is_dir() else path
-
-
-def show(arguments: argparse.Namespace, data: dict[str, Any], words: str) -> None:
-    """Print a result: words, or with --json the data on stdout and the words on stderr."""
-    if arguments.json:
-        note(words)
-        say(json.dumps(data))
-    else:
-        say(words)
 
 
 def run_export(arguments: argparse.Namespace) -> int:
@@ -108,7 +90,7 @@ def run_export(arguments: argparse.Namespace) -> int:
         *made.remarks,
         f'written: {", ".join(map(str, data["files"]))}',
     ]
-    show(arguments, data, '\n'.join(lines))
+    answer(arguments, '\n'.join(lines), data)
     return _judged(content)
 
 
@@ -137,14 +119,14 @@ def run_import(arguments: argparse.Namespace) -> int:
         'import', machines=[machine], files={'lattice': arguments.lattice},
         coverage='no uncertainty: u of the lattice is not carried over',
     )  # fmt: skip
-    data = tables_to_dict(found.tables) | {'imported': sizes, 'provenance': block}
+    content = tables_to_dict(found.tables) | {'imported': sizes, 'provenance': block}
     with out.filled('import') as folder:
-        write_text(folder / 'error_tables.json', json.dumps(data, indent=1) + '\n')
+        write_text(folder / 'error_tables.json', json.dumps(content, indent=1) + '\n')
     words = (
         f'errors of the lattice {sizes["size_rms_um"]:.3f} um rms; the tables leave '
         f'{sizes["left_rms_um"]:.3f} um rms of them; u is 0: none was carried over'
     )
     written = [Path(arguments.out) / 'error_tables.json']
-    show(arguments, {'schema': 'otf-import/1', **sizes, 'files': list(map(str, written))},
-         words + listed(written, arguments.out))  # fmt: skip
+    data = {'schema': 'otf-import/1', **sizes, 'files': list(map(str, written))}
+    answer(arguments, words + listed(written, arguments.out), data)
     return 0
