@@ -21,7 +21,7 @@ FLOORS = (
     ('calibration',),
     ('budget', 'contradictions', 'sim'),
     ('solving',),
-    ('effects', 'pieces', 'comparison', 'exports'),
+    ('effects', 'pieces', 'comparison', 'exports', 'fleet'),
     ('bags', 'live', 'noise', 'prediction', 'tracking'),
     ('model',),
     ('files',),

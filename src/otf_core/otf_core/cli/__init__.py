@@ -24,6 +24,7 @@ from otf_core.cli.measuring import (
 from otf_core.cli.options import add_out, add_parameters
 from otf_core.cli.output import OutputFull, answer, bounded, note
 from otf_core.cli.parser import Parser, asked
+from otf_core.cli.plant import add_plant_verbs
 from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
 from otf_core.cli.verbs import EXAMPLES, VERBS
 from otf_core.config import (
@@ -206,6 +207,7 @@ def _parser() -> Parser:
     _add_planning_verbs(verb)
     add_exporting_verbs(verb)
     add_closing_verbs(verb)
+    add_plant_verbs(verb)
     return parser
 
 
