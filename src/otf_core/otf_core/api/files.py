@@ -53,7 +53,7 @@ def read_bag(source: Name, machine: Machine | Name) -> Recording:
     """
     content = bag.read_bag(source)
     used = machine if isinstance(machine, Machine) else load_machine(machine)
-    return Recording(content.samples, content.path, used, str(source))
+    return Recording(content.samples, content.path, used, str(source), content.remarks)
 
 
 def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) -> None:

@@ -41,7 +41,7 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
         machines *= len(bags)
     contents = [read_bag(name) for name in bags]
     return [
-        Recording(content.samples, content.path, machine, str(name))
+        Recording(content.samples, content.path, machine, str(name), content.remarks)
         for content, machine, name in zip(contents, machines, bags, strict=True)
     ]
 
