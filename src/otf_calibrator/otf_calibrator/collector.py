@@ -112,7 +112,7 @@ class Collector:
         self._lost_before = 0
         self._last_ns: int | None = None
         self._heard = 0.0
-        self._rest: tuple[float, float, float] | None = None
+        self._rest: list[float] | None = None
         self._away = 0
         self._next = False
 
@@ -266,7 +266,7 @@ class Collector:
 
     def _moved_on(self, x: float, y: float, z: float) -> bool:
         if self._rest is None:
-            self._rest = (x, y, z)
+            self._rest = self.buffer.snapshot(len(self.buffer) - 1).xyz[0].tolist()
         a, b, c = self._rest
         far = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 > MOTION * MOTION
         self._away = self._away + 1 if far else 0
