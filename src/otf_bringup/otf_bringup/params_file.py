@@ -17,11 +17,14 @@ from otf_core.config import CalibrationConfig, ParameterInfo, Parameters, Planne
 from otf_path_planner.params import PlannerFiles
 from otf_tracker_driver.backends import BACKENDS, CommonConfig
 from otf_tracker_driver.params import DriverConfig
+from otf_view.params import PageConfig, ViewerConfig
 
 NODES: dict[str, tuple[type[Parameters], ...]] = {
     'path_planner': (PlannerFiles, PlannerConfig),
     'tracker_driver': (DriverConfig, CommonConfig),
     'calibrator': (CalibratorConfig, CalibrationConfig),
+    'viewer': (ViewerConfig,),
+    'page': (PageConfig,),
 }
 NAMED: dict[str, dict[str, type[Parameters]]] = {
     'tracker_driver': {name: backend.parameters for name, backend in BACKENDS.items()},

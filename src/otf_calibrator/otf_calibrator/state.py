@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 
@@ -12,6 +13,7 @@ from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
 from otf_calibrator.session import Session
+from otf_core.live.time_left import TimeLeft
 from otf_msgs.msg import CalibratorState
 from otf_ros import qos
 from otf_ros.convert_result import summary
@@ -45,6 +47,7 @@ class StatePublisher:
         self._shown = (-1, False)
         self._at = 0.0
         self._warned: set[str] = set()
+        self._time_left = TimeLeft()
 
     def done(self, outcome: Calibrated) -> None:
         """Remember that the run was calibrated."""
@@ -82,6 +85,9 @@ class StatePublisher:
             diagnosis = (True, job.fraction, job.stage)
             self._diagnosis = ABANDONED  # as long as it has not told what it gave
         now, shown = time.monotonic(), (state, job is not None)
+        stage = _stage(session)
+        work = stage, collector.run
+        time_left = self._time_left.estimate(work, progress, now) if stage else math.nan
         if shown == self._shown and now - self._at < REPEAT:
             return
         if state != self._shown[0]:
@@ -93,8 +99,11 @@ class StatePublisher:
         message = CalibratorState(
             state=state,
             name=NAMES[state],
+            stage=stage,
             progress=progress,
+            time_left=time_left,
             samples=len(collector.buffer),
+            samples_lost=collector.lost,
             path_length=collector.path.length if collector.path else 0.0,
             travelled=collector.travelled,
             message=text,
@@ -137,3 +146,12 @@ class StatePublisher:
         if silence > SILENCE:
             text += f'; no sample for {silence:.0f} s, the run goes on with the next'
         return CalibratorState.BUFFERING, min(1.0, collector.travelled / length), text
+
+
+def _stage(session: Session) -> str:
+    """What takes its time now; empty if nothing does."""
+    if session.busy:
+        return session.worker.stage
+    collector = session.collector
+    driving = collector.path is not None and len(collector.buffer) and not collector.taken
+    return 'driving' if driving else ''

@@ -127,3 +127,10 @@ def transform_to_message(transform: RigidTransform) -> Transform:
     t = message.translation
     t.x, t.y, t.z = transform.translation.tolist()
     return message
+
+
+def transform_from_message(message: Transform) -> RigidTransform:
+    """Return the rigid transform of a translation and a unit quaternion."""
+    r, t = message.rotation, message.translation
+    rotation = Rotation.from_quat([r.x, r.y, r.z, r.w]).as_matrix()
+    return RigidTransform(rotation, np.array([t.x, t.y, t.z]))

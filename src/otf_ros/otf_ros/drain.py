@@ -15,17 +15,19 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 
-class _NeverWoken(CallbackGroup):
+class NeverWoken(CallbackGroup):
     """Keeps a subscription out of the executor's wait set; a timer reads it instead."""
 
     def can_execute(self, entity: Any) -> bool:
+        """No, never."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
+        """No, never."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        pass
+        """Nothing was begun."""
 
 
 class Drain:
@@ -58,7 +60,7 @@ class Drain:
         self._callback = callback
         self._most = qos.depth
         self.subscription = node.create_subscription(
-            msg_type, topic, self._never, qos, callback_group=_NeverWoken()
+            msg_type, topic, self._never, qos, callback_group=NeverWoken()
         )
         self._timer = node.create_timer(period, self.empty)
 

@@ -15,13 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.bags.bag_source import locate
+from otf_core.bags.bag_reading import BagReading, only_path
 from otf_core.bags.bag_writer import write_recording
-from otf_core.bags.cdr import decode_path, decode_points
-from otf_core.bags.column import Column
-from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.sample_order import in_time_order, usable_path
 from otf_core.bags.screening import Screening
 from otf_core.bags.topics import PATH, POINT, Topic
@@ -83,24 +79,32 @@ def read_parts(sources: Sequence[str | Path], *, recover: bool = False) -> BagCo
     Every part has points; the path stands in one of them at least, the same in all that have it.
     """
     alone = len(sources) == 1
-    parts = [_Recording(s, (POINT, PATH), (POINT, PATH) if alone else (POINT,), recover)
-             for s in sources]  # fmt: skip
+    needed = (POINT, PATH) if alone else (POINT,)
+    parts = [_read(source, (POINT, PATH), needed, recover) for source in sources]
     where = str(sources[0]) if alone else f'{sources[0]} and {len(sources) - 1} more'
     remarks = [text for part in parts for text in part.remarks]
     samples = _in_order(where, parts, remarks)
-    path = _only_path(where, [corners for part in parts for corners in part.paths])
+    path = only_path(where, [corners for part in parts for corners in part.paths])
     return BagContent(samples, path, tuple(remarks))
 
 
 def read_points(source: str | Path, *, recover: bool = False) -> Samples:
     """Read the points of a bag that may lack a path; otherwise as ``read_bag``."""
-    part = _Recording(source, (POINT,), (POINT,), recover)
+    part = _read(source, (POINT,), (POINT,), recover)
     return _in_order(str(source), [part], part.remarks)
 
 
-def _in_order(where: str, parts: list[_Recording], remarks: list[str]) -> Samples:
+def _read(
+    source: str | Path, wanted: tuple[Topic, ...], needed: tuple[Topic, ...], recover: bool
+) -> BagReading:
+    found = BagReading(source, wanted, recover=recover)
+    found.require(*needed)
+    return found
+
+
+def _in_order(where: str, parts: list[BagReading], remarks: list[str]) -> Samples:
     """Join the points of parts; the log says what was repaired or left out."""
-    raw = [part.points() for part in parts]
+    raw = [(found.stamp_ns, found.xyz) for found in (part.received() for part in parts)]
     raw.sort(key=lambda columns: columns[0][:1].tolist())
     stamp_ns, xyz = raw[0] if len(raw) == 1 else tuple(map(np.concatenate, zip(*raw, strict=True)))
     screening = Screening()
@@ -109,29 +113,6 @@ def _in_order(where: str, parts: list[_Recording], remarks: list[str]) -> Sample
     for text in remarks:
         _log.warning('%s: %s', where, text)
     return samples
-
-
-def _only_path(where: str, paths: list[NDArray[np.float64]]) -> NominalPath:
-    """Return the path, if it is always the same."""
-    where = f'{where}: {PATH.name}'
-    if not paths:
-        raise InputError(f'{where}: no path was published while it was recorded')
-    different = _different(paths)
-    if len(different) > 1:
-        raise InputError(
-            f'{where}: {len(different)} different paths were published; '
-            f'record each run in its own bag'
-        )
-    return usable_path(where, paths[0])
-
-
-def _different(paths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-    """Leave out what repeats."""
-    found: list[NDArray[np.float64]] = []
-    for path in paths:
-        if not any(np.array_equal(path, known, equal_nan=True) for known in found):
-            found.append(path)
-    return found
 
 
 def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = False) -> None:
@@ -164,78 +145,3 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
         raise InputError(f'{folder}: samples would not be read as they are: {remarks[0]}')
     usable_path(f'{folder}: path', content.path.points)
     write_recording(Path(folder), samples, content.path, overwrite)
-
-
-class _Recording:
-    """Raw points and paths of one bag.
-
-    Attributes
-    ----------
-    paths : list of ndarray, shape (n, 3), m
-        Different ones.
-    remarks : list of str
-        What was left out.
-    foreign : Counter of str
-        Points left out for their frame, by frame_id.
-    """
-
-    def __init__(
-        self,
-        source: str | Path,
-        wanted: tuple[Topic, ...],
-        needed: tuple[Topic, ...],
-        recover: bool,
-    ) -> None:
-        self._where = str(source)
-        self._stamp_ns = Column(np.empty(0, np.int64))
-        self._xyz = Column(np.empty((0, 3)))
-        self._log_time = Column(np.empty(0, np.int64))
-        self.paths: list[NDArray[np.float64]] = []
-        self.remarks: list[str] = []
-        self._last_path: bytes | None = None
-        self._points = 0
-        self.foreign: Counter[str] = Counter()
-        found: dict[str, str] = {}
-        types = {t.name: t.type for t in wanted}
-        for block in locate(source).messages(types, found, self.remarks, recover=recover):
-            try:
-                self._add(block)
-            except InputError as error:
-                raise InputError(f'{self._where}: {block.topic}: {error}') from None
-        for topic in needed:
-            if topic.name not in found:
-                listed = ', '.join(f'{n} ({t})' for n, t in sorted(found.items())) or 'none'
-                raise InputError(
-                    f'{self._where}: topic {topic.name} is missing; topics in the bag: {listed}; '
-                    + ('; '.join(self.remarks) or 'record it or remap to that name')
-                )
-
-    def _add(self, block: MessageBlock) -> None:
-        if block.topic == POINT.name:
-            points = decode_points(
-                block.buffer, block.start, block.size, POINT.frame, self._points
-            )
-            self._stamp_ns.add(points.stamp_ns)
-            self._xyz.add(points.xyz)
-            kept = slice(None) if points.kept is None else points.kept
-            self._log_time.add(block.log_time[kept])
-            self.foreign.update(points.foreign)
-            self._points += block.start.size
-            return
-        for start, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
-            data = bytes(block.buffer[start : start + size])
-            if data == self._last_path:
-                continue
-            self._last_path = data
-            self.paths = _different([*self.paths, decode_path(data, PATH.frame)])
-
-    def points(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return stamps and points in the order of reception; the recording keeps none."""
-        log_time = self._log_time.joined()
-        as_received = bool(np.all(log_time[1:] >= log_time[:-1]))
-        order = None if as_received else np.argsort(log_time, kind='stable')
-        del log_time
-        stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
-        if order is not None:
-            stamp_ns, xyz = stamp_ns[order], xyz[order]
-        return stamp_ns, xyz

@@ -11,6 +11,8 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
+from otf_core.cli.checking import run_check, run_doctor, run_info
+from otf_core.cli.exporting import add_exporting_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -19,9 +21,10 @@ from otf_core.cli.measuring import (
     run_predict,
 )
 from otf_core.cli.options import add_out, add_parameters
-from otf_core.cli.output import OutputFull, bounded, note
+from otf_core.cli.output import OutputFull, answer, bounded, note
 from otf_core.cli.parser import Parser, asked
 from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
+from otf_core.cli.verbs import EXAMPLES, VERBS
 from otf_core.config import (
     METHODS,
     OTF,
@@ -36,6 +39,7 @@ from otf_core.version import __version__
 
 LARGEST_SEED = 10_000_000
 Handler = Callable[[argparse.Namespace], int]
+AddVerb = Callable[[str, Handler], argparse.ArgumentParser]
 
 
 def _seed(text: str) -> int:
@@ -90,21 +94,21 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentParser]) -> None:
+def _add_judging_verbs(verb: AddVerb) -> None:
     """Verbs that judge a tracker, a calibration or this program."""
-    sub = verb('noise', run_noise, 'Tracker noise in the standstills of a bag.')
+    sub = verb('noise', run_noise)
     sub.add_argument('bag', help='rosbag2 folder or .mcap file; /tracker/point suffices')
     add_out(sub, 'folder for the results')
     add_parameters(sub, CalibrationConfig, ('standstill_speed',))
 
-    sub = verb('compare', run_compare, 'Error tables or direct measurements, motion by motion.')
+    sub = verb('compare', run_compare)
     sub.add_argument('a', help='error_tables.json, or CSV of a direct measurement')
     sub.add_argument('b', help='the same')
     sub.add_argument('--machine', help='machine.yaml, for direct measurements')
     sub.add_argument('--points', help='CSV with the header x,y,z; a grid if not given')
     add_out(sub, 'folder for the results')
 
-    sub = verb('validate', run_validate, "The paper's comparisons on simulated cells.")
+    sub = verb('validate', run_validate)
     add_out(sub, 'folder for table and figures')
     sub.add_argument('--quick', action='store_true', help='two cells instead of eight')
     sub.add_argument(
@@ -112,7 +116,7 @@ def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPars
         help='of the first cell (default 2001)',
     )  # fmt: skip
 
-    sub = verb('blind', run_blind, 'Blind trial: draw and seal cells, diagnose them, score.')
+    sub = verb('blind', run_blind)
     sub.add_argument('--trials', type=int, required=True, help='cells to draw')
     sub.add_argument('--seed', type=int, required=True, help='all random numbers hang on it')
     add_out(sub, 'folder; an interrupted trial goes on there')
@@ -124,17 +128,51 @@ def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPars
     )
 
 
+def _examples(name: str) -> str:
+    lines = [f'  {line}' for line in EXAMPLES[name]]
+    return '\n'.join([f'example{"s" if len(lines) > 1 else ""}:', *lines])
+
+
+def _add_checking_verbs(verb: AddVerb) -> None:
+    """Verbs that answer in seconds."""
+    sub = verb('check', run_check)
+    sub.add_argument('bag', help='rosbag2 folder or .mcap file')
+    sub.add_argument(
+        '--machine', help='machine.yaml: also its axes, its noise, and a forecast of u'
+    )
+    add_parameters(sub, CalibrationConfig, ('match_tolerance', 'standstill_speed'))
+
+    sub = verb('info', run_info)
+    sub.add_argument('file', help='a file or folder that otf wrote or reads')
+
+    verb('doctor', run_doctor)
+
+
 def _parser() -> Parser:
-    parser = Parser(prog='otf', description='On-the-fly machine-tool calibration, offline verbs.')
+    parser = Parser(
+        prog='otf', description='On-the-fly machine-tool calibration, offline verbs.',
+        epilog='otf VERB --help shows options and examples.',
+    )  # fmt: skip
     parser.add_argument('--version', action='version', version=f'otf {__version__}')
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
 
-    def verb(name: str, handler: Handler, text: str) -> argparse.ArgumentParser:
-        sub: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
+    def verb(name: str, handler: Handler) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = verbs.add_parser(
+            name, help=VERBS[name], description=VERBS[name], epilog=_examples(name),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )  # fmt: skip
         sub.set_defaults(handler=handler)
+        sub.add_argument(
+            '--json', action='store_true', help='print one JSON object; words go to stderr'
+        )
+        sub.add_argument(
+            '--quiet', action='store_true', help='print no words but warnings and errors'
+        )
         return sub
 
-    sub = verb('calibrate', run_calibrate, 'Error tables from recorded bags.')
+    _add_checking_verbs(verb)
+
+    sub = verb('calibrate', run_calibrate)
     _add_runs(sub)
     add_out(sub, 'folder for the results')
     sub.add_argument(
@@ -152,7 +190,7 @@ def _parser() -> Parser:
     )
     add_parameters(sub, CalibrationConfig)
 
-    sub = verb('diagnose', run_diagnose, 'Where and why a real run departs from its simulation.')
+    sub = verb('diagnose', run_diagnose)
     _add_runs(sub)
     add_out(sub, 'folder for gap.json and report.html')
     sub.add_argument(
@@ -160,21 +198,18 @@ def _parser() -> Parser:
     )
     add_parameters(sub, CalibrationConfig)
 
-    sub = verb(
-        'predict',
-        run_predict,
-        'Volumetric errors at points, from error tables: the mean of forward and backward travel.',
-    )
+    sub = verb('predict', run_predict)
     _add_predict_options(sub)
 
     _add_judging_verbs(verb)
     _add_planning_verbs(verb)
+    add_exporting_verbs(verb)
     return parser
 
 
-def _add_planning_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentParser]) -> None:
+def _add_planning_verbs(verb: AddVerb) -> None:
     """Verbs that come before a measurement, or stand for one."""
-    sub = verb('plan', run_plan, 'Path for a machine, forecast of what it can see, NC program.')
+    sub = verb('plan', run_plan)
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'folder for path, forecast and program')
     sub.add_argument(
@@ -184,7 +219,7 @@ def _add_planning_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPar
     add_parameters(sub, PlannerConfig)
     add_parameters(sub, ForecastConfig)
 
-    sub = verb('simulate', run_simulate, 'Bag of a simulated run.')
+    sub = verb('simulate', run_simulate)
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'bag folder to write, or .mcap file; its truth lies in or beside it')
     sub.add_argument('--tables', help='error_tables.json of the truth; drawn if not given')
@@ -218,7 +253,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         note(f'otf {arguments.verb}: {error}')
         return error.exit_code
     except OtfError as error:
-        note(f'otf {arguments.verb}: {bounded(str(error))}')
+        words = f'otf {arguments.verb}: {bounded(str(error))}'
+        if not arguments.json:
+            note(words)
+        else:
+            arguments.quiet = False
+            answer(arguments, words, {'exit': error.exit_code, 'error': str(error)})
         return error.exit_code
     except KeyboardInterrupt:
         note(f'otf {arguments.verb}: interrupted')

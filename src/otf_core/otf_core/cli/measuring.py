@@ -7,13 +7,15 @@ import argparse
 from typing import TYPE_CHECKING
 
 from otf_core.cli.options import output_folder, parameters
-from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
+from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
 
 if TYPE_CHECKING:
     from otf_core.calibration.result import CalibrationResult
     from otf_core.pieces.runs import Recording
+
+TABLES = 'error_tables.json'
 
 
 def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
@@ -60,7 +62,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     result = calibrate_runs(recordings, config, prepare=PREPARATIONS[arguments.method])
     with out.filled('calibrate') as folder:
         files = write_calibration(result, folder, residuals_csv=arguments.residuals_csv)
-    say(format_result(result) + '\n' + listed(files, arguments.out))
+    answer_from(arguments, format_result(result) + '\n', files, TABLES)
     return _judged(result)
 
 
@@ -86,7 +88,7 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
     )
     with out.filled('calibrate') as folder:
         files = write_with_effects(done, folder, residuals_csv=arguments.residuals_csv)
-    say(f'{format_result(done.result)}\n\n{done.words}\n{listed(files, arguments.out)}')
+    answer_from(arguments, f'{format_result(done.result)}\n\n{done.words}\n', files, TABLES)
     return _judged(done.result)
 
 
@@ -107,7 +109,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config)
     with out.filled('diagnose') as folder:
         files = write_diagnosis(diagnosis, folder)
-    say(format_diagnosis(diagnosis) + listed(files, arguments.out))
+    answer_from(arguments, format_diagnosis(diagnosis), files, 'gap.json')
     for remark in diagnosis.contradictions:
         note(f'otf: {remark.severity}: {remark.check}: {remark.words}')
     return QUALITY_GATE_FAILED if any(r.severity == GATE for r in diagnosis.contradictions) else 0
@@ -132,7 +134,7 @@ def run_noise(arguments: argparse.Namespace) -> int:
     origin = origin_of(Path(arguments.bag).name, samples)
     with out.filled('noise') as folder:
         files = write_noise(report, folder, provenance('noise', runs=[origin]))
-    say(format_noise(report) + '\n' + listed(files, arguments.out))
+    answer_from(arguments, format_noise(report) + '\n', files, 'noise.json')
     return 0
 
 
@@ -159,7 +161,11 @@ def run_predict(arguments: argparse.Namespace) -> int:
         write_csv(partial, header, columns, prediction.inside)
     for text in prediction.notes:
         note(f'otf predict: {text}')
-    say(prediction.summary)
+    names = header.split(',')
+    rows = np.hstack([columns, prediction.inside[:, None]]).tolist() if arguments.json else []
+    data = {'points': [dict(zip(names, row, strict=True)) for row in rows]}
+    about = {'notes': list(prediction.notes), 'u_contains': prediction.holds}
+    answer(arguments, prediction.summary, {**about, **data, 'out': arguments.out})
     return 0
 
 
@@ -185,5 +191,5 @@ def run_compare(arguments: argparse.Namespace) -> int:
     )
     with out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
-    say(format_comparison(result) + '\n' + listed(files, arguments.out))
+    answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
     return 0
