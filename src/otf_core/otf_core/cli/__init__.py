@@ -92,12 +92,24 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
         '--machine', required=True, action='append', metavar='M.yaml',
         help='machine.yaml of all bags; or given once per bag, in their order',
     )  # fmt: skip
+    sub.add_argument(
+        '--join', action='store_true',
+        help='the bags are parts of one run, whose recording was ended and begun again',
+    )  # fmt: skip
+    _add_recover(sub)
+
+
+def _add_recover(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        '--recover', action='store_true', help='leave out what is damaged inside a bag'
+    )
 
 
 def _add_judging_verbs(verb: AddVerb) -> None:
     """Verbs that judge a tracker, a calibration or this program."""
     sub = verb('noise', run_noise)
     sub.add_argument('bag', help='rosbag2 folder or .mcap file; /tracker/point suffices')
+    _add_recover(sub)
     add_out(sub, 'folder for the results')
     add_parameters(sub, CalibrationConfig, ('standstill_speed',))
 

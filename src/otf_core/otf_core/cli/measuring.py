@@ -28,23 +28,24 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     InputError
         Names the bag that cannot be read.
     """
-    from otf_core.bags.bag import read_bag
+    from otf_core.bags.bag import read_parts
     from otf_core.model.machine import load_machine
     from otf_core.pieces.runs import Recording
 
-    bags, files = arguments.bag, arguments.machine
+    files = arguments.machine
+    bags = [arguments.bag] if arguments.join else [[name] for name in arguments.bag]
     if len(files) not in (1, len(bags)):
         raise ConfigError(
-            f'--machine: given {len(files)} times for {len(bags)} bags; give one machine.yaml '
+            f'--machine: given {len(files)} times for {len(bags)} runs; give one machine.yaml '
             f'for all of them, or one for each in their order'
         )
     machines = [load_machine(file) for file in files]
     if len(machines) == 1:
         machines *= len(bags)
-    contents = [read_bag(name) for name in bags]
+    contents = [read_parts(names, recover=arguments.recover) for names in bags]
     return [
-        Recording(content.samples, content.path, machine, str(name), content.remarks)
-        for content, machine, name in zip(contents, machines, bags, strict=True)
+        Recording(content.samples, content.path, machine, str(names[0]), content.remarks)
+        for content, machine, names in zip(contents, machines, bags, strict=True)
     ]
 
 
@@ -126,7 +127,7 @@ def run_noise(arguments: argparse.Namespace) -> int:
 
     out = output_folder(arguments, arguments.bag)
     speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
-    samples = read_points(arguments.bag)
+    samples = read_points(arguments.bag, recover=arguments.recover)
     try:
         report = noise_report(samples, speed)
     except OtfError as error:
