@@ -137,7 +137,7 @@ class Worker:
     def _calibrate(self, request: Request) -> Calibrated:
         recording = _recording(request)
         result, write = self._solved(recording, request)
-        base = Path(request.files.output_directory).expanduser().absolute()
+        base = _base(request.files)
         folder = free_folder(base, result.run_id)
         try:
             with OutputFolder(folder).filled('calibrator') as partial:
@@ -175,10 +175,18 @@ def _recording(request: Request) -> Recording:
 
 
 def check_files(files: CalibratorConfig) -> None:
-    """Refuse a description of the machine or of effects that cannot be read."""
+    """Refuse descriptions that cannot be read, and a place for results that cannot be written."""
     machine = load_machine(files.machine_file)
+    try:
+        OutputFolder(free_folder(_base(files), 'results'))
+    except ConfigError as error:
+        raise ConfigError(f'parameter output_directory: {error}') from None
     if files.effects not in (NONE, AUTO):
         read_effects(files.effects, machine)
+
+
+def _base(files: CalibratorConfig) -> Path:
+    return Path(files.output_directory).expanduser().absolute()
 
 
 def free_folder(base: Path, run_id: str) -> Path:
