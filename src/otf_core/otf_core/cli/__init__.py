@@ -95,6 +95,10 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
         '--machine', required=True, action='append', metavar='M.yaml',
         help='machine.yaml of all bags; or given once per bag, in their order',
     )  # fmt: skip
+    sub.add_argument(
+        '--join', action='store_true',
+        help='the bags are parts of one run, whose recording was ended and begun again',
+    )  # fmt: skip
     add_reading(sub)
 
 
