@@ -13,6 +13,7 @@ from rclpy.node import Node
 
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
+from otf_calibrator.diagnostics import tell
 from otf_calibrator.job import Calibrated, check_files
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.results import ResultPublishers
@@ -24,6 +25,7 @@ from otf_msgs.msg import TrackerStatus
 from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
+from otf_ros.timers import create_timer
 
 PERIOD = 0.1
 """s; how often the run and a calibration under way are looked at."""
@@ -54,7 +56,8 @@ class Calibrator(Node):
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
         services.offer(self, 'calibrator/reset', self._on_reset)
         services.offer(self, 'calibrator/diagnose', self._session.diagnose)
-        self.create_timer(PERIOD, self._tick)
+        tell(self, self._session, lambda: self._read_settings()[0].output_directory)
+        create_timer(self, PERIOD, self._tick)
         # last: samples may come at once
         Drain(self, PointStamped, 'tracker/point', self._on_points, qos.MEASUREMENT)
 
@@ -72,8 +75,7 @@ class Calibrator(Node):
             self.get_logger().error(f'planner/path ignored: {error}')
             return
         if new:
-            kept = len(self._session.collector.buffer)
-            points = len(message.poses)
+            kept, points = len(self._session.collector.buffer), len(message.poses)
             self.get_logger().info(f'new path of {points} points, for {kept} samples so far')
 
     def _on_status(self, message: TrackerStatus) -> None:
@@ -97,8 +99,7 @@ class Calibrator(Node):
         return True, f'{count} samples forgotten; ready for a run'
 
     def _tick(self) -> None:
-        job = self._session.finished()
-        if job:
+        if job := self._session.finished():
             self._finish(job)
         reason = self._session.complete()
         if reason:

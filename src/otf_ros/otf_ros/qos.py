@@ -29,5 +29,11 @@ PATH = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 STATUS = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """States: only the latest counts, and a late listener sees it at once."""
 
+EVENTS = _reliable(1000, DurabilityPolicy.TRANSIENT_LOCAL)
+"""What happens now and then and must not be missed: gaps of the stream, also by late listeners."""
+
+DIAGNOSTICS = _reliable(10, DurabilityPolicy.VOLATILE)
+"""``/diagnostics``: as diagnostic_updater publishes it; told anew every second."""
+
 RESULT = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Tables, result, alignment, gap report: each replaces the one before and stays readable."""
