@@ -13,6 +13,7 @@ from rclpy.serialization import serialize_message
 
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
+from otf_calibrator.diagnostics import tell
 from otf_calibrator.intake import Batch
 from otf_calibrator.job import Calibrated, check_files
 from otf_calibrator.listening import keep_journal, status_of
@@ -26,6 +27,7 @@ from otf_msgs.msg import TrackerStatus
 from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
+from otf_ros.timers import create_timer
 from otf_ros.topic_watch import TopicWatch
 
 PERIOD = 0.1
@@ -63,7 +65,8 @@ class Calibrator(Node):
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
         services.offer(self, 'calibrator/reset', self._session.forget)
         services.offer(self, 'calibrator/diagnose', self._session.diagnose)
-        self.create_timer(PERIOD, self._tick)
+        tell(self, self._session, lambda: self._read_settings()[0].output_directory)
+        create_timer(self, PERIOD, self._tick)
         # last: samples may come at once
         Drain(self, PointStamped, POINT, self._on_points, qos.MEASUREMENT)
 
@@ -81,8 +84,7 @@ class Calibrator(Node):
             self.get_logger().error(f'planner/path ignored: {error}')
             return
         if self._session.intake.path(path, serialize_message(message)):
-            kept = len(self._session.collector.buffer)
-            points = len(message.poses)
+            kept, points = len(self._session.collector.buffer), len(message.poses)
             self.get_logger().info(f'new path of {points} points, for {kept} samples so far')
 
     def _on_status(self, message: TrackerStatus) -> None:
@@ -95,8 +97,7 @@ class Calibrator(Node):
     def _tick(self) -> None:
         self._watch.look()
         self._session.collector.publishers = self._watch.publishers
-        job = self._session.finished()
-        if job:
+        if job := self._session.finished():
             self._finish(job)
         reason = self._session.complete()
         if reason:
