@@ -11,6 +11,7 @@ from nav_msgs.msg import Path
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
+from otf_calibrator.action import CalibrateAction
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.diagnostics import tell
@@ -66,6 +67,7 @@ class Calibrator(Node):
         services.offer(self, 'calibrator/reset', self._session.forget)
         services.offer(self, 'calibrator/diagnose', self._session.diagnose)
         tell(self, self._session, lambda: self._read_settings()[0].output_directory)
+        self._action = CalibrateAction(self, self._session, lambda: self._results.latest)
         create_timer(self, PERIOD, self._tick)
         # last: samples may come at once
         Drain(self, PointStamped, POINT, self._on_points, qos.MEASUREMENT)
@@ -73,6 +75,7 @@ class Calibrator(Node):
     def close(self) -> None:
         """End a calibration or a diagnosis under way; files are whole or not there."""
         self._session.close()
+        self._action.close()
 
     def _read_settings(self) -> tuple[CalibratorConfig, CalibrationConfig]:
         return self._settings.read(CalibratorConfig), self._settings.read(CalibrationConfig)
@@ -99,17 +102,15 @@ class Calibrator(Node):
         self._session.collector.publishers = self._watch.publishers
         if job := self._session.finished():
             self._finish(job)
-        reason = self._session.complete()
-        if reason:
+        if reason := self._session.complete():
             self.get_logger().info(self._session.start(reason))
-        early = self._session.look_ahead()
-        if early:
+        if early := self._session.look_ahead():
             method = self._read_settings()[0].method
             self.get_logger().info(self._results.publish_provisional(early, method))
-        diagnosed = self._session.diagnosed()
-        if diagnosed:
+        if diagnosed := self._session.diagnosed():
             self._tell(*diagnosed)
         self._state.publish(self._session, self._watch.troubles)
+        self._action.look()
 
     def _finish(self, job: Future[Calibrated]) -> None:
         """Publish what a calibration gave."""
