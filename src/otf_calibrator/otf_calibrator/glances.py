@@ -27,10 +27,10 @@ class Glances:
     @property
     def patient(self) -> bool:
         """Whether a look that shows nothing is nothing to worry about yet."""
-        return self._looks <= PATIENT
+        return not self._found and self._looks <= PATIENT
 
     def found(self) -> None:
-        """The place of the tracker is known: no further look at this run."""
+        """The place of the tracker is known, or soon will be: no further look at this run."""
         self._found = True
 
     def due(self, collector: Collector, now: float) -> bool:
