@@ -9,11 +9,14 @@ import urllib.request
 
 import numpy as np
 from cells import ERROR_SIZE, FAST, write_truth
+from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from otf_core.live.numbers import NUMBERS
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
 from otf_msgs.msg import CalibrationResult, CalibratorState, VolumeErrors
 from otf_ros import qos
 
@@ -208,6 +211,26 @@ def check_page(halfway, end, early, result):
         u = {name: None if math.isnan(v) else 1e6 * v
              for name, v in zip(message.motions, message.motion_u, strict=True)}  # fmt: skip
         assert {name: v for name, (_, v) in found['motions'].items()} == u
+
+
+def test_bad_set_up_is_said_while_the_run_goes_on(graph, machine_file):
+    graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder, **ASKED)
+    early = graph.listen(CalibrationResult, 'calibrator/provisional', qos.RESULT)
+    paths = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
+    points = graph.ear().create_publisher(PointStamped, 'tracker/point', qos.MEASUREMENT)
+    square = NominalPath([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0.15, -0.1], [0, 0, 0]])
+    paths.publish(convert.path_to_message(square, graph.ear().get_clock().now().to_msg()))
+    graph.wait_for_state('BUFFERING')
+    graph.wait(points.get_subscription_count, 'the calibrator')
+    turns = np.linspace(0, 9, 1500)
+    elsewhere = np.stack([1 + 0.02 * turns, 0.03 * np.cos(turns), 0.03 * np.sin(turns)], axis=1)
+    coil = Samples(1_700_000_000_000_000_000 + np.arange(1500) * 10_000_000, elsewhere)
+    for message in convert.points_to_messages(coil):
+        points.publish(message)
+    graph.wait(lambda: early, 'what is wrong')
+    assert early[0].status == early[0].INPUT_UNUSABLE and not early[0].run_id
+    assert 'do not follow the path' in early[0].message or 'followed only' in early[0].message
+    assert graph.state().name == 'BUFFERING'
 
 
 def test_viewer_alone_says_nothing_and_a_broken_path_does_no_harm(graph):
