@@ -87,13 +87,19 @@ class Worker:
         self._warn = warn
         self._pool = ThreadPoolExecutor(1, 'calibration')
         self._stop, self._ahead = threading.Event(), threading.Event()
+        self._cancelled = threading.Event()
         self.stage, self.fraction = '', 0.0
 
     def start(self, request: Request) -> Future[Calibrated]:
         """Start a calibration; the future raises what went wrong."""
         self.stage, self.fraction = 'aligning', 0.0
         self._ahead.set()
+        self._cancelled.clear()
         return self._pool.submit(self._calibrate, request)
+
+    def cancel(self) -> None:
+        """End the calibration under way at its next step."""
+        self._cancelled.set()
 
     def look_ahead(self, request: Request) -> Future[CalibrationResult]:
         """Calibrate what has been driven so far, until a calibration is started."""
@@ -124,6 +130,8 @@ class Worker:
     def _progress(self, stage: str, fraction: float) -> None:
         if self._stop.is_set():
             raise Cancelled('the calibrator is shutting down')
+        if self._cancelled.is_set():
+            raise Cancelled('the calibration was cancelled; its samples stay')
         self.stage, self.fraction = stage, fraction
 
     def _provisional(self, request: Request) -> CalibrationResult:
@@ -159,10 +167,10 @@ class Worker:
                 self._progress,
                 files.method,
             )
-            return done.result, functools.partial(write_with_effects, done)
+            return done.result, functools.partial(write_with_effects, done, report=files.report)
         prepare = PREPARATIONS[files.method]
         result = calibrate_runs([recording], request.config, self._progress, prepare)
-        return result, functools.partial(write_calibration, result)
+        return result, functools.partial(write_calibration, result, report=files.report)
 
 
 def recording_of(request: Request) -> Recording:

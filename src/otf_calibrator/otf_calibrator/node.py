@@ -11,8 +11,10 @@ from nav_msgs.msg import Path
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
+from otf_calibrator.action import CalibrateAction
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
+from otf_calibrator.diagnostics import tell
 from otf_calibrator.intake import Batch
 from otf_calibrator.job import Calibrated, check_files
 from otf_calibrator.listening import keep_journal, status_of
@@ -26,6 +28,7 @@ from otf_msgs.msg import TrackerStatus
 from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
+from otf_ros.timers import create_timer
 from otf_ros.topic_watch import TopicWatch
 
 PERIOD = 0.1
@@ -63,13 +66,16 @@ class Calibrator(Node):
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
         services.offer(self, 'calibrator/reset', self._session.forget)
         services.offer(self, 'calibrator/diagnose', self._session.diagnose)
-        self.create_timer(PERIOD, self._tick)
+        tell(self, self._session, lambda: self._read_settings()[0].output_directory)
+        self._action = CalibrateAction(self, self._session, lambda: self._results.latest)
+        create_timer(self, PERIOD, self._tick)
         # last: samples may come at once
         Drain(self, PointStamped, POINT, self._on_points, qos.MEASUREMENT)
 
     def close(self) -> None:
         """End a calibration or a diagnosis under way; files are whole or not there."""
         self._session.close()
+        self._action.close()
 
     def _read_settings(self) -> tuple[CalibratorConfig, CalibrationConfig]:
         return self._settings.read(CalibratorConfig), self._settings.read(CalibrationConfig)
@@ -81,8 +87,7 @@ class Calibrator(Node):
             self.get_logger().error(f'planner/path ignored: {error}')
             return
         if self._session.intake.path(path, serialize_message(message)):
-            kept = len(self._session.collector.buffer)
-            points = len(message.poses)
+            kept, points = len(self._session.collector.buffer), len(message.poses)
             self.get_logger().info(f'new path of {points} points, for {kept} samples so far')
 
     def _on_status(self, message: TrackerStatus) -> None:
@@ -95,20 +100,17 @@ class Calibrator(Node):
     def _tick(self) -> None:
         self._watch.look()
         self._session.collector.publishers = self._watch.publishers
-        job = self._session.finished()
-        if job:
+        if job := self._session.finished():
             self._finish(job)
-        reason = self._session.complete()
-        if reason:
+        if reason := self._session.complete():
             self.get_logger().info(self._session.start(reason))
-        early = self._session.look_ahead()
-        if early:
+        if early := self._session.look_ahead():
             method = self._read_settings()[0].method
             self.get_logger().info(self._results.publish_provisional(early, method))
-        diagnosed = self._session.diagnosed()
-        if diagnosed:
+        if diagnosed := self._session.diagnosed():
             self._tell(*diagnosed)
         self._state.publish(self._session, self._watch.troubles)
+        self._action.look()
 
     def _finish(self, job: Future[Calibrated]) -> None:
         """Publish what a calibration gave."""

@@ -114,6 +114,11 @@ class Session:
             final,
         )
 
+    def cancel(self) -> None:
+        """End a calibration under way as soon as it can be; its samples stay."""
+        if self.busy:
+            self.worker.cancel()
+
     def look_ahead(self) -> Future[CalibrationResult] | None:
         """Solve what was driven after the first lap; return that once it has come to its end."""
         lap = None if self.busy else self.collector.first_lap()

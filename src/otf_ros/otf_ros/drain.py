@@ -14,6 +14,8 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from otf_ros.timers import create_timer
+
 
 class NeverWoken(CallbackGroup):
     """Keeps a subscription out of the executor's wait set; a timer reads it instead."""
@@ -62,7 +64,7 @@ class Drain:
         self.subscription = node.create_subscription(
             msg_type, topic, self._never, qos, callback_group=NeverWoken()
         )
-        self._timer = node.create_timer(period, self.empty)
+        self._timer = create_timer(node, period, self.empty)
 
     @staticmethod
     def _never(message: Any) -> None:
