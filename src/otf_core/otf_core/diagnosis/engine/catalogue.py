@@ -14,6 +14,7 @@ from otf_core.diagnosis.engine.search import Cause, search
 from otf_core.diagnosis.engine.spectral import Line, strongest_lines
 from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
+from otf_core.effects.free import free_forms
 from otf_core.solving.sample_states import sample_residuals
 
 DETECTABLE = 25.0
@@ -135,6 +136,9 @@ def tried_effects(
         chosen, stand_in = shapes_of(rows, effect, shapes)
         found = tried_shapes(rows, effect, chosen or stand_in)
         tried[effect.name] = found if chosen else []
+        for form in free_forms(effect, rows.states):
+            own = (chosen or ()) if form.form.shaped else ({},)
+            tried[effect.name] += tried_shapes(rows, form, own)
         visible[effect.name] = best_sight([sight_of(t) for t in found])
     return tried, visible
 
