@@ -12,6 +12,7 @@ from otf_core.diagnosis.explanation import Explanation
 from otf_core.diagnosis.fitted import FittedCause
 from otf_core.diagnosis.free_curves import curves_of, departs_words
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
+from otf_core.diagnosis.unnamed import Unnamed
 
 
 def named_causes(
@@ -140,10 +141,19 @@ def gap_of(explained: Explanation, noise: NoiseFinding | None) -> Gap:
 
 
 def sentence_of(
-    verdict: str, gap: Gap, causes: Sequence[NamedCause], noise: NoiseFinding | None
+    verdict: str,
+    gap: Gap,
+    causes: Sequence[NamedCause],
+    noise: NoiseFinding | None,
+    unnamed: Unnamed | None = None,
 ) -> str:
     """The verdict in words."""
     sentence = _SENTENCES[verdict].format(
         before=gap.before_um, after=gap.after_um, causes=_spoken(causes)
     )
+    if unnamed is not None:
+        sentence += (
+            f' It {unnamed.words}. An empirical effect of these inputs leaves '
+            f'{unnamed.after_um:.2f} um.'
+        )
     return sentence if noise is None else f'{sentence} Tracker noise: {noise.words}.'

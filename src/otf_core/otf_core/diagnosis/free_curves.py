@@ -125,14 +125,19 @@ def departs_words(part: FittedCause) -> str:
     effect, curves = part.cause.option.effect, curves_of(part)
     if not isinstance(effect, FreeForm) or not curves:
         return ''
-    main = curves[0]
-    low, high = int(np.argmin(main.value)), int(np.argmax(main.value))
+    return f'{effect.form.words}: {range_words(curves[0])}'
+
+
+def range_words(curve: Curve) -> str:
+    """Where a curve is lowest and highest, in words."""
+    low, high = int(np.argmin(curve.value)), int(np.argmax(curve.value))
     ends = ' to '.join(
-        f'{number_words(main.value[k], main.unit)} at {main.input} = '
-        f'{_input_words(main.at[k], main.input_unit)}'
-        for k in sorted((low, high), key=lambda k: main.at[k])
+        f'{number_words(curve.value[k], curve.unit)} at {curve.input} = '
+        f'{_input_words(curve.at[k], curve.input_unit)}'
+        for k in sorted((low, high), key=lambda k: curve.at[k])
     )
-    return f'{effect.form.words}: {main.term} goes from {ends}'
+    held = ', '.join(f'{n} = {_input_words(v, unit_of_input(n))}' for n, v in curve.held.items())
+    return f'{curve.term} goes from {ends}' + (f' ({held})' if held else '')
 
 
 def _input_words(value: float, unit: str) -> str:

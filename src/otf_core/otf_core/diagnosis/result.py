@@ -10,6 +10,7 @@ from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.diagnosis.free_curves import Curve
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.place.where import Where
+from otf_core.diagnosis.unnamed import Unnamed
 from otf_core.effects import AppliedEffect
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding
@@ -123,12 +124,15 @@ class Diagnosis:
     table_change_um : float
         Mean change of the predicted volumetric error on a lattice by taking the causes off.
     applied : tuple of tuple of AppliedEffect
-        For every run the causes with their fitted parameters, ready for a simulation.
+        For every run the causes, or the one without a name, with their fitted parameters, ready
+        for a simulation.
     calibration : EffectsCalibration
         What ``calibrate`` gives, and what it gives with the causes taken off.
     origin : tuple of Origin
         The recordings.
     shown : Shown
+    unnamed : Unnamed, optional
+        Cause without a name, where the verdict is 'unknown' and something was found.
     """
 
     runs: tuple[str, ...]
@@ -148,3 +152,4 @@ class Diagnosis:
     calibration: EffectsCalibration
     origin: tuple[Origin, ...]
     shown: Shown
+    unnamed: Unnamed | None = None
