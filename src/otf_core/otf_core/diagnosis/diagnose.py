@@ -32,7 +32,7 @@ from otf_core.diagnosis.result import Diagnosis, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
 from otf_core.diagnosis.unnamed import find_unnamed
 from otf_core.diagnosis.verdict import Case, matters, verdict_of
-from otf_core.effects import REGISTRY
+from otf_core.effects import REGISTRY, Effect
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording
@@ -49,6 +49,7 @@ def diagnose(
     exclude: Sequence[str] = (),
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
+    own: Sequence[Effect] = (),
 ) -> Diagnosis:
     """Diagnose runs of one machine.
 
@@ -65,6 +66,8 @@ def diagnose(
     progress : callable(stage, fraction), optional
         Called as work goes on, stage 'aligning', 'solving', 'simulating', 'diagnosing' or
         'correcting'.
+    own : sequence of Effect
+        Causes of one's own, tried beside the catalogue.
 
     Raises
     ------
@@ -80,7 +83,7 @@ def diagnose(
     progress('simulating', 0.0)
     simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
     progress('diagnosing', 0.0)
-    found = search_catalogue(rows, exclude)
+    found = search_catalogue(rows, exclude, own)
     progress('diagnosing', 0.5)
     explained = explain(rows, found.causes, simulated_um)
     noise = None

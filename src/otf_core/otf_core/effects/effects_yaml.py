@@ -18,7 +18,7 @@ from typing import Any
 import yaml
 
 from otf_core.effects import REGISTRY, AppliedEffect, Effect
-from otf_core.effects.empirical import EMPIRICAL
+from otf_core.effects.empirical import EMPIRICAL, Empirical, Kept
 from otf_core.effects.free import FreeForm
 from otf_core.effects.free_yaml import FREE, empirical_of, free_entry, free_form_of
 from otf_core.effects.state import probe_state
@@ -110,11 +110,41 @@ def read_effects(path: str | Path, machine: Machine) -> tuple[AppliedEffect, ...
     return effects_from_data(read_yaml(path), str(path), machine)
 
 
+def read_own_causes(folder: str | Path, machine: Machine) -> tuple[Kept, ...]:
+    """Read causes of one's own: every named empirical effect of the .yaml files of a folder.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds none, one has no name or the name of another, or a file is wrong.
+    """
+    found: dict[str, Kept] = {}
+    for file in sorted(Path(folder).glob('*.yaml')):
+        for one in read_effects(file, machine):
+            name = one.effect.name
+            if not isinstance(one.effect, FreeForm) or not isinstance(
+                one.effect.parent, Empirical
+            ):
+                raise ConfigError(
+                    f"{file}: {name}: only empirical effects are causes of one's own"
+                )
+            if name == EMPIRICAL:
+                raise ConfigError(f'{file}: an empirical effect without a name; add name: ...')
+            if name in found or name in REGISTRY:
+                raise ConfigError(f'{file}: {name}: this name is taken; choose another one')
+            found[name] = Kept(one)
+    if not found:
+        raise ConfigError(f'{folder}: no .yaml file with an empirical effect in this folder')
+    return tuple(found.values())
+
+
 def effects_to_data(effects: Sequence[AppliedEffect], machine: Machine) -> list[dict[str, Any]]:
     """Return effects as plain data in the layout of effects.yaml, units included."""
     probe = probe_state(machine)
 
     def entry(one: AppliedEffect) -> dict[str, Any]:
+        if isinstance(one.effect, Kept):
+            one = one.effect.sized(one.parameters)
         if isinstance(one.effect, FreeForm):
             return free_entry(one, machine)
         return {

@@ -9,6 +9,7 @@ digits. Beyond the range of an input it stays as at its end.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -115,3 +116,35 @@ def of_table(
         for number in form.numbers:
             parameters[coefficient_name(term, number)] = float(found[number])
     return AppliedEffect(FreeForm(Empirical(name), form, spans), parameters)
+
+
+class Kept(Empirical):
+    """A cause of one's own: an empirical effect with a name, its size free.
+
+    Its free form depends on the same inputs in the same way.
+
+    Parameters
+    ----------
+    one : AppliedEffect
+        As read from a file.
+    """
+
+    coefficients: ClassVar[str] = 'size: 1 is as tabulated'
+
+    def __init__(self, one: AppliedEffect) -> None:
+        super().__init__(one.effect.name)
+        assert isinstance(one.effect, FreeForm)
+        self.one = one
+        form = replace(one.effect.form, words='the function is another one of the same inputs')
+        vars(self)['free'] = (form,)
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return size."""
+        moved = self.one.effect.displacement(state, self.one.parameters)
+        return Terms(('size',), ('',), ('',), moved[:, :, None])
+
+    def sized(self, parameters: Shape) -> AppliedEffect:
+        """The table times a size."""
+        size = parameters.get('size', 0.0)
+        scaled = {name: size * value for name, value in self.one.parameters.items()}
+        return AppliedEffect(self.one.effect, scaled)
