@@ -212,6 +212,11 @@ def _parser() -> Parser:
     sub.add_argument(
         '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
     )
+    sub.add_argument(
+        '--own-causes',
+        metavar='DIR',
+        help='folder of named empirical effects (.yaml), tried beside the catalogue',
+    )
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('predict', run_predict)

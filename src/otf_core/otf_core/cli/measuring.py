@@ -118,6 +118,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     config = parameters(CalibrationConfig, arguments)
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import REGISTRY
+    from otf_core.effects.effects_yaml import read_own_causes
     from otf_core.pieces.finding import GATE
     from otf_core.reports.diagnosis import write_diagnosis
     from otf_core.reports.gap_report import gap_sections
@@ -129,7 +130,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
         raise ConfigError(f'--exclude: {unknown[0]}: no effect; known: {", ".join(REGISTRY)}')
     out = output_folder(arguments, *arguments.bag, *arguments.machine)
     recordings = read_recordings(arguments)
-    diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config)
+    folder_of_own = arguments.own_causes
+    own = read_own_causes(folder_of_own, recordings[0].machine) if folder_of_own else ()
+    diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config, own=own)
     with out.filled('diagnose') as folder:
         files = write_diagnosis(diagnosis, folder)
     sections = gap_sections(diagnosis)
