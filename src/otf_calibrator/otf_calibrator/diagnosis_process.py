@@ -19,7 +19,7 @@ from otf_calibrator.diagnosis_task import Failure, Task
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.errors import OtfError
 from otf_core.live.stages import DIAGNOSE, of_whole
-from otf_core.reports.diagnosis import diagnosis_to_dict, write_diagnosis
+from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
 from otf_core.sim.twin import twin_recording
 
 
@@ -46,7 +46,7 @@ def perform(task: Task, progress: Callable[[str, float], None]) -> dict[str, Any
     recording = replace(task.recording, name=task.name)
     diagnosis = diagnose([recording], twin_recording, (), task.config, tell)
     tell('writing', 0.0)
-    write_diagnosis(diagnosis, task.folder)
+    write_diagnosis(diagnosis, task.folder, BESIDE_TABLES)
     return diagnosis_to_dict(diagnosis)
 
 

@@ -17,7 +17,7 @@ from otf_core.model.machine import Machine
 from otf_core.pieces.runs import Recording
 from otf_core.planning.judged import PlanReport
 from otf_core.planning.nc import DIALECTS
-from otf_core.reports import calibration, plan
+from otf_core.reports import calibration, gap_report, plan
 from otf_core.reports import diagnosis as reports
 
 Name = str | Path
@@ -71,7 +71,7 @@ def read_bag(
     >>> round(recording.path.length, 3)
     41.005
     """
-    return read_recording(source, machine, Given(path, topic, path_topic, columns, rate))
+    return read_recording([source], machine, Given(path, topic, path_topic, columns, rate))
 
 
 def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) -> None:
@@ -219,7 +219,7 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     if isinstance(of, CalibrationResult):
         return calibration.format_result(of)
     if isinstance(of, Diagnosis):
-        return reports.format_diagnosis(of)
+        return gap_report.format_diagnosis(of)
     if isinstance(of, PlanReport):
         return plan.format_report(of)
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')

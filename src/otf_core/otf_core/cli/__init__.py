@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from otf_core.cli.checking import run_check, run_doctor, run_info
+from otf_core.cli.closing import add_closing_verbs
 from otf_core.cli.completion import SHELLS, run_completion
 from otf_core.cli.exporting import add_exporting_verbs
 from otf_core.cli.measuring import (
@@ -24,6 +25,7 @@ from otf_core.cli.measuring import (
 from otf_core.cli.options import add_out, add_parameters, add_reading
 from otf_core.cli.output import OutputFull, answer, bounded, logged, note
 from otf_core.cli.parser import Parser, asked
+from otf_core.cli.plant import add_plant_verbs
 from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
 from otf_core.cli.verbs import EXAMPLES, VERBS
 from otf_core.config import (
@@ -92,6 +94,10 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--machine', required=True, action='append', metavar='M.yaml',
         help='machine.yaml of all bags; or given once per bag, in their order',
+    )  # fmt: skip
+    sub.add_argument(
+        '--join', action='store_true',
+        help='the bags are parts of one run, whose recording was ended and begun again',
     )  # fmt: skip
     add_reading(sub)
 
@@ -195,6 +201,9 @@ def _parser() -> Parser:
     sub.add_argument(
         '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
     )
+    sub.add_argument(
+        '--no-report', dest='report', action='store_false', help='leave report.html out'
+    )
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('diagnose', run_diagnose)
@@ -211,6 +220,8 @@ def _parser() -> Parser:
     _add_judging_verbs(verb)
     _add_planning_verbs(verb)
     add_exporting_verbs(verb)
+    add_closing_verbs(verb)
+    add_plant_verbs(verb)
     return parser
 
 

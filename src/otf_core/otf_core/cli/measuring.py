@@ -14,6 +14,8 @@ from otf_core.errors import ConfigError, OtfError
 from otf_core.live.stages import CALIBRATE, DIAGNOSE
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from otf_core.calibration.result import CalibrationResult
     from otf_core.pieces.runs import Recording
 
@@ -33,24 +35,24 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     from otf_core.inputs.recordings import read_recording
     from otf_core.model.machine import load_machine
 
-    bags = arguments.bag
-    machines = [load_machine(file) for file in _for_each(arguments.machine, bags, '--machine')]
-    paths = _for_each(arguments.path or [None], bags, '--path')
+    runs = [arguments.bag] if arguments.join else [[name] for name in arguments.bag]
+    machines = [load_machine(file) for file in _for_each(arguments.machine, runs, '--machine')]
+    paths = _for_each(arguments.path or [None], runs, '--path')
     return [
-        read_recording(bag, machine, given_of(arguments, path))
-        for bag, machine, path in zip(bags, machines, paths, strict=True)
+        read_recording(parts, machine, given_of(arguments, path))
+        for parts, machine, path in zip(runs, machines, paths, strict=True)
     ]
 
 
-def _for_each(files: list[Any], bags: list[str], option: str) -> list[Any]:
-    """One of the files given for every bag; ConfigError if it is not clear which."""
-    if len(files) not in (1, len(bags)):
+def _for_each(files: list[Any], runs: list[list[str]], option: str) -> list[Any]:
+    """One of the files given for every run; ConfigError if it is not clear which."""
+    if len(files) not in (1, len(runs)):
         what = 'machine.yaml' if option == '--machine' else 'path'
         raise ConfigError(
-            f'{option}: given {len(files)} times for {len(bags)} bags; give one {what} '
+            f'{option}: given {len(files)} times for {len(runs)} runs; give one {what} '
             f'for all of them, or one for each in their order'
         )
-    return files * len(bags) if len(files) == 1 else files
+    return files * len(runs) if len(files) == 1 else files
 
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
@@ -60,17 +62,32 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         return _calibrate_with_effects(arguments, config)
     from otf_core.calibration.calibrate import calibrate_runs
     from otf_core.pieces.methods import PREPARATIONS
-    from otf_core.reports.calibration import format_result, write_calibration
+    from otf_core.reports.calibration import write_calibration
 
-    out = output_folder(arguments, *arguments.bag, *arguments.machine)
+    out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
     with progress_of(arguments, 'reading', CALIBRATE) as progress:
         recordings = read_recordings(arguments)
         result = calibrate_runs(recordings, config, progress, PREPARATIONS[arguments.method])
         progress('writing', 0.0)
         with out.filled('calibrate') as folder:
-            files = write_calibration(result, folder, residuals_csv=arguments.residuals_csv)
-    answer_from(arguments, format_result(result) + '\n', files, TABLES)
+            files = write_calibration(
+                result, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+            )
+    _answer_calibration(arguments, result, '', files)
     return _judged(result)
+
+
+def _answer_calibration(
+    arguments: argparse.Namespace, result: CalibrationResult, more: str, files: list[Path]
+) -> None:
+    """Print a calibration; ``more`` words follow its own."""
+    from otf_core.reports.calibration import facts_of
+    from otf_core.reports.calibration_report import calibration_sections
+    from otf_core.reports.section import sections_to_dict, sections_to_text
+
+    sections = calibration_sections(facts_of(result))
+    report = sections_to_dict(sections)
+    answer_from(arguments, f'{sections_to_text(sections)}\n{more}', files, TABLES, report=report)
 
 
 def _judged(result: CalibrationResult) -> int:
@@ -83,12 +100,13 @@ def _judged(result: CalibrationResult) -> int:
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
     """Error tables with effects taken off."""
     from otf_core.diagnosis.calibrate_with_effects import AUTO, calibrate_with_effects
-    from otf_core.reports.calibration import format_result
     from otf_core.reports.with_effects import write_with_effects
     from otf_core.sim.twin import twin_recording
 
     own = () if arguments.effects == AUTO else (arguments.effects,)
-    out = output_folder(arguments, *arguments.bag, *arguments.machine, *own)
+    out = output_folder(
+        arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()), *own
+    )
     with progress_of(arguments, 'reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)
         done = calibrate_with_effects(
@@ -96,8 +114,10 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
         )
         progress('writing', 0.0)
         with out.filled('calibrate') as folder:
-            files = write_with_effects(done, folder, residuals_csv=arguments.residuals_csv)
-    answer_from(arguments, f'{format_result(done.result)}\n\n{done.words}\n', files, TABLES)
+            files = write_with_effects(
+                done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+            )
+    _answer_calibration(arguments, done.result, f'\n{done.words}\n', files)
     return _judged(done.result)
 
 
@@ -107,20 +127,24 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import REGISTRY
     from otf_core.pieces.finding import GATE
-    from otf_core.reports.diagnosis import format_diagnosis, write_diagnosis
+    from otf_core.reports.diagnosis import write_diagnosis
+    from otf_core.reports.gap_report import gap_sections
+    from otf_core.reports.section import sections_to_dict, sections_to_text
     from otf_core.sim.twin import twin_recording
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
     if unknown:
         raise ConfigError(f'--exclude: {unknown[0]}: no effect; known: {", ".join(REGISTRY)}')
-    out = output_folder(arguments, *arguments.bag, *arguments.machine)
+    out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
     with progress_of(arguments, 'reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)
         diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config, progress)
         progress('writing', 0.0)
         with out.filled('diagnose') as folder:
             files = write_diagnosis(diagnosis, folder)
-    answer_from(arguments, format_diagnosis(diagnosis), files, 'gap.json')
+    sections = gap_sections(diagnosis)
+    report = sections_to_dict(sections)
+    answer_from(arguments, sections_to_text(sections), files, 'gap.json', report=report)
     for remark in diagnosis.contradictions:
         note(f'otf: {remark.severity}: {remark.check}: {remark.words}')
     return QUALITY_GATE_FAILED if any(r.severity == GATE for r in diagnosis.contradictions) else 0
