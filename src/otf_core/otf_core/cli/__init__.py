@@ -161,30 +161,8 @@ def _add_checking_verbs(verb: AddVerb) -> None:
     sub.add_argument('shell', choices=SHELLS)
 
 
-def _parser() -> Parser:
-    parser = Parser(
-        prog='otf', description='On-the-fly machine-tool calibration, offline verbs.',
-        epilog='otf VERB --help shows options and examples.',
-    )  # fmt: skip
-    parser.add_argument('--version', action='version', version=f'otf {__version__}')
-    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
-
-    def verb(name: str, handler: Handler) -> argparse.ArgumentParser:
-        sub: argparse.ArgumentParser = verbs.add_parser(
-            name, help=VERBS[name], description=VERBS[name], epilog=_examples(name),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )  # fmt: skip
-        sub.set_defaults(handler=handler)
-        sub.add_argument(
-            '--json', action='store_true', help='print one JSON object; words go to stderr'
-        )
-        sub.add_argument(
-            '--quiet', action='store_true', help='print no words but warnings and errors'
-        )
-        return sub
-
-    _add_checking_verbs(verb)
-
+def _add_measuring_verbs(verb: AddVerb) -> None:
+    """Verbs that work on recordings, and on the tables that come of them."""
     sub = verb('calibrate', run_calibrate)
     _add_runs(sub)
     add_out(sub, 'folder for the results')
@@ -222,6 +200,31 @@ def _parser() -> Parser:
     sub = verb('predict', run_predict)
     _add_predict_options(sub)
 
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog='otf', description='On-the-fly machine-tool calibration, offline verbs.',
+        epilog='otf VERB --help shows options and examples.',
+    )  # fmt: skip
+    parser.add_argument('--version', action='version', version=f'otf {__version__}')
+    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
+
+    def verb(name: str, handler: Handler) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = verbs.add_parser(
+            name, help=VERBS[name], description=VERBS[name], epilog=_examples(name),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )  # fmt: skip
+        sub.set_defaults(handler=handler)
+        sub.add_argument(
+            '--json', action='store_true', help='print one JSON object; words go to stderr'
+        )
+        sub.add_argument(
+            '--quiet', action='store_true', help='print no words but warnings and errors'
+        )
+        return sub
+
+    _add_checking_verbs(verb)
+    _add_measuring_verbs(verb)
     _add_judging_verbs(verb)
     _add_planning_verbs(verb)
     add_exporting_verbs(verb)
