@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import output_folder, parameters
+from otf_core.cli.options import given_of, output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
@@ -21,33 +21,36 @@ TABLES = 'error_tables.json'
 
 
 def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
-    """Read the bags of a command, each with its machine.yaml.
+    """Read the recordings of a command, each with its machine.yaml, and its path where given.
 
     Raises
     ------
     ConfigError
-        If there is neither one machine.yaml nor one per bag.
+        If there is neither one machine.yaml or path nor one per recording.
     InputError
-        Names the bag that cannot be read.
+        Names the recording that cannot be read.
     """
-    from otf_core.bags.bag import read_bag
+    from otf_core.inputs.recordings import read_recording
     from otf_core.model.machine import load_machine
-    from otf_core.pieces.runs import Recording
 
-    bags, files = arguments.bag, arguments.machine
-    if len(files) not in (1, len(bags)):
+    runs = [arguments.bag] if arguments.join else [[name] for name in arguments.bag]
+    machines = [load_machine(file) for file in _for_each(arguments.machine, runs, '--machine')]
+    paths = _for_each(arguments.path or [None], runs, '--path')
+    return [
+        read_recording(parts, machine, given_of(arguments, path))
+        for parts, machine, path in zip(runs, machines, paths, strict=True)
+    ]
+
+
+def _for_each(files: list[Any], runs: list[list[str]], option: str) -> list[Any]:
+    """One of the files given for every run; ConfigError if it is not clear which."""
+    if len(files) not in (1, len(runs)):
+        what = 'machine.yaml' if option == '--machine' else 'path'
         raise ConfigError(
-            f'--machine: given {len(files)} times for {len(bags)} bags; give one machine.yaml '
+            f'{option}: given {len(files)} times for {len(runs)} runs; give one {what} '
             f'for all of them, or one for each in their order'
         )
-    machines = [load_machine(file) for file in files]
-    if len(machines) == 1:
-        machines *= len(bags)
-    contents = [read_bag(name) for name in bags]
-    return [
-        Recording(content.samples, content.path, machine, str(name))
-        for content, machine, name in zip(contents, machines, bags, strict=True)
-    ]
+    return files * len(runs) if len(files) == 1 else files
 
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
@@ -141,14 +144,14 @@ def run_noise(arguments: argparse.Namespace) -> int:
     """Tracker noise in the standstills of a bag."""
     from pathlib import Path
 
-    from otf_core.bags.bag import read_points
+    from otf_core.inputs.recordings import read_samples
     from otf_core.model.provenance import origin_of, provenance
     from otf_core.noise.report import noise_report
     from otf_core.reports.noise import format_noise, write_noise
 
     out = output_folder(arguments, arguments.bag)
     speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
-    samples = read_points(arguments.bag)
+    samples = read_samples(arguments.bag, given_of(arguments))
     try:
         report = noise_report(samples, speed)
     except OtfError as error:

@@ -17,11 +17,14 @@ VERBS = {
     'compare': 'Error tables or direct measurements, motion by motion.',
     'export': 'Error tables in the format of a control or a program.',
     'import': 'Error tables from a lattice of volumetric errors in CSV.',
+    'fleet': 'Many recordings at once, here or on other hosts; one bad bag ends no other.',
+    'loop': 'The whole circle on LinuxCNC: drive, measure, calibrate, compensate, prove it.',
     'noise': 'Tracker noise in the standstills of a bag.',
     'plan': 'Path for a machine, forecast of what it can see, NC program.',
     'simulate': 'Bag of a simulated run.',
     'validate': "The paper's comparisons on simulated cells.",
     'blind': 'Blind trial: draw and seal cells, diagnose them, score.',
+    'completion': 'Script that lets a shell complete verbs, options and choices.',
 }
 
 EXAMPLES = {
@@ -52,6 +55,14 @@ EXAMPLES = {
     ),
     'export': ('otf export tables --format linuxcnc --out mill.ini',),
     'import': ('otf import lattice.csv --machine machine.yaml --out tables',),
+    'fleet': (
+        'otf fleet calibrate --list runs.csv --out plant --workers 8',
+        'otf fleet diagnose --list runs.csv --out gaps --scheduler tcp://host:8786',
+    ),
+    'loop': (
+        'otf loop --machine machine.yaml --out loop',
+        'otf loop --machine machine.yaml --out loop --compensate axes --seed 3',
+    ),
     'noise': ('otf noise run1 --out noise',),
     'plan': (
         'otf plan --machine machine.yaml --out plan --dialect sinumerik',
@@ -63,4 +74,5 @@ EXAMPLES = {
     ),
     'validate': ('otf validate --quick --out validation',),
     'blind': ('otf blind --trials 24 --seed 5 --out trial',),
+    'completion': ('otf completion bash > ~/.local/share/bash-completion/completions/otf',),
 }

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.exports.line_terms import axis_positions
 from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import ErrorTables, TablesFile
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 
 FEWEST, MOST = 2, 101
 """Points per axis."""
+FINER = 4
+"""What trilinear interpolation leaves of a quadratic course falls to a sixteenth."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,10 @@ def sampled_lattice(tables: ErrorTables, points: int | None, most: int, instead:
     tables : ErrorTables
     points : int, optional
         Per axis, evenly spread. If not given, the planes stand at the nodes of the tables: the
-        model is linear in every coordinate between them, so trilinear interpolation is exact.
+        model is linear between them in the coordinates of axes that carry the target, so that
+        trilinear interpolation is exact; rotations of an axis that carries the table act on its
+        own travel too, which makes it quadratic there: these intervals are divided by
+        ``FINER``.
     most, instead : int
         If the nodes make more than ``most`` points, spread ``instead`` per axis.
 
@@ -69,12 +75,21 @@ def sampled_lattice(tables: ErrorTables, points: int | None, most: int, instead:
     """
     if points is not None and not FEWEST <= points <= MOST:
         raise ConfigError(f'--points: {points} is out of range [{FEWEST}, {MOST}]')
-    x, y, z = (axis_positions(tables, k, points) for k in range(3))
+    x, y, z = (_planes(tables, k, points) for k in range(3))
     if len(x) * len(y) * len(z) > most and points is None:
         x, y, z = (axis_positions(tables, k, instead) for k in range(3))
     empty = Lattice((x, y, z), np.empty((len(x), len(y), len(z), 3)))
     error = displacement(tables, empty.points).reshape(empty.error.shape)
     return Lattice(empty.axes, error)
+
+
+def _planes(tables: ErrorTables, axis: int, points: int | None) -> Array:
+    """Positions of the planes across one axis, m."""
+    nodes = axis_positions(tables, axis, points)
+    if points is not None or AXES[axis] not in tables.machine.chain.table_side:
+        return nodes
+    fine = np.arange(FINER * (len(nodes) - 1) + 1) / FINER
+    return np.asarray(np.interp(fine, np.arange(len(nodes)), nodes).round(12))
 
 
 def lattice_covariance(content: TablesFile, q: Array) -> Array:

@@ -11,8 +11,8 @@ from otf_core.errors import ConfigError
 from otf_core.exports.base import Exported, Format, Request
 from otf_core.exports.lattice import Lattice, lattice_covariance, sampled_lattice
 
-MOST_POINTS, INSTEAD = 1000, 7
-"""Points if the user names no number: 1000 take 72 MB of covariance."""
+MOST_POINTS, INSTEAD = 512, 7
+"""Points if the user names no number: 512 take 19 MB of covariance."""
 MOST = 13
 """Points per axis: the covariance of 13 takes 350 MB."""
 

@@ -67,8 +67,9 @@ class LinuxCnc(Format):
             files,
             lambda q: held_by(terms, q),
             (
-                'put the lines of the .ini file into the INI file of the machine; BACKLASH of a '
-                'joint with COMP_FILE is ignored',
+                'put the lines of the .ini file into the sections of that name in the INI file of '
+                'the machine (a section that comes twice is read once); BACKLASH of a joint with '
+                'COMP_FILE is ignored',
             ),
         )
 
