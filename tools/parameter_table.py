@@ -20,6 +20,7 @@ FOLDERS = (
     'otf_bringup',
     'otf_calibrator',
     'otf_path_planner',
+    'otf_compensator',
     'otf_tracker_driver',
     'otf_view',
 )

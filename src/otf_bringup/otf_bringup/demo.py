@@ -181,7 +181,7 @@ def _report_gap(gap: GapReport) -> None:
         return
     print(
         f'Diagnosis: {gap.verdict}. {gap.message}\n{gap.where}\n'
-        f'Report: {Path(gap.output_directory) / "report.html"}'
+        f'Report: {Path(gap.output_directory) / "gap_report.html"}'
     )
 
 

@@ -149,10 +149,10 @@ class Worker:
                 self._progress,
                 files.method,
             )
-            return done.result, functools.partial(write_with_effects, done)
+            return done.result, functools.partial(write_with_effects, done, report=files.report)
         prepare = PREPARATIONS[files.method]
         result = calibrate_runs([recording], request.config, self._progress, prepare)
-        return result, functools.partial(write_calibration, result)
+        return result, functools.partial(write_calibration, result, report=files.report)
 
 
 def _recording(request: Request) -> Recording:

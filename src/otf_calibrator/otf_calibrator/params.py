@@ -33,6 +33,7 @@ class CalibratorConfig(Parameters):
     save_bag: bool = parameter(
         True, 'keep the samples of every calibration as a bag beside its results'
     )
+    report: bool = parameter(True, 'write report.html beside the tables of every calibration')
     effects: str = parameter(
         'none', 'taken off before the tables are solved for: none, auto (what a diagnosis of the '
         'run finds; takes a minute) or an effects.yaml; plain tables stay beside, in plain/',

@@ -20,7 +20,7 @@ FLOORS = (
     ('diagnosis',),
     ('calibration',),
     ('budget', 'contradictions', 'sim'),
-    ('solving',),
+    ('inputs', 'solving'),
     ('effects', 'pieces', 'comparison', 'exports', 'fleet'),
     ('bags', 'live', 'noise', 'prediction', 'tracking'),
     ('model',),

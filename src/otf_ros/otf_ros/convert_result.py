@@ -118,9 +118,10 @@ def summary(result: CalibrationResult) -> str:
     if result.failed_gates:
         return f'quality gate failed: {"; ".join(result.failed_gates)}'
     fit = result.fit
+    verdict = f'; {result.verdict.sentence}' if result.verdict else ''
     return (
         f'mean distance from the path {1e6 * fit.path_mae_before:.2f} um, '
-        f'compensated {1e6 * fit.path_mae_after:.2f} um'
+        f'compensated {1e6 * fit.path_mae_after:.2f} um{verdict}'
     )
 
 

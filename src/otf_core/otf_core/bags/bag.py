@@ -3,7 +3,8 @@
 
 A bag is a rosbag2 folder or an .mcap file with the topics ``/tracker/point``
 (geometry_msgs/msg/PointStamped in frame ``tracker``, header.stamp is the time of measurement) and
-``/planner/path`` (nav_msgs/msg/Path in frame ``machine``). Any other topics are skipped.
+``/planner/path`` (nav_msgs/msg/Path in frame ``machine``). Any other topics are skipped. Poses and
+transforms do for points; topics of other names are taken where they are named, in any frame.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from otf_core.bags.bag_reading import BagReading, only_path
+from otf_core.bags.bag_reading import BagReading, Reading, path_of
 from otf_core.bags.bag_writer import write_recording
 from otf_core.bags.sample_order import in_time_order, usable_path
 from otf_core.bags.screening import Screening
@@ -46,7 +47,9 @@ class BagContent:
     remarks: tuple[str, ...] = ()
 
 
-def read_bag(source: str | Path, *, recover: bool = False) -> BagContent:
+def read_bag(
+    source: str | Path, *, recover: bool = False, point: Topic = POINT, path: Topic = PATH
+) -> BagContent:
     """Read points and path.
 
     Points are taken in the order of reception (log time) and then put in the order of their own
@@ -61,6 +64,8 @@ def read_bag(source: str | Path, *, recover: bool = False) -> BagContent:
         cut off or still being recorded is read to its last complete chunk.
     recover : bool
         Leave out damaged chunks inside an MCAP file as well, instead of refusing the bag.
+    point, path : Topic
+        See ``topics.called`` for other names.
 
     Raises
     ------
@@ -70,49 +75,53 @@ def read_bag(source: str | Path, *, recover: bool = False) -> BagContent:
         If the bag is damaged or does not hold usable points and one usable path; the message says
         what, where and what to do.
     """
-    return read_parts([source], recover=recover)
+    return read_parts([source], recover=recover, point=point, path=path)
 
 
-def read_parts(sources: Sequence[str | Path], *, recover: bool = False) -> BagContent:
+def read_parts(
+    sources: Sequence[str | Path],
+    *,
+    recover: bool = False,
+    point: Topic = POINT,
+    path: Topic = PATH,
+) -> BagContent:
     """Read bags that are parts of one run, in any order, as if they were one bag.
 
     Every part has points; the path stands in one of them at least, the same in all that have it.
     """
     alone = len(sources) == 1
-    needed = (POINT, PATH) if alone else (POINT,)
-    parts = [_read(source, (POINT, PATH), needed, recover) for source in sources]
+    parts = [BagReading(s, point, path, recover=recover) for s in sources]
+    for part in parts:
+        part.require(*((point, path) if alone else (point,)))
     where = str(sources[0]) if alone else f'{sources[0]} and {len(sources) - 1} more'
     remarks = [text for part in parts for text in part.remarks]
-    samples = _in_order(where, parts, remarks)
-    path = only_path(where, [corners for part in parts for corners in part.paths])
-    return BagContent(samples, path, tuple(remarks))
-
-
-def read_points(source: str | Path, *, recover: bool = False) -> Samples:
-    """Read the points of a bag that may lack a path; otherwise as ``read_bag``."""
-    part = _read(source, (POINT,), (POINT,), recover)
-    return _in_order(str(source), [part], part.remarks)
-
-
-def _read(
-    source: str | Path, wanted: tuple[Topic, ...], needed: tuple[Topic, ...], recover: bool
-) -> BagReading:
-    found = BagReading(source, wanted, recover=recover)
-    found.require(*needed)
-    return found
-
-
-def _in_order(where: str, parts: list[BagReading], remarks: list[str]) -> Samples:
-    """Join the points of parts; the log says what was repaired or left out."""
-    raw = [(found.stamp_ns, found.xyz) for found in (part.received() for part in parts)]
-    raw.sort(key=lambda columns: columns[0][:1].tolist())
-    stamp_ns, xyz = raw[0] if len(raw) == 1 else tuple(map(np.concatenate, zip(*raw, strict=True)))
-    screening = Screening()
-    screening.foreign(sum((part.foreign for part in parts), Counter()))
-    samples = in_time_order(f'{where}: {POINT.name}', stamp_ns, xyz, remarks, screening)
+    samples = samples_of(where, parts, remarks)
     for text in remarks:
         _log.warning('%s: %s', where, text)
+    return BagContent(samples, path_of(where, parts), tuple(remarks))
+
+
+def read_points(source: str | Path, *, recover: bool = False, point: Topic = POINT) -> Samples:
+    """Read the points of a bag that may lack a path; otherwise as ``read_bag``."""
+    part = BagReading(source, point, None, recover=recover)
+    part.require(point)
+    remarks = list(part.remarks)
+    samples = samples_of(str(source), [part], remarks)
+    for text in remarks:
+        _log.warning('%s: %s', source, text)
     return samples
+
+
+def samples_of(where: str, parts: Sequence[Reading], remarks: list[str]) -> Samples:
+    """Join the points of parts; ``remarks`` is filled with what was repaired or left out."""
+    raw = sorted((part.received() for part in parts), key=lambda r: r.stamp_ns[:1].tolist())
+    stamp_ns, xyz = (
+        raw[0].stamp_ns if len(raw) == 1 else np.concatenate([r.stamp_ns for r in raw]),
+        raw[0].xyz if len(raw) == 1 else np.concatenate([r.xyz for r in raw]),
+    )
+    screening = Screening()
+    screening.foreign(sum((part.foreign for part in parts), Counter()))
+    return in_time_order(f'{where}: {parts[0].point.name}', stamp_ns, xyz, remarks, screening)
 
 
 def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = False) -> None:

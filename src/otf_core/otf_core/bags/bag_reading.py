@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.bags.bag_source import locate
-from otf_core.bags.cdr import decode_path, decode_points
+from otf_core.bags.cdr import FORMS, POINT_FORM, decode_path, decode_points, form_of
 from otf_core.bags.column import Column
 from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.sample_order import usable_path
@@ -19,12 +21,10 @@ from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import InputError
 from otf_core.model.path import NominalPath
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Received:
-    """Points in the order of reception.
+    """Points as they were received.
 
     Attributes
     ----------
@@ -36,20 +36,32 @@ class Received:
     """
 
     stamp_ns: NDArray[np.int64]
-    xyz: Array
+    xyz: NDArray[np.float64]
     log_time: NDArray[np.int64]
 
 
+class Reading(Protocol):
+    """Points and paths of a recording as they were received, a bag or not."""
+
+    point: Topic
+    path: Topic | None
+    paths: list[NDArray[np.float64]]
+    foreign: Counter[str]
+
+    def received(self) -> Received:
+        """Return the points in the order of reception; they need not be kept."""
+
+
 class BagReading:
-    """Raw points and paths of the wanted topics of one bag.
+    """Raw points and paths of one bag, as far as it holds them.
 
     Parameters
     ----------
     source : str or Path
-        As of ``bag.read_bag``.
-    wanted : tuple of Topic
+    point : Topic
+    path : Topic, optional
     recover : bool
-        Leave out damaged chunks inside an MCAP file.
+        See ``read_bag``.
 
     Attributes
     ----------
@@ -61,59 +73,83 @@ class BagReading:
         What was left out.
     foreign : Counter of str
         Points left out for their frame, by frame_id.
+    said : list of str
+        How it was read, where that is not as usual.
     """
 
     def __init__(
-        self, source: str | Path, wanted: tuple[Topic, ...], *, recover: bool = False
+        self,
+        source: str | Path,
+        point: Topic = POINT,
+        path: Topic | None = PATH,
+        *,
+        recover: bool = False,
     ) -> None:
-        self._where = str(source)
+        self._where, self.point, self.path = str(source), point, path
         self._stamp_ns = Column(np.empty(0, np.int64))
         self._xyz = Column(np.empty((0, 3)))
         self._log_time = Column(np.empty(0, np.int64))
         self._last_path: bytes | None = None
         self._points = 0
-        self.paths: list[Array] = []
-        self.remarks: list[str] = []
-        self.foreign: Counter[str] = Counter()
+        self._frame, self._form = point.frame, POINT_FORM
         self.topics: dict[str, str] = {}
-        types = {t.name: t.type for t in wanted}
-        for block in locate(source).messages(types, self.topics, self.remarks, recover=recover):
+        self.paths: list[NDArray[np.float64]] = []
+        self.remarks: list[str] = []
+        self.said: list[str] = []
+        self.foreign: Counter[str] = Counter()
+        types: dict[str, tuple[str, ...]] = {point.name: tuple(FORMS)}
+        types |= {} if path is None else {path.name: (path.type,)}
+        messages = locate(source).messages(types, self.topics, self.remarks, recover=recover)
+        for block in messages:
             try:
                 self._add(block)
             except InputError as error:
                 raise InputError(f'{self._where}: {block.topic}: {error}') from None
 
-    def require(self, *needed: Topic) -> None:
+    def require(self, *wanted: Topic) -> None:
         """Refuse a bag without these topics; InputError names those that it has."""
-        for topic in needed:
+        for topic in wanted:
             if topic.name not in self.topics:
                 listed = ', '.join(f'{n} ({t})' for n, t in sorted(self.topics.items())) or 'none'
+                option = '--topic' if topic is self.point else '--path-topic'
+                advice = f'record it, remap to that name, or name another one ({option})'
                 raise InputError(
                     f'{self._where}: topic {topic.name} is missing; topics in the bag: {listed}; '
-                    + ('; '.join(self.remarks) or 'record it or remap to that name')
+                    + ('; '.join(self.remarks) or advice)
                 )
 
     def _add(self, block: MessageBlock) -> None:
-        if block.topic == POINT.name:
-            points = decode_points(
-                block.buffer, block.start, block.size, POINT.frame, self._points
-            )
-            self._stamp_ns.add(points.stamp_ns)
-            self._xyz.add(points.xyz)
-            kept = slice(None) if points.kept is None else points.kept
-            self._log_time.add(block.log_time[kept])
-            self.foreign.update(points.foreign)
-            self._points += block.start.size
+        if block.topic == self.point.name:
+            self._add_points(block)
             return
+        assert self.path is not None
         for start, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
             data = bytes(block.buffer[start : start + size])
             if data == self._last_path:
                 continue
             self._last_path = data
-            self.paths = different([*self.paths, decode_path(data, PATH.frame)])
+            self.paths = different([*self.paths, decode_path(data, self.path.frame)])
+
+    def _add_points(self, block: MessageBlock) -> None:
+        if not self._points and block.start.size:
+            first = slice(block.start[0], block.start[0] + block.size[0])
+            kind = self.topics[self.point.name]
+            if kind != self.point.type or not self.point.frame:
+                self._form, frame = form_of(kind, bytes(block.buffer[first]))
+                self._frame = self.point.frame or frame
+                self.said.append(f'{self.point.name}: {kind} in frame {self._frame!r}')
+        points = decode_points(
+            block.buffer, block.start, block.size, self._frame, self._points, self._form
+        )
+        self._stamp_ns.add(points.stamp_ns)
+        self._xyz.add(points.xyz)
+        kept = slice(None) if points.kept is None else points.kept
+        self._log_time.add(block.log_time[kept])
+        self.foreign.update(points.foreign)
+        self._points += block.start.size
 
     def received(self) -> Received:
-        """Return the points; they are not kept."""
+        """Return the points in the order of reception; they are not kept."""
         log_time = self._log_time.joined()
         as_received = bool(np.all(log_time[1:] >= log_time[:-1]))
         stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
@@ -122,27 +158,23 @@ class BagReading:
         order = np.argsort(log_time, kind='stable')
         return Received(stamp_ns[order], xyz[order], log_time[order])
 
-    def path(self) -> NominalPath:
-        """Return the path, if it is always the same."""
-        return only_path(self._where, self.paths)
 
-
-def only_path(where: str, paths: list[Array]) -> NominalPath:
-    """Return the one path that was published."""
-    where = f'{where}: {PATH.name}'
+def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:
+    """Return the path, if it is always the same."""
+    where = f'{where}: {parts[0].path.name if parts[0].path else PATH.name}'
+    paths = different([corners for part in parts for corners in part.paths])
     if not paths:
         raise InputError(f'{where}: no path was published while it was recorded')
-    found = different(paths)
-    if len(found) > 1:
+    if len(paths) > 1:
         raise InputError(
-            f'{where}: {len(found)} different paths were published; record each run in its own bag'
+            f'{where}: {len(paths)} different paths were published; record each run in its own bag'
         )
-    return usable_path(where, found[0])
+    return usable_path(where, paths[0])
 
 
-def different(paths: list[Array]) -> list[Array]:
-    """Leave out paths that repeat."""
-    found: list[Array] = []
+def different(paths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+    """Leave out what repeats."""
+    found: list[NDArray[np.float64]] = []
     for path in paths:
         if not any(np.array_equal(path, known, equal_nan=True) for known in found):
             found.append(path)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path, PurePath
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.bags.mcap_messages import McapMessages, MessageBlock, check_type
+from otf_core.bags.mcap_messages import McapMessages, MessageBlock, Wanted, check_type
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_yaml
 
@@ -41,7 +41,7 @@ class BagSource:
 
     def messages(
         self,
-        wanted: Mapping[str, str],
+        wanted: Wanted,
         topics: dict[str, str],
         remarks: list[str] | None = None,
         *,
@@ -51,7 +51,7 @@ class BagSource:
 
         Parameters
         ----------
-        wanted : mapping of topic to message type
+        wanted : mapping of topic to message types
         topics : dict of topic to message type
             Filled while reading.
         remarks : list of str
@@ -169,7 +169,7 @@ def _from_metadata(folder: Path) -> BagSource:
 
 
 def _general_messages(
-    path: Path, wanted: Mapping[str, str], topics: dict[str, str]
+    path: Path, wanted: Wanted, topics: dict[str, str]
 ) -> Iterator[MessageBlock]:
     """Yield what rosbags reads: sqlite3 storage, compressed files or messages."""
     from rosbags.rosbag2 import Reader  # costs 50 ms that plain MCAP does not need

@@ -169,7 +169,7 @@ def take_up(folder: Path, definitions: Definitions) -> Recorded:
     parts: list[Part] = []
     blocks: list[MessageBlock] = []
     for file in files:
-        found = list(locate(file).messages({t.name: t.type for t in TOPICS}, {}))
+        found = list(locate(file).messages({t.name: (t.type,) for t in TOPICS}, {}))
         blocks += found
         if found:
             times = np.concatenate([b.log_time for b in found])

@@ -51,6 +51,8 @@ MESSAGE_HEAD = np.dtype(
         ('publish_time', '<u8'),
     ]
 )
+Wanted = Mapping[str, tuple[str, ...]]
+"""Topics with the types that they may have; the first is the usual one."""
 RECOVER = (
     "--recover reads the rest without it, as 'mcap recover IN.mcap -o OUT.mcap' does for any tool"
 )
@@ -87,7 +89,7 @@ class McapMessages:
     Parameters
     ----------
     file : Path
-    wanted : mapping of topic to message type
+    wanted : mapping of topic to message types
         Topics to read; one that is in the file with another type is an InputError.
     topics : dict of topic to message type
         Filled with all topics that are in the file.
@@ -100,7 +102,7 @@ class McapMessages:
     def __init__(
         self,
         file: Path,
-        wanted: Mapping[str, str],
+        wanted: Wanted,
         topics: dict[str, str],
         remarks: list[str] | None = None,
         *,
@@ -307,13 +309,11 @@ class McapMessages:
                 yield MessageBlock(topic, buffer, start, size[pick], log_time)
 
 
-def check_type(
-    where: Path, topic: str, kind: str, encoding: str, wanted: Mapping[str, str]
-) -> None:
+def check_type(where: Path, topic: str, kind: str, encoding: str, wanted: Wanted) -> None:
     """Raise InputError if a wanted topic has another message type or is not CDR."""
-    if topic in wanted and kind != wanted[topic]:
+    if topic in wanted and kind not in wanted[topic]:
         raise InputError(
-            f"{where}: topic {topic} has type '{kind}', expected '{wanted[topic]}'; "
+            f"{where}: topic {topic} has type '{kind}', expected '{wanted[topic][0]}'; "
             f'record that type or remap the topic'
         )
     if topic in wanted and encoding != 'cdr':

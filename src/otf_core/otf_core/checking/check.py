@@ -19,6 +19,7 @@ from otf_core.checking.look import look
 from otf_core.checking.rate import RATE
 from otf_core.checking.standstill import STANDSTILL
 from otf_core.config import CalibrationConfig
+from otf_core.inputs.recordings import AS_IT_IS, Given
 from otf_core.model.machine import Machine
 
 CHECKS: tuple[Check, ...] = (
@@ -72,16 +73,21 @@ class CheckReport:
 
 
 def check(
-    source: str, machine: Machine | None = None, config: CalibrationConfig | None = None
+    source: str,
+    machine: Machine | None = None,
+    config: CalibrationConfig | None = None,
+    given: Given = AS_IT_IS,
 ) -> CheckReport:
     """Ask a recording whether it can be used.
 
     Parameters
     ----------
     source : str
-        A bag.
+        A bag, or a table of samples as text.
     machine : Machine, optional
     config : CalibrationConfig, optional
+    given : Given
+        How it is read.
 
     Returns
     -------
@@ -92,5 +98,5 @@ def check(
     ConfigError
         If there is no such file or folder.
     """
-    seen = look(source, machine, config or CalibrationConfig())
+    seen = look(source, machine, config or CalibrationConfig(), given)
     return CheckReport(source, {c.name: c.ask(seen) for c in CHECKS})

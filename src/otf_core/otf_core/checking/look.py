@@ -3,21 +3,20 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from otf_core.bags.bag_reading import BagReading
+from otf_core.bags.bag_reading import path_of
 from otf_core.bags.sample_order import in_time_order
 from otf_core.bags.screening import Screening
-from otf_core.bags.topics import PATH, POINT
 from otf_core.checking.seen import Seen
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.stamps import check_samples
 from otf_core.errors import InputError
+from otf_core.inputs.recordings import Given, open_reading
 from otf_core.model.machine import Machine
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.threads import one_thread
@@ -36,29 +35,7 @@ class _Refusals(dict[str, str]):
             self[step] = str(error).removeprefix(f'{name}: ')
 
 
-class _Remarks(logging.Handler):
-    """What is logged while a recording is read."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(logging.WARNING)
-        self.texts: list[str] = []
-        self._name = name
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.texts.append(record.getMessage().removeprefix(f'{self._name}: '))
-
-
-@contextmanager
-def _remarks(name: str) -> Iterator[list[str]]:
-    handler, logger = _Remarks(name), logging.getLogger('otf_core')
-    logger.addHandler(handler)
-    try:
-        yield handler.texts
-    finally:
-        logger.removeHandler(handler)
-
-
-def look(source: str, machine: Machine | None, config: CalibrationConfig) -> Seen:
+def look(source: str, machine: Machine | None, config: CalibrationConfig, given: Given) -> Seen:
     """See what can be seen of a recording.
 
     Parameters
@@ -67,6 +44,8 @@ def look(source: str, machine: Machine | None, config: CalibrationConfig) -> See
     machine : Machine, optional
         Without it the path is followed, but nothing is said of axes and uncertainties.
     config : CalibrationConfig
+    given : Given
+        How it is read.
 
     Returns
     -------
@@ -78,31 +57,34 @@ def look(source: str, machine: Machine | None, config: CalibrationConfig) -> See
         If there is no such file or folder.
     """
     refused = _Refusals()
-    with _remarks(source) as remarks, one_thread():
-        seen = _read(source, config, refused)
+    with one_thread():
+        seen = _read(source, config, given, refused)
         if seen.samples is not None:
             seen = _followed(replace(seen, machine=machine), refused)
-    return replace(seen, machine=machine, remarks=(*seen.remarks, *remarks), refused=refused)
+    return replace(seen, machine=machine, refused=refused)
 
 
-def _read(source: str, config: CalibrationConfig, refused: _Refusals) -> Seen:
+def _read(source: str, config: CalibrationConfig, given: Given, refused: _Refusals) -> Seen:
     seen = Seen(source, {}, config)
+    remarks: list[str] = []
     with refused.of('bag', source):
-        reading = BagReading(source, (POINT, PATH))
-        seen = replace(seen, topics=reading.topics)
+        reading = open_reading(source, given)
+        remarks += reading.remarks
+        seen = replace(seen, topics=reading.topics, said=tuple(reading.said))
         with refused.of('path', source):
-            reading.require(PATH)
-            seen = replace(seen, path=reading.path())
+            if reading.path is not None:
+                reading.require(reading.path)
+            seen = replace(seen, path=path_of(source, [reading]))
         with refused.of('points', source):
-            reading.require(POINT)
+            reading.require(reading.point)
             received = reading.received()
             seen = replace(seen, received=received)
-            where = f'{source}: {POINT.name}'
-            remarks, screening = list(reading.remarks), Screening()
+            screening = Screening()
             screening.foreign(reading.foreign)
-            samples = in_time_order(where, received.stamp_ns, received.xyz, remarks, screening)
-            seen = replace(seen, samples=samples, remarks=tuple(remarks))
-    return seen
+            raw = received.stamp_ns, received.xyz
+            samples = in_time_order(f'{source}: {reading.point.name}', *raw, remarks, screening)
+            seen = replace(seen, samples=samples)
+    return replace(seen, remarks=tuple(remarks))
 
 
 def _followed(seen: Seen, refused: _Refusals) -> Seen:

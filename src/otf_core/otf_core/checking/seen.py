@@ -41,6 +41,8 @@ class Seen:
         Of the tables.
     remarks : tuple of str
         What was mended while it was read.
+    said : tuple of str
+        How it was read, where that is not as usual.
     refused : mapping of step to str
         Why a step failed: 'bag', 'points', 'path', 'stamps', 'following', 'run'.
     """
@@ -56,6 +58,7 @@ class Seen:
     run: Run | None = None
     nodes: Mapping[str, Array] | None = None
     remarks: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
     refused: Mapping[str, str] | None = None
 
     def why(self, step: str) -> str:

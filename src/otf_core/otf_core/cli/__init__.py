@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 from otf_core.cli.checking import run_check, run_doctor, run_info
 from otf_core.cli.closing import add_closing_verbs
+from otf_core.cli.completion import SHELLS, run_completion
 from otf_core.cli.exporting import add_exporting_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
@@ -21,8 +22,8 @@ from otf_core.cli.measuring import (
     run_noise,
     run_predict,
 )
-from otf_core.cli.options import add_out, add_parameters
-from otf_core.cli.output import OutputFull, answer, bounded, note
+from otf_core.cli.options import add_out, add_parameters, add_reading
+from otf_core.cli.output import OutputFull, answer, bounded, logged, note
 from otf_core.cli.parser import Parser, asked
 from otf_core.cli.plant import add_plant_verbs
 from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
@@ -87,13 +88,14 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
 def _add_runs(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         'bag', nargs='+',
-        help='rosbag2 folders or .mcap files: runs of one machine, e.g. with other stations, '
-        'feeds or target offsets',
+        help='rosbag2 folders, .mcap files or tables of samples as text: runs of one machine, '
+        'e.g. with other stations, feeds or target offsets',
     )  # fmt: skip
     sub.add_argument(
         '--machine', required=True, action='append', metavar='M.yaml',
         help='machine.yaml of all bags; or given once per bag, in their order',
     )  # fmt: skip
+    add_reading(sub)
 
 
 def _add_judging_verbs(verb: AddVerb) -> None:
@@ -101,6 +103,7 @@ def _add_judging_verbs(verb: AddVerb) -> None:
     sub = verb('noise', run_noise)
     sub.add_argument('bag', help='rosbag2 folder or .mcap file; /tracker/point suffices')
     add_out(sub, 'folder for the results')
+    add_reading(sub, path=False)
     add_parameters(sub, CalibrationConfig, ('standstill_speed',))
 
     sub = verb('compare', run_compare)
@@ -138,16 +141,20 @@ def _examples(name: str) -> str:
 def _add_checking_verbs(verb: AddVerb) -> None:
     """Verbs that answer in seconds."""
     sub = verb('check', run_check)
-    sub.add_argument('bag', help='rosbag2 folder or .mcap file')
+    sub.add_argument('bag', help='rosbag2 folder, .mcap file or table of samples as text')
     sub.add_argument(
         '--machine', help='machine.yaml: also its axes, its noise, and a forecast of u'
     )
+    add_reading(sub)
     add_parameters(sub, CalibrationConfig, ('match_tolerance', 'standstill_speed'))
 
     sub = verb('info', run_info)
     sub.add_argument('file', help='a file or folder that otf wrote or reads')
 
     verb('doctor', run_doctor)
+
+    sub = verb('completion', run_completion)
+    sub.add_argument('shell', choices=SHELLS)
 
 
 def _parser() -> Parser:
@@ -189,6 +196,9 @@ def _parser() -> Parser:
     )  # fmt: skip
     sub.add_argument(
         '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
+    )
+    sub.add_argument(
+        '--no-report', dest='report', action='store_false', help='leave report.html out'
     )
     add_parameters(sub, CalibrationConfig)
 
@@ -252,7 +262,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
     arguments = asked(_parser(), _joined(sys.argv[1:] if argv is None else argv))
     try:
-        return int(arguments.handler(arguments))
+        with logged(quiet=arguments.quiet):
+            return int(arguments.handler(arguments))
     except OutputFull as error:
         note(f'otf {arguments.verb}: {error}')
         return error.exit_code

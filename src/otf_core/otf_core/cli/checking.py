@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from otf_core.cli.options import parameters
+from otf_core.cli.options import given_of, parameters
 from otf_core.cli.output import answer
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError
@@ -22,7 +22,8 @@ def run_check(arguments: argparse.Namespace) -> int:
     from otf_core.reports.check import format_check
 
     machine = load_machine(arguments.machine) if arguments.machine else None
-    report = check(arguments.bag, machine, config)
+    path = arguments.path[-1] if arguments.path else None
+    report = check(arguments.bag, machine, config, given_of(arguments, path))
     answer(arguments, format_check(report), report.to_dict())
     return 0 if report.usable else InputError.exit_code
 

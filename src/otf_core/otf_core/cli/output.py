@@ -7,7 +7,8 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from otf_core.errors import OtfError
@@ -52,6 +53,23 @@ def bounded(text: str) -> str:
 def note(text: str) -> None:
     """Print a line beside the result: progress, warnings, errors."""
     print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def logged(*, quiet: bool) -> Iterator[None]:
+    """Print what the core logs to stderr: how inputs were read, what was left out."""
+    import logging
+
+    handler, logger = logging.StreamHandler(), logging.getLogger('otf_core')
+    handler.setFormatter(logging.Formatter('otf: %(message)s'))
+    level = logger.level
+    logger.setLevel(logging.WARNING if quiet else logging.INFO)
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
 
 
 def answer(arguments: argparse.Namespace, words: str, data: Mapping[str, Any]) -> None:

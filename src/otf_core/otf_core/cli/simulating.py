@@ -16,10 +16,10 @@ from otf_core.errors import ConfigError, OtfError
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
     """Plan, and the place of the tracker that it assumes or None; as plan.json has them."""
     from otf_core.files.csv_points import read_points_csv
+    from otf_core.inputs.plan_json import PlanFile, looks_like_json, read_plan
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import check_inside, plan_for_path
     from otf_core.planning.creator import plan_path
-    from otf_core.planning.plan_json import PlanFile, looks_like_json, read_plan
 
     name = arguments.path
     if name is None:

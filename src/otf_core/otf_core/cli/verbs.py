@@ -24,6 +24,7 @@ VERBS = {
     'simulate': 'Bag of a simulated run.',
     'validate': "The paper's comparisons on simulated cells.",
     'blind': 'Blind trial: draw and seal cells, diagnose them, score.',
+    'completion': 'Script that lets a shell complete verbs, options and choices.',
 }
 
 EXAMPLES = {
@@ -73,4 +74,5 @@ EXAMPLES = {
     ),
     'validate': ('otf validate --quick --out validation',),
     'blind': ('otf blind --trials 24 --seed 5 --out trial',),
+    'completion': ('otf completion bash > ~/.local/share/bash-completion/completions/otf',),
 }

@@ -8,7 +8,7 @@ from pathlib import Path
 from otf_core.errors import ConfigError
 from otf_core.files.writing import unreadable
 from otf_core.info.array_kinds import DIRECT, POINTS, RESIDUALS
-from otf_core.info.bag_kind import BAG
+from otf_core.info.bag_kind import BAG, TABLE
 from otf_core.info.folder_kind import FOLDER
 from otf_core.info.json_kinds import JSON_KINDS
 from otf_core.info.kind import Explained, Kind
@@ -23,6 +23,7 @@ KINDS: tuple[Kind, ...] = (
     RESIDUALS,
     DIRECT,
     POINTS,
+    TABLE,
 )
 """The first that fits counts; a further one is one file and one line here."""
 
