@@ -15,6 +15,7 @@ from otf_core.cli.checking import run_check, run_doctor, run_info
 from otf_core.cli.closing import add_closing_verbs
 from otf_core.cli.completion import SHELLS, run_completion
 from otf_core.cli.exporting import add_exporting_verbs
+from otf_core.cli.keeping import add_keeping_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -218,6 +219,7 @@ def _parser() -> Parser:
     add_exporting_verbs(verb)
     add_closing_verbs(verb)
     add_plant_verbs(verb)
+    add_keeping_verbs(verb)
     return parser
 
 
