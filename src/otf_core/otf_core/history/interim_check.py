@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.history.series import Series
+from otf_core.model.evaluation import rigid_columns
 from otf_core.model.kinematics import displacement
 from otf_core.model.path import leg_bounds
 from otf_core.pieces.runs import Recording, Run, prepare_runs
@@ -22,7 +23,7 @@ from otf_core.tracking.alignment import line_step
 Array = NDArray[np.float64]
 
 ITERATIONS = 6
-HOLDS = 1.5
+HOLDS = 1.25
 """Tables hold if the mean deviations of the lines are no larger than so many times expected."""
 
 
@@ -79,16 +80,19 @@ def _residuals(run: Run, series: Series) -> tuple[Array, Array]:
     return q, off - np.einsum('ij,ij->i', off, pieces.direction)[:, None] * pieces.direction
 
 
-def _noise_variance(run: Run, rows: slice) -> float:
-    """Variance across a line of the mean of its samples, one direction, m^2."""
-    distance = float(np.linalg.norm(run.pieces.xyz[rows], axis=1).mean())
+def _noise_variance(run: Run, rows: slice, across: Array) -> float:
+    """Variance across a line of the mean of its samples, both directions together, m^2."""
+    beam = run.pieces.xyz[rows].mean(axis=0)
+    distance = float(np.linalg.norm(beam))
     duration = float(run.pieces.duration[rows].sum())
     count = float(run.pieces.count[rows].sum())
     found = []
     for component, reach in zip(run.noise, (1.0, distance, distance), strict=True):
         slow = min(1.0, 2.0 * component.correlation_time / max(duration, 1e-9))
         found.append(reach**2 * (component.white**2 / count + component.slow**2 * slow))
-    return max(found)
+    unit = across @ (run.pose.rotation @ beam) / distance
+    along = float(unit @ unit)  # share of the beam that points across the line
+    return found[0] * along + max(found[1:]) * (2.0 - along)
 
 
 def interim_check(recording: Recording, series: Series) -> InterimCheck:
@@ -107,16 +111,20 @@ def interim_check(recording: Recording, series: Series) -> InterimCheck:
     """
     (run, *_), _ = prepare_runs([recording], CalibrationConfig())
     q, off = _residuals(run, series)
-    covariance = series.covariances[-1]
-    left, expected = [], []
+    left, noise, tables, rigid = [], [], [], []
     for first, last in leg_bounds(run.pieces.leg):
         part = slice(first, last)
         unit = run.pieces.direction[first]
         across = np.eye(3) - np.outer(unit, unit)
-        rows = across @ series.rows(q[part]).mean(axis=0)
-        tables = float(np.trace(rows @ covariance @ rows.T))
         left.append(float(np.sum(off[part].mean(axis=0) ** 2)))
-        expected.append(tables + 2.0 * _noise_variance(run, part))
-    return InterimCheck(
-        len(left), float(np.sqrt(np.mean(left))), float(np.sqrt(np.mean(expected)))
-    )
+        noise.append(_noise_variance(run, part, across))
+        tables.append(across @ series.rows(q[part]).mean(axis=0))
+        rigid.append(across @ rigid_columns(q[part]).mean(axis=0))
+    # the alignment takes up what of the tables' errors is a rigid motion
+    basis = np.linalg.qr(np.concatenate(rigid))[0]
+    rows = np.concatenate(tables)
+    rows -= basis @ (basis.T @ rows)
+    unsure = float(np.einsum('ij,jk,ik->', rows, series.covariances[-1], rows)) / len(left)
+    free = 1.0 - basis.shape[1] / (2.0 * len(left))
+    expected = unsure + free * float(np.mean(noise))
+    return InterimCheck(len(left), float(np.sqrt(np.mean(left))), float(np.sqrt(expected)))

@@ -95,7 +95,8 @@ def interim_path(history: History, seconds: float = 120.0) -> NominalPath:
     series = history.series
     vector, _ = drifting(history)
     points = lattice(series.common.machine, LEVELS)
-    here, path, seen, driven, left = 0, [0], None, dict[tuple[int, int], int](), seconds
+    here, path, seen, left = 0, [0], None, seconds
+    driven, lines = dict[tuple[int, int], int](), dict[tuple[int, int], _Seen]()
     while True:
         best: tuple[float, int, float, _Seen] | None = None
         for there in range(len(points)):
@@ -105,16 +106,18 @@ def interim_path(history: History, seconds: float = 120.0) -> NominalPath:
             time = float(leg_time(length, np.array([FEED]), ACCELERATION)[1][0]) + DWELL
             if time > left:
                 continue
-            line = _line(series, vector, points[here], points[there])
-            times = driven.get((min(here, there), max(here, there)), 0)
-            total = line.times(AGAIN**times) if seen is None else seen + line.times(AGAIN**times)
+            pair = min(here, there), max(here, there)
+            if pair not in lines:
+                lines[pair] = _line(series, vector, points[here], points[there])
+            line = lines[pair].times(AGAIN ** driven.get(pair, 0))
+            total = line if seen is None else seen + line
             gain = (total.worth - (0.0 if seen is None else seen.worth)) / time
             if best is None or gain > best[0]:
                 best = gain, there, time, total
         if best is None:
             return NominalPath(points[np.array(path)])
         _, there, time, seen = best
-        pair = (min(here, there), max(here, there))
+        pair = min(here, there), max(here, there)
         driven[pair] = driven.get(pair, 0) + 1
         left -= time
         here = there
