@@ -27,8 +27,8 @@ MACHINE = ROOT / 'src/otf_bringup/config/machine.yaml'
 SEED = 20_260_014
 RATE = 1000.0
 """Hz"""
-FEED = 0.2
-"""m/s; so that a lap takes a few minutes."""
+FEED = 0.5
+"""m/s; so that a lap takes some two minutes."""
 OVER = 60.0
 """s that are measured."""
 
@@ -54,6 +54,7 @@ def main() -> None:
         graph.start('calibrator', **machine, output_directory=Path(scratch) / 'out')
         simulated = {'simulated.rate': RATE, 'simulated.seed': SEED}
         graph.start('tracker_driver', **machine, **simulated)
+        graph.state()
         early = graph.listen(CalibrationResult, 'calibrator/provisional', qos.RESULT)
         pictures = graph.listen(MarkerArray, 'view/live', qos.PICTURE)
         graph.wait(lambda: early, 'a provisional result', 900.0)

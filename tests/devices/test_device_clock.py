@@ -101,6 +101,28 @@ def test_clock_that_starts_again_with_every_measurement():
     assert np.abs(stamps - true).max() < MILLISECOND
 
 
+def test_delay_of_all_packets_is_bounded_by_the_command_to_start():
+    """A delay that every packet has cannot be seen in the packets."""
+    worst, late = [], 2 * 10**6
+    for ordered in (None, EPOCH - 10**5):
+        stamper = Stamper()
+        if ordered:
+            stamper.started(ordered)
+        source = packets(5, 30, 18e-6, delays=Delays(1e-4, late=0.0))
+        stamps, true = stamped(((d, t, arrival + late) for d, t, arrival in source), stamper)
+        worst.append(np.abs(stamps - true).max())
+    assert worst[0] > 2 * MILLISECOND
+    assert worst[1] < 1.5 * MILLISECOND
+
+
+def test_rate_of_the_quartz_is_kept_when_the_clock_starts_again():
+    stamper = Stamper()
+    stamped(packets(6, 100, 18e-6), stamper)
+    stamper.restart()
+    stamped(((d, t, arrival + 100 * 10**9) for d, t, arrival in packets(7, 5, 18e-6)), stamper)
+    assert stamper.clock.rate == pytest.approx(-18e-6, abs=8e-6)
+
+
 def test_repeated_and_old_samples_are_left_out():
     stamper = Stamper()
     source = list(packets(2, 20, 0.0))

@@ -78,7 +78,7 @@ def test_tracker_that_is_busy_is_asked_again(make):
 
 
 def test_tracker_that_initialises_for_long_is_waited_for_after_connect(make, monkeypatch):
-    monkeypatch.setattr('otf_tracker_driver.backends.emscon.PATIENCE', 0.3)
+    monkeypatch.setattr('otf_tracker_driver.backends.emscon.INITIALISED', 0.3)
     with emulator('initialize=1.5') as running:
         backend = make(running.port)
         backend.connect()
@@ -119,7 +119,8 @@ def test_lost_beam_is_said_found_again_and_its_gap_is_marked(make):
         assert any('beam lost' in text and 'searches' in text for text in said)
         assert np.all(np.diff(samples.stamp_ns) > 0)
         assert np.abs(running.error_ms(samples)).max() < NEAR
-        for last, first in backend.state.gaps:
+        for last, first, reason in backend.state.gaps:
+            assert reason.startswith('beam lost')
             assert {last, first} <= set(samples.stamp_ns.tolist())
             assert first - last > 5e8
 
@@ -238,7 +239,7 @@ def test_actions_while_no_stream_is_wanted(make):
         thread.do(actions.clear_errors).result(5)
         backend.start()
         take(backend, 100)
-        with pytest.raises(OtfError, match='is streaming; deactivate first'):
+        with pytest.raises(OtfError, match='is measuring; stop it first'):
             thread.do(actions.bird_bath).result(5)
 
 

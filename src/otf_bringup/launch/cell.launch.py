@@ -4,6 +4,7 @@
 ros2 launch otf_bringup cell.launch.py                    simulated cell, real time
 ros2 launch otf_bringup cell.launch.py time_scale:=10.0   the same, ten times as fast
 ros2 launch otf_bringup cell.launch.py diagnose:=true effects:=BACKLASH.yaml
+ros2 launch otf_bringup cell.launch.py view:=true         the same with a page in the browser
 ros2 launch otf_bringup cell.launch.py backend:=replay bag:=BAG machine_file:=MACHINE.yaml
 ros2 launch otf_bringup cell.launch.py backend:=emscon emscon.host:=HOST machine_file:=MACHINE.yaml
 ros2 launch otf_bringup cell.launch.py backend:=stream stream.source:=SOURCE.yaml machine_file:=...
@@ -31,6 +32,7 @@ ARGUMENTS = [
     ('backend', 'simulated', f'source of the samples: {" or ".join(BACKENDS)}'),
     ('time_scale', '1.0', 'how many times as fast as measured to simulate or replay'),
     ('diagnose', 'false', 'diagnose every run after its calibration'),
+    ('view', 'false', 'show the run: markers, numbers for plots, a page for the browser'),
 ]
 SHORT = {
     'replay.bag': 'bag',
@@ -38,6 +40,7 @@ SHORT = {
     'simulated.effects': 'effects',
 }
 """Parameters of backends whose launch argument leaves out the name of the backend."""
+VIEWERS = ('viewer', 'page')
 KINDS = {'time_scale': float, 'diagnose': bool}
 BACKEND_PARAMETERS = {
     f'{name}.{info.name}': info
@@ -72,6 +75,7 @@ def nodes(context):
         *([] if backend and backend.brings_path else [planner]),
         node('calibrator', given, ['machine_file', 'output_directory', 'diagnose']),
         node('tracker_driver', given, ['machine_file', 'backend', 'time_scale'], own),
+        *([node(name, given, []) for name in VIEWERS] if given['view'] == 'true' else []),
     ]
 
 
@@ -87,11 +91,12 @@ def node(name, given, taken, further=None):
     """Return a node that takes parameters from the launch arguments of the same names."""
     parameters = {key: parameter(given[key], KINDS.get(key, str)) for key in taken}
     return Node(
-        package=f'otf_{name}',
+        package='otf_view' if name in VIEWERS else f'otf_{name}',
         executable=name,
         name=name,
         namespace=LaunchConfiguration('namespace'),
         parameters=[LaunchConfiguration('params_file'), {**parameters, **(further or {})}],
+        remappings=[('/tf_static', 'tf_static')] if given['namespace'] else [],
         output='screen',
         emulate_tty=True,
     )

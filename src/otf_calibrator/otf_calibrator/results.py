@@ -27,10 +27,17 @@ except ImportError:  # a small installation: calibrator/alignment says the same
 
 
 class ResultPublishers:
-    """Topics below ``calibrator/``."""
+    """Topics below ``calibrator/``.
+
+    Attributes
+    ----------
+    latest : CalibrationResult message or None
+        The result that was published last.
+    """
 
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
+        self.latest: ResultMessage | None = None
         self._tables = {
             name: node.create_publisher(ErrorTable, f'calibrator/error_table/{name}', qos.RESULT)
             for name in MOTIONS
@@ -61,7 +68,7 @@ class ResultPublishers:
         warnings = [*result.warnings, outcome.problem]
         warnings.append(f'{lost} samples were lost on the way' if lost else '')
         message.warnings = [text for text in warnings if text]
-        self._result.publish(message)
+        self._tell(message)
         return list(message.warnings)
 
     def publish_provisional(self, job: Future[CalibrationResult], method: str) -> str:
@@ -96,7 +103,11 @@ class ResultPublishers:
     def publish_failure(self, exit_code: int, text: str) -> None:
         """Publish that there is no result, and why; the tables published before stay."""
         now = self._clock.now().to_msg()
-        self._result.publish(convert_result.failure_to_message(exit_code, text, now))
+        self._tell(convert_result.failure_to_message(exit_code, text, now))
+
+    def _tell(self, message: ResultMessage) -> None:
+        self.latest = message
+        self._result.publish(message)
 
     def publish_gap(self, outcome: Calibrated, answer: Answer) -> None:
         """Publish what a diagnosis of a calibrated run gave, or why it gave nothing."""

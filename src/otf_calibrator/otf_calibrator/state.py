@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 
 from rclpy.node import Node
@@ -27,6 +28,8 @@ NAMES = {
     CalibratorState.DONE: 'DONE',
     CalibratorState.FAILED: 'FAILED',
 }
+SILENCE = 2.0
+"""s without samples that the state speaks of."""
 STAGES = {'aligning': CalibratorState.ALIGNING, 'solving': CalibratorState.SOLVING}
 Described = tuple[int, float, str]
 NO_DIAGNOSIS = (False, 0.0, '')
@@ -43,6 +46,7 @@ class StatePublisher:
         self._diagnosis = NO_DIAGNOSIS
         self._shown = (-1, False)
         self._at = 0.0
+        self._warned: set[str] = set()
         self._time_left = TimeLeft()
 
     def done(self, outcome: Calibrated) -> None:
@@ -69,10 +73,13 @@ class StatePublisher:
         self._diagnosis = (False, 1.0, text)
         logger.info(f'diagnosis: {text}')
 
-    def publish(self, session: Session) -> None:
-        """Publish the state if it has changed or was published a while ago."""
+    def publish(self, session: Session, troubles: list[str]) -> None:
+        """Publish the state, and what is wrong, if it has changed or was published long ago."""
         collector, job = session.collector, session.diagnosis
         state, progress, text = self._describe(session)
+        troubles = [*troubles, *session.intake.troubles()]
+        self._warn(troubles)
+        text = '; attention: '.join([text, *troubles])
         diagnosis = self._diagnosis
         if job:
             diagnosis = (True, job.fraction, job.stage)
@@ -107,12 +114,19 @@ class StatePublisher:
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 
+    def _warn(self, troubles: list[str]) -> None:
+        """Log what is wrong, but not anew whenever a number changes."""
+        said = {re.sub(r'\d+', '', text): text for text in troubles}
+        for text in (said[key] for key in said.keys() - self._warned):
+            self._node.get_logger().warning(text)
+        self._warned = set(said)
+
     def _describe(self, session: Session) -> Described:
         collector, worker = session.collector, session.worker
         if session.busy:
             state = STAGES.get(worker.stage, CalibratorState.SOLVING)
             return state, worker.fraction, f'{worker.stage}, samples are still taken'
-        if collector.taken:
+        if collector.taken or collector.beginning or session.answered:
             return self._outcome
         if collector.path is None:
             return (
@@ -124,10 +138,13 @@ class StatePublisher:
             text = 'waiting for tracker/point: activate the tracker driver'
             return CalibratorState.BUFFERING, 0.0, text
         length = collector.path.length
+        silence = collector.silence(time.monotonic())
         text = (
             f'{collector.travelled:.2f} of {length:.2f} m driven; calibrates at standstill at the '
             f'end point, or call calibrator/calibrate'
         )
+        if silence > SILENCE:
+            text += f'; no sample for {silence:.0f} s, the run goes on with the next'
         return CalibratorState.BUFFERING, min(1.0, collector.travelled / length), text
 
 

@@ -3,6 +3,8 @@
 
 import json
 import shlex
+import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from cli_cells import run, write_points
 
 from otf_core.cli import _parser
+from otf_core.cli.completion import script
 from otf_core.cli.verbs import EXAMPLES, VERBS
 
 ROOM = Path(__file__).resolve().parents[3] / 'bags/y-carries-the-table'
@@ -26,8 +29,29 @@ def test_examples_of_the_help_are_command_lines(verb):
     parser = _parser()
     assert all(line in parser.verbs[verb].format_help() for line in EXAMPLES[verb])
     for line in EXAMPLES[verb]:
-        program, *words = shlex.split(line)
+        program, *words = shlex.split(line.partition(' > ')[0])
         assert program == 'otf' and parser.parse_args(words).verb == verb
+
+
+def completed(*words):
+    """What bash offers for the last word of a command line."""
+    line = ' '.join(shlex.quote(w) for w in words)
+    code = (
+        f'{script(_parser())}\nCOMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _otf; '
+        'echo "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(['bash', '-c', code], capture_output=True, text=True, check=True)
+    assert not done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(shutil.which('bash') is None, reason='there is no bash')
+def test_the_shell_completes_verbs_options_and_choices():
+    assert completed('otf', 'c') == ['check', 'completion', 'calibrate', 'compare']
+    assert completed('./otf', 'calibrate', '--rev') == ['--reversal']
+    assert completed('otf', 'calibrate', 'run', '--method', '') == ['otf', 'standstill']
+    assert completed('otf', 'completion', 'z') == ['zsh']
+    assert completed('otf', 'calibrate', 'ru') == []  # files, by the shell itself
 
 
 @pytest.fixture

@@ -158,9 +158,9 @@ def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
     file, corners = tmp_path / 'run.txt', tmp_path / 'path.csv'
     file.write_text(TEXTS['plain'])
     with pytest.raises(InputError, match='give the path beside it'):
-        read_content(file)
+        read_content([file])
     write_points(corners, CORNERS)
-    content = read_content(file, Given(path=corners))
+    content = read_content([file], Given(path=corners))
     np.testing.assert_array_equal(content.path.points, CORNERS)
     np.testing.assert_array_equal(content.samples.xyz, XYZ)
     assert run('check', file, '--path', corners, '--json') == 3  # these samples follow no path
@@ -169,7 +169,7 @@ def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
         json.loads(shown.out)['samples'] == 50 and 'x, y, z from x_m, y_m, z_m in m' in shown.err
     )
     with pytest.raises(ConfigError, match='is a text and has no topics'):
-        read_content(file, Given(path=corners, topic='/point'))
+        read_content([file], Given(path=corners, topic='/point'))
     assert run('check', file, '--rate', '-5') == 2
 
 
@@ -225,12 +225,12 @@ def test_types_that_hold_a_point_in_any_frame_of_a_topic_that_is_named(tmp_path,
     ]
     messages.append(('/cell/path', PATH_TYPE, START, path_cdr(frame='base')))
     bag = write_mcap(tmp_path / 'run.mcap', messages)
-    content = read_content(bag, Given(topic='leica/target', path_topic='/cell/path'))
+    content = read_content([bag], Given(topic='leica/target', path_topic='/cell/path'))
     np.testing.assert_array_equal(content.samples.xyz, XYZ)
     np.testing.assert_array_equal(content.samples.stamp_ns, STAMPS)
     np.testing.assert_array_equal(content.path.points, CORNERS)
     with pytest.raises(InputError, match=r'topic /tracker/point is missing.*--topic'):
-        read_content(bag)
+        read_content([bag])
 
 
 def test_samples_of_another_child_are_left_out(tmp_path):
@@ -247,10 +247,10 @@ def test_samples_of_another_child_are_left_out(tmp_path):
 def test_a_path_that_is_given_takes_the_place_of_that_of_a_bag(tmp_path):
     bag = write_mcap(tmp_path / 'run.mcap', point_messages())
     with pytest.raises(InputError, match='/planner/path is missing'):
-        read_content(bag)
+        read_content([bag])
     write_points(tmp_path / 'path.csv', 0.5 * CORNERS)
-    content = read_content(bag, Given(path=tmp_path / 'path.csv'))
+    content = read_content([bag], Given(path=tmp_path / 'path.csv'))
     np.testing.assert_array_equal(content.path.points, 0.5 * CORNERS)
     np.testing.assert_array_equal(content.samples.xyz, CONTENT.samples.xyz)
     with pytest.raises(ConfigError, match='--columns'):
-        read_content(bag, Given(columns='x,y,z'))
+        read_content([bag], Given(columns='x,y,z'))

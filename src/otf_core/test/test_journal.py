@@ -232,7 +232,7 @@ def test_file_torn_at_any_byte_has_all_complete_chunks(tmp_path):
         data = journal_module.encode_points(SAMPLES.stamp_ns[rows], SAMPLES.xyz[rows], 'tracker')
         path = [] if start else [journal_file.one_message(PATH, path_cdr(), 1)]
         file.append([*path, Rows(POINT, data, start)])
-        ends.append(file._index[-1].chunk_start_offset + file._index[-1].chunk_length)
+        ends.append(file.chunk_end)
     file.release()
     whole = (tmp_path / 'a.mcap').read_bytes()
     for cut in np.random.default_rng(11).integers(ends[0], len(whole), 40):

@@ -40,16 +40,28 @@ class EndRequest:
         self.came = False
 
     def __enter__(self) -> EndRequest:
+        global _request
+        _request = self
         numbers = (signal.SIGINT, signal.SIGTERM)
         self._before = {number: signal.signal(number, self._note) for number in numbers}
         return self
 
     def __exit__(self, *error: object) -> None:
+        global _request
+        _request = None
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
     def _note(self, number: int, frame: object) -> None:
         self.came = True
+
+
+_request: EndRequest | None = None
+
+
+def ending() -> bool:
+    """Tell whether the process is asked to end, for callbacks that take long."""
+    return _request is not None and _request.came
 
 
 @contextmanager
@@ -78,7 +90,13 @@ def spin(factory: Callable[[], Node], args: list[str] | None = None) -> None:
     A method ``close`` of the node, if it has one, is called at the end.
     """
     with EndRequest() as end, running_ros(args):
-        node, executor = factory(), SingleThreadedExecutor()
+        try:
+            node = factory()
+        except OtfError:
+            if end.came:  # that is why
+                return
+            raise
+        executor = SingleThreadedExecutor()
         executor.add_node(node)
         try:
             while not end.came:

@@ -14,6 +14,8 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from otf_ros.timers import create_timer
+
 
 class NeverWoken(CallbackGroup):
     """Keeps a subscription out of the executor's wait set; a timer reads it instead."""
@@ -40,7 +42,8 @@ class Drain:
         Message class.
     topic : str
     callback : callable
-        Called with a list of messages (never empty) in the order of their arrival.
+        Called with a list of messages (never empty) in the order of their arrival, and with the
+        numbers that their publisher gave them (None where the middleware does not tell).
     qos : rclpy.qos.QoSProfile
         Its depth must hold what arrives within a few periods.
     period : float
@@ -52,7 +55,7 @@ class Drain:
         node: Node,
         msg_type: type,
         topic: str,
-        callback: Callable[[list[Any]], None],
+        callback: Callable[[list[Any], list[int | None]], None],
         qos: QoSProfile,
         period: float = 0.02,
     ) -> None:
@@ -61,7 +64,7 @@ class Drain:
         self.subscription = node.create_subscription(
             msg_type, topic, self._never, qos, callback_group=NeverWoken()
         )
-        self._timer = node.create_timer(period, self.empty)
+        self._timer = create_timer(node, period, self.empty)
 
     @staticmethod
     def _never(message: Any) -> None:
@@ -70,6 +73,7 @@ class Drain:
     def empty(self) -> None:
         """Hand over what is pending now; at most one queue length, so other work gets its turn."""
         messages: list[Any] = []
+        numbers: list[int | None] = []
         handle, msg_type = self.subscription.handle, self.subscription.msg_type
         with handle:
             while len(messages) < self._most:
@@ -77,5 +81,6 @@ class Drain:
                 if taken is None:
                     break
                 messages.append(taken[0])
+                numbers.append(taken[1]['publication_sequence_number'])
         if messages:
-            self._callback(messages)
+            self._callback(messages, numbers)

@@ -27,3 +27,8 @@ class SteadyLifecycleNode(LifecycleNode):
                 return response
 
         service.callback = answer
+
+    @property
+    def lifecycle_state(self) -> str:
+        """Label of the lifecycle state, such as 'inactive'."""
+        return str(self._state_machine.current_state[1])

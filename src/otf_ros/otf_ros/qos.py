@@ -33,6 +33,12 @@ PATH = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 STATUS = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """States: only the latest counts, and a late listener sees it at once."""
 
+EVENTS = _profile(1000, DurabilityPolicy.TRANSIENT_LOCAL)
+"""What happens now and then and must not be missed: gaps of the stream, also by late listeners."""
+
+DIAGNOSTICS = _profile(10, DurabilityPolicy.VOLATILE)
+"""``/diagnostics``: as diagnostic_updater publishes it; told anew every second."""
+
 RESULT = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Tables, result, alignment, gap report: each replaces the one before and stays readable."""
 

@@ -6,15 +6,20 @@ configure = connect, activate = stream from the beginning, deactivate = stop, cl
 
 from __future__ import annotations
 
+from concurrent.futures import Future
+
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
-from otf_core.errors import OtfError
+from otf_core.errors import InputError, OtfError
 from otf_msgs.msg import Plan, TrackerStatus
 from otf_ros import app, qos
+from otf_ros.diagnostics import Diagnostics
 from otf_ros.lifecycle import SteadyLifecycleNode
 from otf_ros.params import NodeParameters
 from otf_tracker_driver.backends import BACKENDS, Backend, CommonConfig
+from otf_tracker_driver.diagnostics import tasks
+from otf_tracker_driver.operations import offer_operations
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
 from otf_tracker_driver.streamer import Streamer
@@ -44,6 +49,8 @@ class TrackerDriver(SteadyLifecycleNode):
         self._status = Status(self)
         self._status.report(TrackerStatus.IDLE, NOT_CONFIGURED)
         self.create_subscription(Plan, 'planner/plan', self._on_plan, qos.PATH)
+        offer_operations(self, self._status, self._operate)
+        Diagnostics(self, lambda: self._status.health.device, tasks(self._status))
         if self._settings.read(DriverConfig).auto_start:
             self.trigger_configure()
             if self._error:
@@ -104,6 +111,13 @@ class TrackerDriver(SteadyLifecycleNode):
         if self._streamer:
             self._streamer.release()
             self._streamer = None
+
+    def _operate(self, name: str) -> Future[str]:
+        backend = self._status.message.backend
+        if not self._streamer:
+            raise InputError('no source is connected; call tracker/start, or configure')
+        own = self._settings.read(BACKENDS[backend].parameters, backend)
+        return self._streamer.operate(name, own)
 
     def _make_backend(self, name: str) -> Backend:
         kind = BACKENDS[name]

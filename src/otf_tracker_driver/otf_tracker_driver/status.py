@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The latched status of the driver: what it does, how many samples of which stream are out."""
+"""The latched status of the driver: what it does, how many samples are out, where gaps lie."""
 
 from __future__ import annotations
 
+import time
 import uuid
 
 from rclpy.node import Node
+from std_msgs.msg import Header
 
-from otf_msgs.msg import TrackerStatus
+from otf_core.model.observation import Samples
+from otf_msgs.msg import TrackerGap, TrackerStatus
 from otf_ros import qos
-from otf_ros.convert import TRACKER_FRAME, header
+from otf_ros.convert import NS, TRACKER_FRAME, header, time_from_ns
+from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
+from otf_tracker_driver.clock.device_clock import ClockState
+from otf_tracker_driver.health import Health
 
 NAMES = {
     TrackerStatus.IDLE: 'IDLE',
@@ -23,13 +29,24 @@ PERIOD = 0.5
 
 
 class Status:
-    """Publishes ``tracker/status`` for a node, on change and repeatedly while active."""
+    """Publishes ``tracker/status`` for a node, on change and repeatedly while active.
+
+    Attributes
+    ----------
+    message : TrackerStatus
+    latency : float or None, s
+        Age of the oldest sample of the last batch when it was published; None if unknown.
+    """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._publisher = node.create_publisher(TrackerStatus, 'tracker/status', qos.STATUS)
-        self._timer = node.create_timer(PERIOD, self._publish, autostart=False)
+        self._gaps = node.create_publisher(TrackerGap, 'tracker/gap', qos.EVENTS)
+        self._timer = create_timer(node, PERIOD, self._publish, autostart=False)
         self.message = TrackerStatus()
+        self._backend: Backend | None = None
+        self._told_ns = 0
+        self.latency: float | None = None
 
     def report(self, state: int, text: str) -> None:
         """Publish a state, and log it; the same once more is not repeated."""
@@ -44,18 +61,47 @@ class Status:
         else:
             logger.info(f'{NAMES[state]}: {text}')
 
+    @property
+    def health(self) -> Health:
+        """How the source is; as of one that is not connected if there is none."""
+        return self._backend.health if self._backend else Health(connected=False)
+
     def describe(self, name: str) -> None:
         """Say which backend will deliver samples."""
         self.message = TrackerStatus(backend=name)
+        self._backend = None
 
     def begin(self, backend: Backend) -> None:
         """Begin a stream that can be told from all others."""
         self.message.stream_id = uuid.uuid4().hex[:12]
         self.message.samples_published = 0
+        self.latency = None
         self.source(backend)
+
+    def take(self, batch: Samples) -> None:
+        """Take samples that are about to be published, and tell of gaps that they end."""
+        self.message.samples_published += len(batch)
+        health = self.health
+        if len(batch) and (health.clock or health.by_host):
+            self.latency = (time.time_ns() - int(batch.stamp_ns[0])) * 1e-9
+        for gap in health.gaps:
+            if gap.first_ns <= self._told_ns:
+                continue
+            self._told_ns = gap.first_ns
+            message = TrackerGap(
+                header=self._header(),
+                stream_id=self.message.stream_id,
+                last=time_from_ns(gap.last_ns),
+                first=time_from_ns(gap.first_ns),
+                reason=gap.reason,
+            )
+            self._gaps.publish(message)
+            lasted = (gap.first_ns - gap.last_ns) / NS
+            self._node.get_logger().warning(f'gap of {lasted:.2f} s in the stream: {gap.reason}')
 
     def source(self, backend: Backend) -> None:
         """Take what is known of the samples to come."""
+        self._backend = backend
         self.message.samples_expected = backend.expected
         self.message.rate = backend.rate
 
@@ -64,5 +110,15 @@ class Status:
         (self._timer.reset if active else self._timer.cancel)()
 
     def _publish(self) -> None:
-        self.message.header = header(self._node.get_clock().now().to_msg(), TRACKER_FRAME)
-        self._publisher.publish(self.message)
+        message, health = self.message, self.health
+        message.header = self._header()
+        message.beam = int(health.beam)
+        message.interruptions = health.interruptions
+        message.samples_left_out = sum(health.left_out.values())
+        clock = health.clock or ClockState()
+        message.clock_settled, message.clock_rate = clock.settled, clock.rate
+        message.clock_spread, message.clock_jumps = clock.spread, clock.jumps
+        self._publisher.publish(message)
+
+    def _header(self) -> Header:
+        return header(self._node.get_clock().now().to_msg(), TRACKER_FRAME)

@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
+
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleNode
 
+from otf_core.config import Parameters
 from otf_core.errors import OtfError
 from otf_msgs.msg import Plan, TrackerStatus
-from otf_ros import convert, qos
+from otf_ros import app, convert, qos
+from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
@@ -32,6 +36,7 @@ class Streamer:
     ) -> None:
         self._node, self._status, self._config = node, status, config
         self._backend = backend
+        backend.cancelled = app.ending
         try:
             self.description = backend.connect()
         except OtfError:
@@ -41,7 +46,7 @@ class Streamer:
         self._points = node.create_lifecycle_publisher(
             PointStamped, 'tracker/point', qos.MEASUREMENT
         )
-        self._timer = node.create_timer(PERIOD, self._tick, autostart=False)
+        self._timer = create_timer(node, PERIOD, self._tick, autostart=False)
         self._plan_wanted = self._streaming = False
 
     def path(self) -> Path | None:
@@ -73,8 +78,18 @@ class Streamer:
             self._timer.cancel()  # the fault is shown until another plan comes
             self._status.report(TrackerStatus.FAULT, f'planner/plan cannot be driven: {error}')
 
+    @property
+    def streaming(self) -> bool:
+        """True from the first to the last sample of a stream."""
+        return self._streaming
+
+    def operate(self, name: str, own: Parameters) -> Future[str]:
+        """Have the source do what an operator asks for; see Backend."""
+        return self._backend.operate(name, own)
+
     def stop(self) -> None:
         """End the stream."""
+        self._streaming = False
         self._timer.cancel()
         self._status.repeat(False)
         self._backend.stop()
@@ -105,9 +120,13 @@ class Streamer:
             self.stop()
             self._status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')
             return
+        except Exception as error:
+            text = f'internal error of the backend: {error!r}; the driver ends'
+            self._status.report(TrackerStatus.FAULT, text)
+            raise
+        self._status.take(batch)
         for message in convert.points_to_messages(batch):
             self._points.publish(message)
-        self._status.message.samples_published += len(batch)
         if self._backend.finished:
             self.stop()
             text = 'all samples published; deactivate and activate to stream again'

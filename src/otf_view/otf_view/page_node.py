@@ -31,6 +31,7 @@ class Page(Node):
         self._ears = Ears(self)
         self._server = PageServer(config.host, config.port)
         self._shown = -1
+        self._update()
         self.create_timer(PERIOD, self._update)
         self.get_logger().info(f'live view at {self._server.url}')
 

@@ -94,13 +94,12 @@ class PageServer:
         self._readers = threading.BoundedSemaphore(MOST_READERS)
         kind = type('Handler', (_Handler,), {'events': self.events, 'readers': self._readers})
         try:
-            self._server = ThreadingHTTPServer((host, port), kind)
+            self._server = _Server((host, port), kind)
         except OSError as error:
             raise ConfigError(
                 f'parameter port: {host}:{port} cannot be taken ({error.strerror}); give another '
                 f'one, or 0 for any that is free'
             ) from None
-        self._server.daemon_threads = True
         self.url = f'http://{host}:{self._server.server_address[1]}/'
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.2,))
         self._thread.start()
@@ -115,6 +114,13 @@ class PageServer:
         self._server.shutdown()
         self._thread.join()
         self._server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    """Leaves readers that hang to the end of the process."""
+
+    daemon_threads = True
+    request_queue_size = 2 * MOST_READERS
 
 
 class _Handler(BaseHTTPRequestHandler):

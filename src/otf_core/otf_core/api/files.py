@@ -71,7 +71,7 @@ def read_bag(
     >>> round(recording.path.length, 3)
     41.005
     """
-    return read_recording(source, machine, Given(path, topic, path_topic, columns, rate))
+    return read_recording([source], machine, Given(path, topic, path_topic, columns, rate))
 
 
 def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) -> None:

@@ -142,6 +142,12 @@ class JournalFile:
         self._write(head, _tail(end=len(head)))
         _sync_folder(path.parent)
 
+    @property
+    def chunk_end(self) -> int:
+        """Byte behind the last chunk."""
+        last = self._index[-1]
+        return last.chunk_start_offset + last.chunk_length
+
     def append(self, rows: Sequence[Rows]) -> None:
         """Write a chunk; it is on the disk when this returns, and the file is whole.
 

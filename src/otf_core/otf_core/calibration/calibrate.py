@@ -29,7 +29,7 @@ from otf_core.model.provenance import origins
 from otf_core.model.tables import ErrorTables, with_uncertainty
 from otf_core.noise.events import lost_samples
 from otf_core.noise.model import NoiseModel, sample_variance
-from otf_core.pieces.finding import GATE, WARNING, words_of
+from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose
 from otf_core.solving.curve_lag import curve_remarks, moved_onto_curves
@@ -184,13 +184,20 @@ def solve_recordings(
     progress('aligning', 0.0)
     check_recordings(recordings)
     runs, nodes = prepare(recordings, config)
-    runs = examine(runs, nodes, config, mend=mend)
+    runs = _with_remarks(recordings, examine(runs, nodes, config, mend=mend))
     progress('solving', 0.0)
     solution = solve_with_reversal(runs, nodes, config, progress)
     moved = moved_onto_curves(runs, solution)
     if moved is not None:
         runs, solution = moved, solve_with_reversal(moved, nodes, config, progress)
     return SolvedRecordings(runs, nodes, solution)
+
+
+def _with_remarks(recordings: Sequence[Recording], runs: Sequence[Run]) -> list[Run]:
+    """Let the first run carry what was said of the recordings when they were read."""
+    said = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
+    first, *others = runs
+    return [replace(first, remarks=(*said, *first.remarks)), *others]
 
 
 def _run_result(

@@ -96,6 +96,10 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
         '--machine', required=True, action='append', metavar='M.yaml',
         help='machine.yaml of all bags; or given once per bag, in their order',
     )  # fmt: skip
+    sub.add_argument(
+        '--join', action='store_true',
+        help='the bags are parts of one run, whose recording was ended and begun again',
+    )  # fmt: skip
     add_reading(sub)
 
 
@@ -214,12 +218,9 @@ def _parser() -> Parser:
     sub = verb('predict', run_predict)
     _add_predict_options(sub)
 
-    _add_judging_verbs(verb)
-    _add_planning_verbs(verb)
-    add_exporting_verbs(verb)
-    add_closing_verbs(verb)
-    add_plant_verbs(verb)
-    add_keeping_verbs(verb)
+    others = (add_exporting_verbs, add_closing_verbs, add_plant_verbs, add_keeping_verbs)
+    for add in (_add_judging_verbs, _add_planning_verbs, *others):
+        add(verb)
     return parser
 
 

@@ -33,24 +33,24 @@ def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
     from otf_core.inputs.recordings import read_recording
     from otf_core.model.machine import load_machine
 
-    bags = arguments.bag
-    machines = [load_machine(file) for file in _for_each(arguments.machine, bags, '--machine')]
-    paths = _for_each(arguments.path or [None], bags, '--path')
+    runs = [arguments.bag] if arguments.join else [[name] for name in arguments.bag]
+    machines = [load_machine(file) for file in _for_each(arguments.machine, runs, '--machine')]
+    paths = _for_each(arguments.path or [None], runs, '--path')
     return [
-        read_recording(bag, machine, given_of(arguments, path))
-        for bag, machine, path in zip(bags, machines, paths, strict=True)
+        read_recording(parts, machine, given_of(arguments, path))
+        for parts, machine, path in zip(runs, machines, paths, strict=True)
     ]
 
 
-def _for_each(files: list[Any], bags: list[str], option: str) -> list[Any]:
-    """One of the files given for every bag; ConfigError if it is not clear which."""
-    if len(files) not in (1, len(bags)):
+def _for_each(files: list[Any], runs: list[list[str]], option: str) -> list[Any]:
+    """One of the files given for every run; ConfigError if it is not clear which."""
+    if len(files) not in (1, len(runs)):
         what = 'machine.yaml' if option == '--machine' else 'path'
         raise ConfigError(
-            f'{option}: given {len(files)} times for {len(bags)} bags; give one {what} '
+            f'{option}: given {len(files)} times for {len(runs)} runs; give one {what} '
             f'for all of them, or one for each in their order'
         )
-    return files * len(bags) if len(files) == 1 else files
+    return files * len(runs) if len(files) == 1 else files
 
 
 def run_calibrate(arguments: argparse.Namespace) -> int:

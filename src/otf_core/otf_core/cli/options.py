@@ -74,6 +74,9 @@ def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
     group.add_argument(
         '--rate', type=float, metavar='HZ', help='of the samples of a text without times'
     )
+    group.add_argument(
+        '--recover', action='store_true', help='leave out what is damaged inside a bag'
+    )
 
 
 def given_of(arguments: argparse.Namespace, path: str | None = None) -> Given:
@@ -86,6 +89,7 @@ def given_of(arguments: argparse.Namespace, path: str | None = None) -> Given:
         path_topic=getattr(arguments, 'path_topic', None),
         columns=arguments.columns,
         rate=arguments.rate,
+        recover=arguments.recover,
     )
 
 

@@ -83,16 +83,26 @@ def open_reading(source: str | Path, given: Given = AS_IT_IS) -> AnyReading:
     return reading
 
 
-def read_content(source: str | Path, given: Given = AS_IT_IS) -> BagContent:
-    """Read samples and path of one recording; the log says what was left out or taken for what."""
-    reading = open_reading(source, given)
-    reading.require(reading.point)
-    if reading.path is not None:
-        reading.require(reading.path)
-    remarks = list(reading.remarks)
-    samples = samples_of(str(source), [reading], remarks)
-    _tell(source, reading, remarks)
-    return BagContent(samples, path_of(str(given.path or source), [reading]), tuple(remarks))
+def read_content(sources: Sequence[str | Path], given: Given = AS_IT_IS) -> BagContent:
+    """Read samples and path of a run; the log says what was left out or taken for what.
+
+    Parameters
+    ----------
+    sources : sequence of str or Path
+        One recording, or several that are parts of the run, in any order: every part has samples,
+        one of them at least the path, which is the same in all that have it.
+    given : Given
+    """
+    parts = [open_reading(source, given) for source in sources]
+    for part in parts:
+        part.require(part.point)
+        if part.path is not None and len(parts) == 1:
+            part.require(part.path)
+    where = str(sources[0]) if len(sources) == 1 else f'{sources[0]} and {len(sources) - 1} more'
+    remarks = [text for part in parts for text in part.remarks]
+    samples = samples_of(where, parts, remarks)
+    _tell(where, parts, remarks)
+    return BagContent(samples, path_of(str(given.path or where), parts), tuple(remarks))
 
 
 def read_samples(source: str | Path, given: Given = AS_IT_IS) -> Samples:
@@ -101,21 +111,21 @@ def read_samples(source: str | Path, given: Given = AS_IT_IS) -> Samples:
     reading.require(reading.point)
     remarks = list(reading.remarks)
     samples = samples_of(str(source), [reading], remarks)
-    _tell(source, reading, remarks)
+    _tell(source, [reading], remarks)
     return samples
 
 
-def _tell(source: str | Path, reading: AnyReading, remarks: Sequence[str]) -> None:
-    for text in reading.said:
+def _tell(source: str | Path, parts: Sequence[AnyReading], remarks: Sequence[str]) -> None:
+    for text in (said for part in parts for said in part.said):
         _log.info('%s: %s', source, text)
     for text in remarks:
         _log.warning('%s: %s', source, text)
 
 
 def read_recording(
-    source: str | Path, machine: Machine | str | Path, given: Given = AS_IT_IS
+    sources: Sequence[str | Path], machine: Machine | str | Path, given: Given = AS_IT_IS
 ) -> Recording:
-    """Read a recorded run of a machine.
+    """Read a recorded run of a machine, see ``read_content``.
 
     Raises
     ------
@@ -124,6 +134,6 @@ def read_recording(
     InputError
         If it cannot be used.
     """
-    content = read_content(source, given)
+    content = read_content(sources, given)
     used = machine if isinstance(machine, Machine) else load_machine(machine)
-    return Recording(content.samples, content.path, used, str(source))
+    return Recording(content.samples, content.path, used, str(sources[0]), content.remarks)

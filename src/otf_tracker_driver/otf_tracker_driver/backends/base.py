@@ -11,16 +11,29 @@ what has arrived. How to add one: docs/add-a-backend.md.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from otf_core.config import Parameters, parameter
+from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
+from otf_tracker_driver.health import Health
 
+OPERATIONS = (
+    'list_reflectors',
+    'set_reflector',
+    'bird_bath',
+    'find_reflector',
+    'two_face_check',
+    'clear_errors',
+)
+"""What an operator may ask of a source that takes commands."""
 NO_SAMPLES = Samples(np.empty(0, np.int64), np.empty((0, 3)))
 
 
@@ -66,6 +79,8 @@ class Backend(ABC):
         Nominal path that comes with the samples; known once connected.
     remark : str
         What is worth saying about the stream when it starts.
+    cancelled : callable
+        Tells whether ``connect`` shall give up.
     """
 
     parameters: ClassVar[type[Parameters]]
@@ -75,6 +90,7 @@ class Backend(ABC):
     expected: int = 0
     path: NominalPath | None = None
     remark: str = ''
+    cancelled: Callable[[], bool] = staticmethod(lambda: False)
 
     def __init__(self, common: CommonConfig, own: Parameters) -> None:
         self.common, self.own = common, own
@@ -97,7 +113,10 @@ class Backend(ABC):
 
     @abstractmethod
     def poll(self) -> Samples:
-        """Return the samples measured since the last call, at once; OtfError on a fault."""
+        """Return the samples measured since the last call, at once; OtfError on a fault.
+
+        Any other error is a defect: the driver says so and ends.
+        """
 
     @property
     @abstractmethod
@@ -108,6 +127,33 @@ class Backend(ABC):
     def trouble(self) -> str:
         """What hinders a stream that is under way and goes on by itself; empty if nothing."""
         return ''
+
+    @property
+    def health(self) -> Health:
+        """How the source is, for status and diagnostics; also while nothing streams."""
+        return Health()
+
+    def operate(self, name: str, own: Parameters) -> Future[str]:
+        """Have the source do something that an operator asks for; returns at once.
+
+        Parameters
+        ----------
+        name : str
+            One of ``OPERATIONS``.
+        own : Parameters
+            As they are now.
+
+        Returns
+        -------
+        Future of str
+            One sentence on what came of it, or OtfError.
+
+        Raises
+        ------
+        InputError
+            If it cannot do that.
+        """
+        raise InputError('this source takes no commands; the backend emscon does')
 
     def stop(self) -> None:  # noqa: B027
         """End the stream; nothing happens if there is none."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 from otf_core.config import Parameters, parameter
@@ -11,12 +12,21 @@ from otf_core.errors import ConfigError
 from otf_core.model.observation import Samples
 from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, joined
 from otf_tracker_driver.emscon.configure import Wanted
+from otf_tracker_driver.emscon.errors import TrackerError
+from otf_tracker_driver.emscon.operations import OPERATIONS
 from otf_tracker_driver.emscon.session import Address
-from otf_tracker_driver.emscon.state import SessionState
+from otf_tracker_driver.emscon.state import (
+    CONFIGURING,
+    CONNECTING,
+    INITIALISING,
+    SessionState,
+)
 from otf_tracker_driver.emscon.thread import SessionThread
+from otf_tracker_driver.health import Health
 
-PATIENCE = 8.0
-"""s; longer than it takes to connect and configure a tracker that is initialised."""
+PATIENCE, INITIALISED = 8.0, 3.0
+"""s; longer than it takes to set up a tracker that is initialised; and one that initialises for
+longer goes on with that after ``connect``."""
 PAUSE = 0.01
 ENVIRONMENT = ((-50.0, 60.0), (500.0, 1200.0), (0.0, 100.0))
 
@@ -68,23 +78,59 @@ class Emscon(Backend):
             raise ConfigError('parameter emscon.host: empty; give the address of the tracker')
         wanted = Wanted(_milliseconds(own.interval), own.reflector, _environment(own.environment))
         self._thread = SessionThread(Address(own.host, own.port), wanted, own.find_reflector)
-        until = time.monotonic() + PATIENCE
-        while not self._thread.configured and time.monotonic() < until:
+        began = time.monotonic()
+        while not self._thread.configured:
+            initialising = self._thread.state.phase == INITIALISING
+            if time.monotonic() - began > (INITIALISED if initialising else PATIENCE):
+                break
+            if self.cancelled():
+                raise TrackerError(f'tracker at {own.host}:{own.port}: connecting was given up')
             time.sleep(PAUSE)
         known = self._thread.state.tracker
         return f'{known or "tracker"} at {own.host}:{own.port}'
 
     @property
     def preparing(self) -> str:
-        """Not empty while the tracker initialises."""
+        """Not empty while the tracker initialises or is being set up."""
         if self._thread is None or self._thread.configured:
             return ''
-        return 'the tracker initialises'
+        initialising = self._thread.state.phase == INITIALISING
+        return 'the tracker initialises' if initialising else 'the tracker is being set up'
 
     @property
     def trouble(self) -> str:
         """What hinders the measurement just now; empty if nothing."""
         return self._thread.state.trouble if self._thread else ''
+
+    @property
+    def health(self) -> Health:
+        """How tracker, link, beam and clock are."""
+        state = self.state
+        if state is None:
+            return Health(connected=False)
+        return Health(
+            connected=state.phase not in (CONNECTING, CONFIGURING, INITIALISING),
+            device=str(state.tracker or ''),
+            beam=state.beam,
+            clock=state.clock,
+            environment=state.environment or (state.tracker and state.tracker.environment),
+            connections=state.connections,
+            interruptions=state.interruptions,
+            left_out=dict(state.left_out),
+            unreadable=state.unreadable,
+            gaps=state.gaps,
+        )
+
+    def operate(self, name: str, own: Parameters) -> Future[str]:
+        """Have the tracker do one of ``OPERATIONS``."""
+        assert isinstance(own, EmsconConfig), 'parameters of this backend'
+        if self._thread is None:
+            raise TrackerError('not connected; configure first')
+        if name == 'set_reflector':
+            if not own.reflector:
+                raise ConfigError('parameter emscon.reflector: empty; name the reflector to set')
+            return self._thread.use_reflector(own.reflector)
+        return self._thread.do(OPERATIONS[name])
 
     def start(self) -> None:
         """Have the tracker measure."""

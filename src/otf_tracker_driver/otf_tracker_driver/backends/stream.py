@@ -9,6 +9,7 @@ from otf_core.config import Parameters, parameter
 from otf_core.errors import ConfigError
 from otf_core.model.observation import Samples
 from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, joined
+from otf_tracker_driver.health import Health
 from otf_tracker_driver.stream.description import read_description
 from otf_tracker_driver.stream.reader import Reader
 from otf_tracker_driver.stream.transport import opened
@@ -51,6 +52,23 @@ class Stream(Backend):
     def trouble(self) -> str:
         """What hinders the stream just now; empty if nothing."""
         return self._reader.trouble if self._reader else ''
+
+    @property
+    def health(self) -> Health:
+        """How the source and its clock are."""
+        reader = self._reader
+        if reader is None:
+            return Health(connected=False)
+        by_host = reader.by_host
+        return Health(
+            connected=reader.connected,
+            device=reader.source,
+            clock=None if by_host else reader.stamper.clock,
+            by_host=by_host,
+            unreadable=reader.unreadable,
+            interruptions=reader.interruptions,
+            gaps=reader.gaps,
+        )
 
     def start(self) -> None:
         """Begin to take points."""

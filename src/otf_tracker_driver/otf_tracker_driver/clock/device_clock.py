@@ -7,20 +7,26 @@ goes back, where packets come earlier than is possible, and where all packets ar
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
-from otf_tracker_driver.clock.envelope import Line, beneath
+from otf_tracker_driver.clock.envelope import NOTHING, Known, Line, beneath
 
 WINDOW = 120 * 10**9
 """ns; older packets are forgotten, so that a rate that changes with temperature is followed."""
 BUCKET = 25 * 10**7
 """ns; of packets within it only the least late one is kept."""
-SETTLING = 2 * 10**9
-"""ns; so long packets are collected before the first line is believed."""
+SETTLING, UNSURE_FOR = 2 * 10**9, 4 * 10**9
+"""ns; so long packets are collected at least, and at most, before the first line is believed."""
+SURE = 6e5
+"""ns; standard uncertainty of a line that is believed at once."""
+WANDERS = 2e-6
+"""A quartz that has been seen keeps its rate within this."""
 EARLY = 5 * 10**6
 """ns; a packet that much beneath the line is impossible without a jump."""
 LATE = 80 * 10**6
@@ -95,6 +101,7 @@ class DeviceClock:
         self._points: deque[tuple[int, int]] = deque()
         self._suspects: list[tuple[int, int]] = []
         self._began = 0
+        self._known = NOTHING
 
     @property
     def state(self) -> ClockState:
@@ -105,11 +112,20 @@ class DeviceClock:
         return ClockState(known, self._packets, rate, *numbers)
 
     def restart(self) -> None:
-        """Begin a new epoch: the device's clock starts again."""
+        """Begin a new epoch: the device's clock starts again, at the rate that it has."""
         self.epoch += 1
+        if self.line is not None:
+            delay = max(self._spread * 1e9, 1.0)
+            u_rate = math.hypot(self.line.u_rate, WANDERS)
+            self._known = Known(self.line.rate, u_rate, delay)
+        self._known = replace(self._known, floor=None)
         self.line = None
         self._points.clear()
         self._suspects.clear()
+
+    def started(self, host_ns: int) -> None:
+        """Take the time at which the clock was ordered to start from zero."""
+        self._known = replace(self._known, floor=host_ns)
 
     def take(self, device_ns: int, arrival_ns: int) -> Verdict:
         """Take the time of a packet's last sample on both clocks."""
@@ -147,7 +163,15 @@ class DeviceClock:
         if not self._points:
             self._began = arrival_ns
         self._add(device_ns, delay)
-        if len(self._points) < 2 or arrival_ns - self._began < SETTLING:
+        if len(self._points) < 2:
+            return Verdict.WAIT
+        return self._settled(arrival_ns - self._began)
+
+    def _settled(self, lasted: int) -> Verdict:
+        """Draw the first line of an epoch if enough is known."""
+        if lasted < SETTLING:
+            return Verdict.WAIT
+        if lasted < UNSURE_FOR and beneath(*self._arrays(), self._known).u_base > SURE:
             return Verdict.WAIT
         self._fit()
         return Verdict.STAMP
@@ -161,10 +185,7 @@ class DeviceClock:
         self._began = sum(points[0])
         for device_ns, delay in points:
             self._add(device_ns, delay)
-        if points[-1][0] - points[0][0] < SETTLING:
-            return Verdict.WAIT
-        self._fit()
-        return Verdict.STAMP
+        return self._settled(points[-1][0] - points[0][0])
 
     def _add(self, device_ns: int, delay: int) -> bool:
         """Keep a point if it is the least late of its bucket; tell whether it is the first."""
@@ -180,8 +201,8 @@ class DeviceClock:
         return first
 
     def _fit(self) -> None:
-        device, delay = np.array(self._points, dtype=np.int64).T
-        line = beneath(device, delay)
+        device, delay = self._arrays()
+        line = beneath(device, delay, self._known)
         above = delay - line.at(device)
         if len(above) > 2 * RAISED_FOR and self._raised(above):
             self._jumps += 1
@@ -190,6 +211,10 @@ class DeviceClock:
             return
         self._spread = float(np.median(above)) * 1e-9
         self.line = line
+
+    def _arrays(self) -> NDArray[np.int64]:
+        """Device times and delays of the points, shape (2, n), ns."""
+        return np.array(self._points, dtype=np.int64).T
 
     @staticmethod
     def _raised(above: np.ndarray) -> bool:

@@ -6,8 +6,11 @@ So a - d lies on or above the line offset + rate d (Moon, Skelly, Towsley: Estim
 of clock skew from network delay measurements, INFOCOM 1999). For delays with an exponential
 distribution of unknown mean the likeliest rate minimises n log(mean delay above the highest line
 beneath all points); the mean is taken from the median, which packets that are very late do not
-move, and what is known of quartz clocks is added as a normal distribution of the rate. That keeps
-the line quiet in the first seconds.
+move, and what is known of the rate is added as a normal distribution: of quartz clocks at first,
+of this clock later. That keeps the line quiet in the first seconds.
+
+Where the host has started the clock itself, its zero cannot lie before the command was sent. That
+bounds the line from below, and a packet that happens to be quick pins it between the two.
 """
 
 from __future__ import annotations
@@ -23,7 +26,12 @@ USUAL_RATE = 20e-6
 RATES = np.arange(-100e-6, 100.1e-6, 1e-6)
 """Rates that are tried."""
 
-
+USUAL_DELAY = 1e6
+"""ns; median delay of packets, as far as none have told."""
+ASSUMED = 4
+"""Packets that this counts as much as."""
+VERY_LATE = 5.0
+"""Medians; packets later than that count as if late by as much."""
 SHARPEST = 1e4
 """ns; delays are not resolved better."""
 LOWERED = 1.1
@@ -31,8 +39,35 @@ LOWERED = 1.1
 whose density rises from zero, such as sums of the age of a packet's last sample and of its way,
 less for those whose density does not."""
 
+MILLISECOND = 1e6
+"""ns"""
 MOST_LOWERED = 3e6
 """ns; for few packets, some of them very late."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a clock before its packets.
+
+    Attributes
+    ----------
+    rate : float
+        Host seconds per device second, less one.
+    u_rate : float
+        Its standard uncertainty.
+    delay : float, ns
+        Median delay of packets.
+    floor : int or None, ns
+        Host time before which the clock did not show zero; None if nobody knows.
+    """
+
+    rate: float = 0.0
+    u_rate: float = USUAL_RATE
+    delay: float = USUAL_DELAY
+    floor: int | None = None
+
+
+NOTHING = Known()
 
 
 @dataclass(frozen=True)
@@ -46,11 +81,17 @@ class Line:
     base : int, ns
     rate : float
         Host seconds per device second, less one.
+    u_rate : float
+        Standard uncertainty of the rate.
+    u_base : float, ns
+        Standard uncertainty of ``base``.
     """
 
     origin: int
     base: int
     rate: float
+    u_rate: float = 0.0
+    u_base: float = 0.0
 
     def at(self, device_ns: NDArray[np.int64] | int) -> NDArray[np.int64]:
         """Host minus device time at these device times, ns."""
@@ -58,7 +99,9 @@ class Line:
         return np.asarray(self.base + np.rint(drift).astype(np.int64))
 
 
-def beneath(device_ns: NDArray[np.int64], delay_ns: NDArray[np.int64]) -> Line:
+def beneath(
+    device_ns: NDArray[np.int64], delay_ns: NDArray[np.int64], known: Known = NOTHING
+) -> Line:
     """Return the likeliest line beneath all points.
 
     Parameters
@@ -67,18 +110,45 @@ def beneath(device_ns: NDArray[np.int64], delay_ns: NDArray[np.int64]) -> Line:
         Increasing.
     delay_ns : ndarray of int64, shape (n,), ns
         Arrival minus device time.
+    known : Known
 
     Returns
     -------
     Line
         Lowered by what the least of n delays exceeds zero on average.
     """
-    origin, base, n = int(device_ns[0]), int(delay_ns[0]), len(device_ns)
+    origin, base, n = int(device_ns[-1]), int(delay_ns[-1]), len(device_ns)
     x, y = (device_ns - origin).astype(float), (delay_ns - base).astype(float)
     above = y - RATES[:, None] * x
     least = above.min(axis=1)
-    median = np.median(above, axis=1) - least
-    cost = n * np.log(median + SHARPEST) + 0.5 * (RATES / USUAL_RATE) ** 2
-    best = int(cost.argmin())
-    lowered = min(LOWERED * float(median[best]) / math.sqrt(n), MOST_LOWERED)
-    return Line(origin, base + round(float(least[best]) - lowered), float(RATES[best]))
+    above -= least[:, None]
+    median = np.median(above, axis=1)
+    mean = np.minimum(above, VERY_LATE * median[:, None]).mean(axis=1)
+    cost = n * np.log(mean + SHARPEST) + 0.5 * ((RATES - known.rate) / known.u_rate) ** 2
+    likely = np.exp(cost.min() - cost)
+    likely /= likely.sum()
+    rate, highest, middle = (float(likely @ v) for v in (RATES, least, median))
+    u_rate = math.sqrt(float(likely @ (RATES - rate) ** 2))
+    delay = (n * middle + ASSUMED * known.delay) / (n + ASSUMED)
+    lowered = min(LOWERED * delay / math.sqrt(n), MOST_LOWERED)
+    offset, u = highest - lowered, lowered
+    if known.floor is not None:
+        unsure = u_rate * origin
+        floor = known.floor - base + rate * origin - unsure
+        offset, u = _between(floor, highest, offset, u)
+    return Line(origin, base + round(offset), rate, u_rate, u)
+
+
+def _between(lowest: float, highest: float, offset: float, u: float) -> tuple[float, float]:
+    """Keep an estimate between its bounds, and the nearer to their middle the closer they are.
+
+    Bounds up to 2 ms apart then leave an error of at most 1 ms, also if every packet is late by
+    more than the estimate knows. Bounds more than 6 ms apart say nothing.
+    """
+    if lowest >= highest:
+        return highest, u
+    half = (highest - lowest) / 2
+    slack = MILLISECOND - half if half < MILLISECOND else 1.5 * (half - MILLISECOND)
+    middle = (lowest + highest) / 2
+    inside = min(max(offset, middle - slack, lowest), middle + slack, highest)
+    return inside, min(u, half / math.sqrt(3))

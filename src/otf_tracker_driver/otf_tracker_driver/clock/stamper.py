@@ -79,6 +79,10 @@ class Stamper:
         self._epoch, self._given, self._device = self._clock.epoch, None, None
         return rest
 
+    def started(self, host_ns: int) -> None:
+        """Take the time at which the device's clock was ordered to start from zero."""
+        self._clock.started(host_ns)
+
     def flush(self) -> list[Samples]:
         """Return what still waits, stamped as well as can be."""
         self._clock.give_up_waiting()

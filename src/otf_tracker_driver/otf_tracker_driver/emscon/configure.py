@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
@@ -80,8 +81,15 @@ async def identify(link: Link) -> tuple[str, str, int, bool]:
     return name or 'tracker', version, status[9], status[1] == codes.PROCESSOR_INITIALISED
 
 
-async def configure(link: Link, wanted: Wanted) -> Tracker:
+async def configure(link: Link, wanted: Wanted, initialising: Callable[[], None]) -> Tracker:
     """Identify, initialise if needed, set everything and read it back.
+
+    Parameters
+    ----------
+    link : Link
+    wanted : Wanted
+    initialising : callable
+        Called before the tracker is initialised, which takes a while.
 
     Raises
     ------
@@ -90,6 +98,7 @@ async def configure(link: Link, wanted: Wanted) -> Tracker:
     """
     name, version, serial, initialised = await identify(link)
     if not initialised:
+        initialising()
         await link.ask(Command.INITIALIZE)
     await _set(link, Command.SET_UNITS, Command.GET_UNITS, *UNITS)
     await _set_system(link, measured=wanted.environment is None)

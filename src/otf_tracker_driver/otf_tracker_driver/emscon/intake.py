@@ -12,6 +12,7 @@ from otf_tracker_driver.clock.stamper import Stamper
 from otf_tracker_driver.emscon.codes import SAMPLE_TEXT, SampleStatus
 from otf_tracker_driver.emscon.packets import Measurements
 from otf_tracker_driver.emscon.state import SessionState
+from otf_tracker_driver.health import Gap
 
 FURTHEST = 200.0
 """m; no tracker measures further."""
@@ -32,21 +33,26 @@ class Intake:
         self._state, self._deliver = state, deliver
         self._stamper = Stamper()
         self._last_ns: int | None = None
-        self._interrupted = False
+        self._interrupted = ''
         self.last_range = 0.0
 
     def begin(self) -> None:
         """Begin a measurement: the tracker's clock starts again."""
         self._hand_on(self._stamper.restart())
 
-    def end(self, interrupted: bool) -> None:
-        """Hand on what waits; mark the gap that follows if the stream was interrupted."""
+    def started(self, host_ns: int) -> None:
+        """Take the time at which the tracker was told to start."""
+        self._stamper.started(host_ns)
+
+    def end(self, interruption: str) -> None:
+        """Hand on what waits; mark the gap that follows if there was an interruption."""
         self._hand_on(self._stamper.flush())
-        self._interrupted |= interrupted and self._last_ns is not None
+        if self._last_ns is not None:
+            self._interrupted = self._interrupted or interruption
 
     def forget(self) -> None:
         """Begin a stream that has nothing to do with the one before."""
-        self._last_ns, self._interrupted = None, False
+        self._last_ns, self._interrupted = None, ''
 
     def take(self, packet: Measurements, arrival_ns: int) -> bool:
         """Take a packet; tell whether any of its samples saw a reflector."""
@@ -80,8 +86,9 @@ class Intake:
         state = self._state
         for part in parts:
             if self._interrupted and self._last_ns is not None:
-                state.gaps = [*state.gaps[-MOST_GAPS:], (self._last_ns, int(part.stamp_ns[0]))]
-            self._interrupted, self._last_ns = False, int(part.stamp_ns[-1])
+                gap = Gap(self._last_ns, int(part.stamp_ns[0]), self._interrupted)
+                state.gaps = (*state.gaps[-MOST_GAPS:], gap)
+            self._interrupted, self._last_ns = '', int(part.stamp_ns[-1])
             state.samples += len(part)
             self._deliver(part)
         state.clock = self._stamper.clock

@@ -50,6 +50,8 @@ class Link:
     ----------
     ended : asyncio.Future
         Holds the LinkError that ended the connection.
+    asked_ns : int
+        When the last command was sent, on the clock of ``now_ns``.
     unreadable, late_answers : int
         Packets that were framed but made no sense; answers that nobody waits for.
     """
@@ -66,6 +68,7 @@ class Link:
         self._waiting: dict[int, deque[asyncio.Queue[packets.Answer]]] = {}
         self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._heard = False
+        self.asked_ns = 0
         self.unreadable = self.late_answers = 0
 
     async def read(self) -> None:
@@ -166,6 +169,7 @@ class Link:
         waiting = self._waiting.setdefault(command, deque())
         waiting.append(answers)
         try:
+            self.asked_ns = self._now_ns()
             self._writer.write(commands.encode_request(command, *values))
             yield answers
         finally:

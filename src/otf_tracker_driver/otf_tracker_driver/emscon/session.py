@@ -10,12 +10,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from otf_core.model.observation import Samples
 from otf_tracker_driver.clock.stamper import HostClock
-from otf_tracker_driver.emscon import codes, state
+from otf_tracker_driver.emscon import actions, codes, state
 from otf_tracker_driver.emscon.codes import Command, Event, Status
 from otf_tracker_driver.emscon.configure import Wanted, configure, unchanged
 from otf_tracker_driver.emscon.errors import LinkError, Refused, TrackerError
@@ -29,15 +29,16 @@ from otf_tracker_driver.emscon.packets import (
     Unused,
 )
 from otf_tracker_driver.emscon.state import SessionState
+from otf_tracker_driver.health import Beam
 
 T = TypeVar('T')
 
-CONNECT_WITHIN = 5.0
+CONNECT_WITHIN = 2.0
 """s"""
 FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
 """s; between attempts, doubled each time."""
-SILENT_FOR = 3.0
-"""s; a tracker that streams sends packets three times per second."""
+SILENT_FOR = 1.5
+"""s; a tracker that streams sends packets three times per second, late by 60 ms at most."""
 LINGERS = 3.0
 """s; a tracker may take a connection for open for a while after its end."""
 HARMLESS = frozenset({0, 1, 2, 3, 7, 17, 19, 24, 25, 26, 27, 28, 30, 31, 145, 151, 850, 999})
@@ -90,6 +91,7 @@ class Session:
         self._wake = asyncio.Event()
         self._lost = ''
         self._doubt = self._closing = False
+        self._operated = asyncio.Lock()
         self._held: list[tuple[Measurements, int]] = []
         self._heard, self._made = 0.0, _now()
 
@@ -102,12 +104,21 @@ class Session:
         self._wake.set()
 
     async def do(self, action: Callable[[Link], Awaitable[T]]) -> T:
-        """Have the tracker do something while it does not stream."""
+        """Have the tracker do something while it does not measure."""
         if self._link is None or self.state.tracker is None:
             raise TrackerError(f'not connected: {self.state.trouble or "wait"}')
-        if self._streaming:
-            raise TrackerError('the tracker is streaming; deactivate first')
-        return await action(self._link)
+        async with self._operated:
+            if self._measuring:
+                raise TrackerError('the tracker is measuring; stop it first')
+            return await action(self._link)
+
+    async def use_reflector(self, name: str) -> str:
+        """Set a reflector by its name, for this connection and those to come; return its name."""
+        used = await self.do(actions.reflector(name))
+        self._wanted = replace(self._wanted, reflector=used)
+        if self.state.tracker is not None:
+            self.state.tracker = replace(self.state.tracker, reflector=used)
+        return used
 
     async def run(self) -> None:
         """Connect and keep at it; raises TrackerError only if the first attempt fails."""
@@ -125,7 +136,7 @@ class Session:
                 self._count(self._link)
                 if not self.configured.is_set() and not self._may_be_our_own(error):
                     raise TrackerError(f'tracker at {self._address}: {error}') from None
-                self.state.phase = state.CONNECTING
+                self.state.phase, self.state.beam = state.CONNECTING, Beam.UNKNOWN
                 self.state.trouble = f'tracker at {self._address}: {error}; connecting again'
             finally:
                 self._link = None
@@ -139,11 +150,14 @@ class Session:
 
     async def _configure(self, link: Link) -> None:
         self.state.phase = state.CONFIGURING
-        self.state.tracker = await configure(link, self._wanted)
+        self.state.tracker = await configure(link, self._wanted, self._initialising)
         self.state.connections += 1
         self._doubt = self._closing = False
         self._link = link
         self.configured.set()
+
+    def _initialising(self) -> None:
+        self.state.phase = state.INITIALISING
 
     async def _serve(self, link: Link) -> None:
         """Stream whenever it is wanted; ends with an error only."""
@@ -169,6 +183,7 @@ class Session:
             if seen:
                 return True
             self.state.phase = state.SEARCHING
+            self._lose_beam()
             lost = self._lost or 'no reflector in the beam'
             if self._find:
                 if pause == FIRST_PAUSE:
@@ -186,19 +201,22 @@ class Session:
 
     async def _measure(self, link: Link) -> None:
         """Start, and watch until the stream is not wanted any more or breaks off."""
-        self._lost, self._held = '', []
-        self._intake.begin()
-        self._measuring = True
         try:
-            await link.ask(Command.START_MEASUREMENT)
+            async with self._operated:
+                self._lost, self._held = '', []
+                self._intake.begin()
+                self._measuring = True
+                await link.ask(Command.START_MEASUREMENT)
+                self._intake.started(link.asked_ns)
             self.state.phase, self.state.trouble = state.STREAMING, ''
+            self.state.beam = Beam.ON_TARGET
             self._heard = _now()
             while self._streaming and not self._lost:
-                await self._pause(link, 1.0)
+                await self._pause(link, max(0.0, self._heard + SILENT_FOR - _now()))
                 if self._doubt:
                     await self._settle_doubt(link)
                 if _now() - self._heard > SILENT_FOR:
-                    self._interrupt(f'no samples for {SILENT_FOR:.0f} s')
+                    self._interrupt(f'no samples for {SILENT_FOR:g} s')
         except LinkError as error:
             self._interrupt(str(error))
             raise
@@ -208,7 +226,7 @@ class Session:
         finally:
             self._measuring = False
             self._leave_out_held('settings not confirmed')
-            self._intake.end(interrupted=bool(self._lost))
+            self._intake.end(self._lost)
         with contextlib.suppress(Refused):  # it may have stopped by itself
             await link.ask(Command.STOP_MEASUREMENT)
 
@@ -250,6 +268,8 @@ class Session:
             self._samples(packet, arrival_ns)
         elif isinstance(packet, ErrorReport):
             if self._measuring:
+                if packet.status == Status.BEAM_LOST:
+                    self._lose_beam()
                 self._interrupt(codes.status_text(packet.status))
         elif isinstance(packet, StatusChange):
             self.state.last_event = codes.event_text(packet.event)
@@ -266,7 +286,11 @@ class Session:
         if self._doubt:
             self._held = [*self._held[-MOST_HELD:], (packet, arrival_ns)]
         elif not self._intake.take(packet, arrival_ns):
+            self._lose_beam()
             self._interrupt('no reflector in any sample')
+
+    def _lose_beam(self) -> None:
+        self.state.beam = Beam.SEARCHING if self._find else Beam.LOST
 
     def _interrupt(self, reason: str = '') -> None:
         """Note that the stream broke off."""

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 
 from otf_tracker_driver.clock.device_clock import ClockState
 from otf_tracker_driver.emscon.configure import Tracker
+from otf_tracker_driver.health import Beam, Gap
 
-CONNECTING, CONFIGURING, READY = 'connecting', 'configuring', 'ready'
-STREAMING, SEARCHING, CLOSED = 'streaming', 'searching', 'closed'
+CONNECTING, CONFIGURING, INITIALISING = 'connecting', 'configuring', 'initialising'
+READY, STREAMING, SEARCHING = 'ready', 'streaming', 'searching'
 
 
 @dataclass
@@ -23,6 +24,7 @@ class SessionState:
         One of the names above.
     trouble : str
         What hinders the measurement just now; empty if nothing.
+    beam : Beam
     tracker : Tracker or None
         None until configured.
     clock : ClockState
@@ -40,13 +42,14 @@ class SessionState:
         Samples left out because their time had been there; samples moved behind a jump.
     connections, interruptions : int
         Connections made; times that the beam was lost, or the stream broke off otherwise.
-    gaps : list of pair of int
-        Stamps of the last sample before and the first after each interruption, ns.
+    gaps : tuple of Gap
+        The latest interruptions.
     last_event : str
     """
 
     phase: str = CONNECTING
     trouble: str = ''
+    beam: Beam = Beam.UNKNOWN
     tracker: Tracker | None = None
     clock: ClockState = field(default_factory=ClockState)
     environment: tuple[float, float, float] | None = None
@@ -61,5 +64,5 @@ class SessionState:
     squeezed: int = 0
     connections: int = 0
     interruptions: int = 0
-    gaps: list[tuple[int, int]] = field(default_factory=list)
+    gaps: tuple[Gap, ...] = ()
     last_event: str = ''

@@ -6,8 +6,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
+import traceback
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import Future
 from typing import TypeVar
 
@@ -73,9 +74,19 @@ class SessionThread:
         return parts
 
     def do(self, action: Callable[[Link], Awaitable[T]]) -> Future[T]:
-        """Have the tracker do something while it does not stream; see actions.py."""
+        """Have the tracker do something while it does not measure; see actions.py."""
+        return self._within(lambda session: session.do(action))
+
+    def use_reflector(self, name: str) -> Future[str]:
+        """Set a reflector by its name; the result is the name of the one that is set."""
+        return self._within(lambda session: session.use_reflector(name))
+
+    def _within(self, work: Callable[[Session], Coroutine[None, None, T]]) -> Future[T]:
+        """Run a coroutine in the session's thread; what has ended raises why it did."""
+        if self._run.done():
+            self._run.result()
         assert self._session is not None
-        return asyncio.run_coroutine_threadsafe(self._session.do(action), self._loop)
+        return asyncio.run_coroutine_threadsafe(work(self._session), self._loop)
 
     def close(self) -> None:
         """Stop the measurement, disconnect, end the thread."""
@@ -109,6 +120,9 @@ class SessionThread:
     def _ended(self, task: asyncio.Task[None]) -> None:
         """Keep why the session has ended, for whoever asks next."""
         reason = TrackerError('disconnected') if task.cancelled() else task.exception()
+        if not isinstance(reason, TrackerError):
+            traceback.print_exception(reason)
+            reason = TrackerError(f'internal error of the connection: {reason!r}')
         self._run.set_exception(reason)
 
     def _take(self, samples: Samples) -> None:

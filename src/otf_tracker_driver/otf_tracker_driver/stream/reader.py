@@ -13,6 +13,7 @@ import numpy as np
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_tracker_driver.clock.stamper import HostClock, Stamper
+from otf_tracker_driver.health import Gap
 from otf_tracker_driver.stream.description import Description
 from otf_tracker_driver.stream.lines import Lines, Unreadable, as_arrays, read_point
 from otf_tracker_driver.stream.transport import Transport, opened
@@ -25,6 +26,7 @@ SILENT_FOR = 3.0
 """s"""
 MOST_HELD = 100_000
 """Chunks that wait to be fetched; the oldest are lost beyond."""
+MOST_GAPS = 1000
 ENDED_WITHIN = 6.0
 """s"""
 
@@ -44,6 +46,11 @@ class Reader:
         What hinders just now; empty if nothing.
     points, unreadable : int
         Lines that held a point, and lines that did not.
+    connected : bool
+    interruptions : int
+        Times that the source was lost while it streamed.
+    gaps : tuple of Gap
+        The latest of them that have ended.
     """
 
     def __init__(self, how: Description, transport: Transport) -> None:
@@ -53,9 +60,22 @@ class Reader:
         self._last_ns = 0
         self._streaming, self._ended = threading.Event(), threading.Event()
         self.trouble = ''
-        self.points = self.unreadable = 0
+        self.points = self.unreadable = self.interruptions = 0
+        self.connected = True
+        self.gaps: tuple[Gap, ...] = ()
+        self._lost = ''
         self._thread = threading.Thread(target=self._work, name='stream', daemon=True)
         self._thread.start()
+
+    @property
+    def source(self) -> str:
+        """Address of the source."""
+        return str(self._how.source)
+
+    @property
+    def by_host(self) -> bool:
+        """True if points are stamped on arrival."""
+        return self._how.stamp is None
 
     @property
     def stamper(self) -> Stamper:
@@ -66,6 +86,7 @@ class Reader:
         """Start or stop a stream; what was not fetched of the one before is forgotten."""
         if on:
             self._samples.clear()
+            self._last_ns, self._lost = 0, ''
             self._streaming.set()
         else:
             self._streaming.clear()
@@ -88,7 +109,7 @@ class Reader:
             try:
                 self._read()
             except OSError as error:
-                self.trouble = f'{self._how.source}: {error.strerror or error}; connecting again'
+                self._lose(f'{self._how.source}: {error.strerror or error}')
             self._transport.close()
             while not self._ended.wait(pause):
                 pause = min(2 * pause, LONGEST_PAUSE)
@@ -98,9 +119,18 @@ class Reader:
                     self.trouble = f'{error}; connecting again'
                     continue
                 self.trouble, pause = '', FIRST_PAUSE
+                self.connected = True
                 break
             else:
                 return
+
+    def _lose(self, reason: str) -> None:
+        """Note that the source is lost."""
+        self.connected = False
+        self.trouble = f'{reason}; connecting again'
+        if self._streaming.is_set() and self._last_ns and not self._lost:
+            self.interruptions += 1
+            self._lost = reason
 
     def _read(self) -> None:
         """Read until the source is lost or the reader ends."""
@@ -129,8 +159,7 @@ class Reader:
     def _tell(self, on: bool) -> None:
         """Say to the source that a stream starts or ends, and start or end it here."""
         if on:
-            self._stamper.restart()
-            self._last_ns = 0
+            self._hand_on(self._stamper.restart())
         text = self._how.start if on else self._how.stop
         if text:
             self._transport.send(text.encode())
@@ -155,8 +184,15 @@ class Reader:
 
     def _stamp(self, stamps: np.ndarray, xyz: np.ndarray, arrival_ns: int) -> None:
         if self._how.stamp is not None:
-            self._samples.extend(self._stamper.take(stamps, xyz, arrival_ns))
+            self._hand_on(self._stamper.take(stamps, xyz, arrival_ns))
             return
         first = max(arrival_ns, self._last_ns + 1)
-        self._last_ns = first + len(xyz) - 1
-        self._samples.append(Samples(first + np.arange(len(xyz), dtype=np.int64), xyz))
+        self._hand_on([Samples(first + np.arange(len(xyz), dtype=np.int64), xyz)])
+
+    def _hand_on(self, parts: list[Samples]) -> None:
+        for part in parts:
+            if self._lost:
+                gap = Gap(self._last_ns, int(part.stamp_ns[0]), self._lost)
+                self.gaps, self._lost = (*self.gaps[-MOST_GAPS:], gap), ''
+            self._last_ns = int(part.stamp_ns[-1])
+            self._samples.append(part)

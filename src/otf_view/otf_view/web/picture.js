@@ -85,7 +85,9 @@ function drawSpace(scene, now) {
   const at = projection(scene.path, width, height);
   axes(pen, at, scene.path);
   strip(pen, scene.path.map(at), colour('path'), 1);
+  pen.globalAlpha = 0.6;
   if (now && now.driven) strip(pen, now.driven.map(at), colour('driven'), 2);
+  pen.globalAlpha = 1;
   if (scene.volume) {
     arrows(pen, at, scene.volume.points, scene.volume.errors_um, scene.volume.scale,
       colour('error'));

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the calibrator tells on ``/diagnostics``: samples, losses, run, disk, memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rclpy.node import Node
+
+from otf_calibrator.session import Session
+from otf_ros.diagnostics import PERIOD, Diagnostics, Finding, Level, disk, memory
+
+
+def tell(node: Node, session: Session, folder: Callable[[], str]) -> Diagnostics:
+    """Publish what a calibrator finds.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    session : Session
+    folder : callable
+        Returns where results go.
+    """
+    before = [0]
+
+    def samples() -> Finding:
+        count = len(session.collector.buffer)
+        came, before[0] = max(0, count - before[0]), count
+        values = {'samples of the run': count, 'rate [Hz]': came / PERIOD}
+        return Finding(Level.OK, f'{count} samples of the present run', values)
+
+    def losses() -> Finding:
+        lost = session.collector.lost
+        if not lost:
+            return Finding(Level.OK, 'all that the driver has announced has arrived')
+        text = f'{lost} samples that the driver has announced have not arrived (yet)'
+        return Finding(Level.WARN, text, {'lost': lost})
+
+    def work() -> Finding:
+        if session.busy:
+            return Finding(Level.OK, session.worker.stage, {'done': session.worker.fraction})
+        return Finding(Level.OK, 'waits' if session.collector.taken else 'collects')
+
+    tasks = {'samples': samples, 'losses': losses, 'work': work}
+    return Diagnostics(
+        node, lambda: '', {**tasks, 'disk': lambda: disk(folder()), 'memory': memory}
+    )
