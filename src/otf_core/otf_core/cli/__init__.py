@@ -15,6 +15,7 @@ from otf_core.cli.checking import run_check, run_doctor, run_info
 from otf_core.cli.closing import add_closing_verbs
 from otf_core.cli.completion import SHELLS, run_completion
 from otf_core.cli.exporting import add_exporting_verbs
+from otf_core.cli.keeping import add_keeping_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -223,13 +224,10 @@ def _parser() -> Parser:
         )
         return sub
 
-    _add_checking_verbs(verb)
-    _add_measuring_verbs(verb)
-    _add_judging_verbs(verb)
-    _add_planning_verbs(verb)
-    add_exporting_verbs(verb)
-    add_closing_verbs(verb)
-    add_plant_verbs(verb)
+    own = (_add_checking_verbs, _add_measuring_verbs, _add_judging_verbs, _add_planning_verbs)
+    others = (add_exporting_verbs, add_closing_verbs, add_plant_verbs, add_keeping_verbs)
+    for add in (*own, *others):
+        add(verb)
     return parser
 
 
