@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with the graph or the stream is said in the state and logged."""
+"""What is wrong with graph or stream is said in the state while it is wrong, and logged."""
 
 import numpy as np
 from cells import write_machine

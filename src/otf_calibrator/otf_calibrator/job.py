@@ -8,7 +8,7 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TypeVar
@@ -108,16 +108,22 @@ class Worker:
         self._ahead.clear()
         return self._pool.submit(self._provisional, request)
 
-    def save(self, outcome: Calibrated) -> None:
+    def save(self, outcome: Calibrated) -> Future[Calibrated]:
         """Keep path and samples as a bag beside the results, if that is wanted."""
-        recording, folder = outcome.recording, outcome.folder
-        if folder and outcome.request.files.save_bag:
-            content = BagContent(recording.samples, recording.path)
-            self._pool.submit(write_bag, folder / BAG, content).add_done_callback(self._check)
+        self.stage, self.fraction = 'saving the samples', 0.0
+        return self._pool.submit(self._save, outcome)
 
-    def _check(self, writing: Future[None]) -> None:
-        if writing.exception():
-            self._warn(f'the samples were not saved: {writing.exception()}')
+    def _save(self, outcome: Calibrated) -> Calibrated:
+        recording, folder = outcome.recording, outcome.folder
+        if not folder or not outcome.request.files.save_bag:
+            return outcome
+        try:
+            write_bag(folder / BAG, BagContent(recording.samples, recording.path))
+        except OtfError as error:
+            problem = f'the samples were not saved: {error}'
+            self._warn(problem)
+            return replace(outcome, problem=problem)
+        return outcome
 
     def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""

@@ -52,6 +52,7 @@ class Session:
         self.intake = Intake(self.collector, warn)
         self.worker = Worker(warn)
         self._job: Future[Calibrated] | None = None
+        self._saving: Future[Calibrated] | None = None
         self._ahead: Future[Ahead] | None = None
         self._glances = Glances()
         self._verdict: Future[bool] | None = None
@@ -62,8 +63,8 @@ class Session:
 
     @property
     def busy(self) -> bool:
-        """True while a calibration is under way."""
-        return self._job is not None
+        """True while a calibration is under way or its samples are saved."""
+        return self._job is not None or self._saving is not None
 
     @property
     def answered(self) -> bool:
@@ -168,8 +169,16 @@ class Session:
         job, self._job = self._job, None
         if job.exception() is None:
             self._last = job.result()
+            self._saving = self.worker.save(self._last)
             self.intake.settle(self._last.request, self._last.folder)
         return job
+
+    def saved(self) -> Calibrated | None:
+        """Return a calibrated run whose samples are saved beside its results, once."""
+        if not self._saving or not self._saving.done():
+            return None
+        saving, self._saving = self._saving, None
+        return saving.result()
 
     def diagnose(self) -> tuple[bool, str]:
         """Start to diagnose the last calibrated run; tell whether it has, or what to do first."""

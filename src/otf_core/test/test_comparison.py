@@ -10,7 +10,12 @@ import yaml
 from core_cells import CONTRACT_CHAINS, constant_tables, error_of, some_machine, zero_tables
 
 from otf_core import cli
-from otf_core.comparison.compare import (compare, normalised_error, source_of_measurement, source_of_tables)
+from otf_core.comparison.compare import (
+    compare,
+    normalised_error,
+    source_of_measurement,
+    source_of_tables,
+)
 from otf_core.comparison.direct_csv import read_direct_csv, write_direct_csv
 from otf_core.errors import ConfigError, InputError
 from otf_core.model.direct_measurement import motion_readings

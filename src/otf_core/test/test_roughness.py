@@ -14,7 +14,16 @@ from scipy.stats import multivariate_normal
 from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.solving.basis import cubic
 from otf_core.solving.normal import NormalEquations
-from otf_core.solving.roughness import (HIGHEST, LOWEST, CoefficientPrior, Search, _Point, expected_precision, kernel, waves_of)
+from otf_core.solving.roughness import (
+    HIGHEST,
+    LOWEST,
+    CoefficientPrior,
+    Search,
+    _Point,
+    expected_precision,
+    kernel,
+    waves_of,
+)
 from otf_core.solving.solution import solve
 from otf_core.solving.unknowns import layout
 

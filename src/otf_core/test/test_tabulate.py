@@ -18,7 +18,16 @@ from otf_core.solving.basis import cubic, linear
 from otf_core.solving.joint import solve_jointly, tables_of
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.shape_choice import smooth_bases
-from otf_core.solving.tabulate import (FRACTIONS, MOST_NODES, WORTH, by_motion, mean_grid_uncertainty, projection, table_rows, tabulate)
+from otf_core.solving.tabulate import (
+    FRACTIONS,
+    MOST_NODES,
+    WORTH,
+    by_motion,
+    mean_grid_uncertainty,
+    projection,
+    table_rows,
+    tabulate,
+)
 from otf_core.solving.unknowns import layout, reference_position
 
 LIMIT = 1e-4

@@ -10,7 +10,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.freedom import (coverage_factor, residual_freedom, standstill_freedom, welch_satterthwaite)
+from otf_core.budget.freedom import (
+    coverage_factor,
+    residual_freedom,
+    standstill_freedom,
+    welch_satterthwaite,
+)
 from otf_core.budget.noise import noise_parts
 from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
 from otf_core.model.motions import MOTIONS, SQUARENESS

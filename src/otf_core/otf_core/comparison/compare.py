@@ -17,7 +17,11 @@ from numpy.typing import NDArray
 from otf_core.comparison.convention import Common, Source, common_ground, operator
 from otf_core.comparison.direct_csv import read_direct_csv
 from otf_core.errors import ConfigError
-from otf_core.model.direct_measurement import DirectMeasurement, motion_readings, tables_of_readings
+from otf_core.model.direct_measurement import (
+    DirectMeasurement,
+    motion_readings,
+    tables_of_readings,
+)
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import AXES, Machine

@@ -17,7 +17,12 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, TablesFile, load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.driven_volume import DrivenVolume, driven_from_dict, inside, table_ranges
-from otf_core.prediction.table_prior import (MotionPrior, growth_variance, prior_from_dict, unseen_columns)
+from otf_core.prediction.table_prior import (
+    MotionPrior,
+    growth_variance,
+    prior_from_dict,
+    unseen_columns,
+)
 from otf_core.prediction.uncertainty import prediction_uncertainty
 
 Array = NDArray[np.float64]

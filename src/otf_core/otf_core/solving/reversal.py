@@ -19,7 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.effects.backlash import HELD, Backlash
-from otf_core.effects.direction_dependent_tables import ORDER, DirectionDependentTables, polynomials
+from otf_core.effects.direction_dependent_tables import (
+    ORDER,
+    DirectionDependentTables,
+    polynomials,
+)
 from otf_core.effects.position import scaled_position
 from otf_core.effects.state import state_of_travel
 from otf_core.model.machine import AXES, Machine

@@ -6,7 +6,12 @@ from __future__ import annotations
 import numpy as np
 
 from otf_core.calibration.result import CalibrationResult
-from otf_core.comparison.compare import Comparison, compare, source_of_measurement, source_of_tables
+from otf_core.comparison.compare import (
+    Comparison,
+    compare,
+    source_of_measurement,
+    source_of_tables,
+)
 from otf_core.model.motions import ErrorMotion
 from otf_core.model.tables import ErrorTables
 from otf_core.validation.laboratory import Laboratory

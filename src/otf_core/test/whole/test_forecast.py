@@ -23,7 +23,13 @@ from otf_core.planning.drive_time import drive_times
 from otf_core.planning.forecast import Setup, beside, forecast
 from otf_core.planning.job import PlanRequest, make_plan, read_place
 from otf_core.planning.observability import chain_shows, findings
-from otf_core.planning.tracker_places import (beam_lengths, candidate_places, check_place, compare_places, judge_places)
+from otf_core.planning.tracker_places import (
+    beam_lengths,
+    candidate_places,
+    check_place,
+    compare_places,
+    judge_places,
+)
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.drive import Drive
