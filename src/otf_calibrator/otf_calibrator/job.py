@@ -8,7 +8,7 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TypeVar
@@ -108,16 +108,22 @@ class Worker:
         self._ahead.clear()
         return self._pool.submit(self._provisional, request)
 
-    def save(self, outcome: Calibrated) -> None:
+    def save(self, outcome: Calibrated) -> Future[Calibrated]:
         """Keep path and samples as a bag beside the results, if that is wanted."""
-        recording, folder = outcome.recording, outcome.folder
-        if folder and outcome.request.files.save_bag:
-            content = BagContent(recording.samples, recording.path)
-            self._pool.submit(write_bag, folder / BAG, content).add_done_callback(self._check)
+        self.stage, self.fraction = 'saving the samples', 0.0
+        return self._pool.submit(self._save, outcome)
 
-    def _check(self, writing: Future[None]) -> None:
-        if writing.exception():
-            self._warn(f'the samples were not saved: {writing.exception()}')
+    def _save(self, outcome: Calibrated) -> Calibrated:
+        recording, folder = outcome.recording, outcome.folder
+        if not folder or not outcome.request.files.save_bag:
+            return outcome
+        try:
+            write_bag(folder / BAG, BagContent(recording.samples, recording.path))
+        except OtfError as error:
+            problem = f'the samples were not saved: {error}'
+            self._warn(problem)
+            return replace(outcome, problem=problem)
+        return outcome
 
     def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
@@ -142,10 +148,10 @@ class Worker:
                 raise Cancelled('the run is calibrated')
 
         prepare = PREPARATIONS[request.files.method]
-        return calibrate_runs([_recording(request)], request.config, progress, prepare)
+        return calibrate_runs([recording_of(request)], request.config, progress, prepare)
 
     def _calibrate(self, request: Request) -> Calibrated:
-        recording = _recording(request)
+        recording = recording_of(request)
         result, write = self._solved(recording, request)
         base = _base(request.files)
         folder = free_folder(base, result.run_id)
@@ -175,7 +181,8 @@ class Worker:
         return result, functools.partial(write_calibration, result, report=files.report)
 
 
-def _recording(request: Request) -> Recording:
+def recording_of(request: Request) -> Recording:
+    """Samples in order, and what was said of them; InputError if they are not usable."""
     machine = load_machine(request.files.machine_file)
     request.screening.check(TOPIC)
     remarks = [*request.remarks, *request.screening.remarks()]

@@ -52,6 +52,7 @@ class Session:
         self.intake = Intake(self.collector, warn)
         self.worker = Worker(warn)
         self._job: Future[Calibrated] | None = None
+        self._saving: Future[Calibrated] | None = None
         self._ahead: Future[Ahead] | None = None
         self._glances = Glances()
         self._verdict: Future[bool] | None = None
@@ -62,8 +63,8 @@ class Session:
 
     @property
     def busy(self) -> bool:
-        """True while a calibration is under way."""
-        return self._job is not None
+        """True while a calibration is under way or its samples are saved."""
+        return self._job is not None or self._saving is not None
 
     @property
     def answered(self) -> bool:
@@ -99,13 +100,18 @@ class Session:
         return started
 
     def _start(self, reason: str, final: bool, remarks: tuple[str, ...] = ()) -> str:
-        collector = self.collector
-        samples, path = collector.buffer.snapshot(), collector.path
-        assert path is not None, 'asked before'
         self.abandon()
-        request = Request(
-            samples,
-            path,
+        request = self.request(final, remarks)
+        self._job = self.worker.start(request)
+        return f'calibration of {len(request.samples)} samples started: {reason}'
+
+    def request(self, final: bool = True, remarks: tuple[str, ...] = ()) -> Request:
+        """Return the samples so far, and all that is known of them."""
+        collector = self.collector
+        assert collector.path is not None, 'asked before'
+        return Request(
+            collector.buffer.snapshot(),
+            collector.path,
             *self._settings(),
             collector.lost,
             (*collector.remarks, *remarks),
@@ -113,8 +119,6 @@ class Session:
             self.intake.journal.folder if self.intake.journal else None,
             final,
         )
-        self._job = self.worker.start(request)
-        return f'calibration of {len(samples)} samples started: {reason}'
 
     def cancel(self) -> None:
         """End a calibration under way as soon as it can be; its samples stay."""
@@ -165,8 +169,16 @@ class Session:
         job, self._job = self._job, None
         if job.exception() is None:
             self._last = job.result()
+            self._saving = self.worker.save(self._last)
             self.intake.settle(self._last.request, self._last.folder)
         return job
+
+    def saved(self) -> Calibrated | None:
+        """Return a calibrated run whose samples are saved beside its results, once."""
+        if not self._saving or not self._saving.done():
+            return None
+        saving, self._saving = self._saving, None
+        return saving.result()
 
     def diagnose(self) -> tuple[bool, str]:
         """Start to diagnose the last calibrated run; tell whether it has, or what to do first."""

@@ -15,7 +15,7 @@ FACES = ('__init__', 'config', 'errors', 'threads', 'version')
 FLOORS = (
     ('api', 'cli'),
     ('info', 'installation', 'reports'),
-    ('blind', 'checking', 'loop', 'validation'),
+    ('blind', 'checking', 'history', 'loop', 'validation'),
     ('planning',),
     ('diagnosis',),
     ('calibration',),

@@ -15,6 +15,7 @@ from otf_core.cli.checking import run_check, run_doctor, run_info
 from otf_core.cli.closing import add_closing_verbs
 from otf_core.cli.completion import SHELLS, run_completion
 from otf_core.cli.exporting import add_exporting_verbs
+from otf_core.cli.keeping import add_keeping_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -161,30 +162,8 @@ def _add_checking_verbs(verb: AddVerb) -> None:
     sub.add_argument('shell', choices=SHELLS)
 
 
-def _parser() -> Parser:
-    parser = Parser(
-        prog='otf', description='On-the-fly machine-tool calibration, offline verbs.',
-        epilog='otf VERB --help shows options and examples.',
-    )  # fmt: skip
-    parser.add_argument('--version', action='version', version=f'otf {__version__}')
-    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
-
-    def verb(name: str, handler: Handler) -> argparse.ArgumentParser:
-        sub: argparse.ArgumentParser = verbs.add_parser(
-            name, help=VERBS[name], description=VERBS[name], epilog=_examples(name),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )  # fmt: skip
-        sub.set_defaults(handler=handler)
-        sub.add_argument(
-            '--json', action='store_true', help='print one JSON object; words go to stderr'
-        )
-        sub.add_argument(
-            '--quiet', action='store_true', help='print no words but warnings and errors'
-        )
-        return sub
-
-    _add_checking_verbs(verb)
-
+def _add_measuring_verbs(verb: AddVerb) -> None:
+    """Verbs that work on recordings, and on the tables that come of them."""
     sub = verb('calibrate', run_calibrate)
     _add_runs(sub)
     add_out(sub, 'folder for the results')
@@ -212,16 +191,43 @@ def _parser() -> Parser:
     sub.add_argument(
         '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
     )
+    sub.add_argument(
+        '--own-causes',
+        metavar='DIR',
+        help='folder of named empirical effects (.yaml), tried beside the catalogue',
+    )
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('predict', run_predict)
     _add_predict_options(sub)
 
-    _add_judging_verbs(verb)
-    _add_planning_verbs(verb)
-    add_exporting_verbs(verb)
-    add_closing_verbs(verb)
-    add_plant_verbs(verb)
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog='otf', description='On-the-fly machine-tool calibration, offline verbs.',
+        epilog='otf VERB --help shows options and examples.',
+    )  # fmt: skip
+    parser.add_argument('--version', action='version', version=f'otf {__version__}')
+    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
+
+    def verb(name: str, handler: Handler) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = verbs.add_parser(
+            name, help=VERBS[name], description=VERBS[name], epilog=_examples(name),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )  # fmt: skip
+        sub.set_defaults(handler=handler)
+        sub.add_argument(
+            '--json', action='store_true', help='print one JSON object; words go to stderr'
+        )
+        sub.add_argument(
+            '--quiet', action='store_true', help='print no words but warnings and errors'
+        )
+        return sub
+
+    own = (_add_checking_verbs, _add_measuring_verbs, _add_judging_verbs, _add_planning_verbs)
+    others = (add_exporting_verbs, add_closing_verbs, add_plant_verbs, add_keeping_verbs)
+    for add in (*own, *others):
+        add(verb)
     return parser
 
 

@@ -86,7 +86,8 @@ figcaption { font-size: 0.9rem; color: var(--soft); margin-top: 0.2rem; max-widt
 details summary { cursor: pointer; color: var(--soft); }
 li { margin: 0.25rem 0; max-width: 52rem; overflow-wrap: anywhere; }
 @media (max-width: 520px) { body { padding: 1rem 0.8rem; } .verdict { font-size: 1.2rem; }
-  th, td { padding-right: 0.5rem; font-size: 0.9rem; } }
+  th, td { padding-right: 0.5rem; font-size: 0.9rem; }
+  td.number { white-space: normal; } }
 @page { size: A4; margin: 14mm; }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; } nav, .screen {
   display: none; } h2, h3, caption { break-after: avoid; } tr { break-inside: avoid; }
