@@ -77,7 +77,7 @@ def test_action_refuses_cancels_and_gives_the_result(graph, machine_file, caller
     results = graph.listen(CalibrationResult, 'calibrator/result', qos.RESULT)
     status, result = caller.outcome(caller.send())
     assert (status, result.code) == (GoalStatus.STATUS_SUCCEEDED, 0), result.message
-    assert {f.stage for f in caller.feedback} == {'aligning', 'solving'}
+    assert {f.stage for f in caller.feedback} >= {'aligning', 'solving'}
     assert all(0 <= f.fraction <= 1 for f in caller.feedback)
     assert all(math.isnan(f.time_left) or f.time_left >= 0 for f in caller.feedback)
     graph.wait(lambda: results[-1].run_id == result.run_id, 'the same for all')
