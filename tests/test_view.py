@@ -6,8 +6,11 @@ import math
 import re
 import threading
 import urllib.request
+from pathlib import Path as FilePath
 
 import numpy as np
+from action_msgs.msg import GoalStatus
+from caller import Caller
 from cells import ERROR_SIZE, FAST, write_truth
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
@@ -125,7 +128,9 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     graph.wait(lambda: reader.latest()['scene']['solved']['motions'], 'it in the page')
     halfway = reader.latest()
     graph.wait_for_status('FINISHED')
-    assert graph.trigger('calibrator/calibrate').success
+    caller = Caller(graph)
+    ended = caller.outcome(caller.send())
+    caller.close()
     result, _ = graph.wait_for_result()
     graph.wait(lambda: not volumes[-1].provisional, 'the errors')
     graph.wait(lambda: not reader.latest()['scene']['solved']['provisional'], 'them in the page')
@@ -134,6 +139,7 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     late = graph.listen(MarkerArray, 'view/scene', qos.PICTURE)
     graph.wait(lambda: late and 'so far' not in layers(late[-1])['error_legend'].text, 'the scene')
     graph.wait(lambda: 'tracker' in layers(live[-1]), 'the tracker')
+    check_action(caller.feedback, *ended, result)
     check_provisional(early, result, states)
     check_scene(layers(late[-1]), paths[0], volumes[-1])
     check_run(layers(live[-1]), result)
@@ -141,6 +147,16 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     check_page(halfway, reader.latest(), early[1], result)
     graph.stop(page)
     assert reader.ended()
+
+
+def check_action(feedback, status, ended, result):
+    """Who asked by the action is told what all are told, when the files are there."""
+    assert (status, ended.success, ended.code) == (GoalStatus.STATUS_SUCCEEDED, True, 0)
+    assert (ended.run_id, ended.message) == (result.run_id, result.message)
+    assert (FilePath(ended.output_directory) / 'samples').exists()
+    assert {f.stage for f in feedback} >= {'aligning', 'solving'}
+    assert all(0 <= f.fraction <= 1 for f in feedback)
+    assert all(math.isnan(f.time_left) or f.time_left >= 0 for f in feedback)
 
 
 def check_provisional(early, result, states):
