@@ -15,7 +15,7 @@ from otf_core.files.writing import write_text
 from otf_core.fleet.fleet import FILE, PAGE, fleet_to_dict, results
 from otf_core.fleet.job import Outcome
 from otf_core.model.motions import SQUARENESS
-from otf_core.reports.style import STYLE
+from otf_core.reports.drawing.style import STYLE
 
 Row = list[str]
 
