@@ -31,7 +31,7 @@ def test_calibrations_of_one_run_get_folders_of_their_own(tmp_path):
     files = SimpleNamespace(
         machine_file=str(machine_file), output_directory=str(tmp_path / 'out'), method='otf',
         effects='none',
-        save_bag=True,
+        save_bag=True, report=False,
     )  # fmt: skip
     worker = Worker(print)
     request = Request(samples, plan.path, files, CalibrationConfig(), 0)

@@ -140,10 +140,10 @@ class Worker:
                 raise Cancelled('the run is calibrated')
 
         prepare = PREPARATIONS[request.files.method]
-        return calibrate_runs([_recording(request)], request.config, progress, prepare)
+        return calibrate_runs([recording_of(request)], request.config, progress, prepare)
 
     def _calibrate(self, request: Request) -> Calibrated:
-        recording = _recording(request)
+        recording = recording_of(request)
         result, write = self._solved(recording, request)
         base = _base(request.files)
         folder = free_folder(base, result.run_id)
@@ -173,7 +173,8 @@ class Worker:
         return result, functools.partial(write_calibration, result, report=files.report)
 
 
-def _recording(request: Request) -> Recording:
+def recording_of(request: Request) -> Recording:
+    """Samples in order, and what was said of them; InputError if they are not usable."""
     machine = load_machine(request.files.machine_file)
     request.screening.check(TOPIC)
     remarks = [*request.remarks, *request.screening.remarks()]

@@ -94,13 +94,18 @@ class Session:
         return started
 
     def _start(self, reason: str, final: bool, remarks: tuple[str, ...] = ()) -> str:
-        collector = self.collector
-        samples, path = collector.buffer.snapshot(), collector.path
-        assert path is not None, 'asked before'
         self.abandon()
-        request = Request(
-            samples,
-            path,
+        request = self.request(final, remarks)
+        self._job = self.worker.start(request)
+        return f'calibration of {len(request.samples)} samples started: {reason}'
+
+    def request(self, final: bool = True, remarks: tuple[str, ...] = ()) -> Request:
+        """Return the samples so far, and all that is known of them."""
+        collector = self.collector
+        assert collector.path is not None, 'asked before'
+        return Request(
+            collector.buffer.snapshot(),
+            collector.path,
             *self._settings(),
             collector.lost,
             (*collector.remarks, *remarks),
@@ -108,8 +113,6 @@ class Session:
             self.intake.journal.folder if self.intake.journal else None,
             final,
         )
-        self._job = self.worker.start(request)
-        return f'calibration of {len(samples)} samples started: {reason}'
 
     def cancel(self) -> None:
         """End a calibration under way as soon as it can be; its samples stay."""

@@ -180,6 +180,31 @@ def _add_checking_verbs(verb: AddVerb) -> None:
     sub.add_argument('shell', choices=SHELLS)
 
 
+def _add_measuring_verbs(verb: AddVerb) -> None:
+    """Verbs that work on recordings, and on the tables that come of them."""
+    sub = verb('calibrate', run_calibrate)
+    _add_runs(sub)
+    add_out(sub, 'folder for the results')
+    _add_calibrate_options(sub)
+    add_parameters(sub, CalibrationConfig)
+
+    sub = verb('diagnose', run_diagnose)
+    _add_runs(sub)
+    add_out(sub, 'folder for gap.json and report.html')
+    sub.add_argument(
+        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+    )
+    sub.add_argument(
+        '--own-causes',
+        metavar='DIR',
+        help='folder of named empirical effects (.yaml), tried beside the catalogue',
+    )
+    add_parameters(sub, CalibrationConfig)
+
+    sub = verb('predict', run_predict)
+    _add_predict_options(sub)
+
+
 def _parser() -> Parser:
     parser = Parser(
         prog='otf', description='On-the-fly machine-tool calibration, offline verbs.',
@@ -203,24 +228,7 @@ def _parser() -> Parser:
         return sub
 
     _add_checking_verbs(verb)
-
-    sub = verb('calibrate', run_calibrate)
-    _add_runs(sub)
-    add_out(sub, 'folder for the results')
-    _add_calibrate_options(sub)
-    add_parameters(sub, CalibrationConfig)
-
-    sub = verb('diagnose', run_diagnose)
-    _add_runs(sub)
-    add_out(sub, 'folder for gap.json and report.html')
-    sub.add_argument(
-        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
-    )
-    add_parameters(sub, CalibrationConfig)
-
-    sub = verb('predict', run_predict)
-    _add_predict_options(sub)
-
+    _add_measuring_verbs(verb)
     _add_judging_verbs(verb)
     _add_planning_verbs(verb)
     add_exporting_verbs(verb)
