@@ -86,6 +86,25 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        '--method', choices=METHODS, default=OTF,
+        help=f'on the fly, or from the stops at the corner points alone (default {OTF})',
+    )  # fmt: skip
+    sub.add_argument(
+        '--effects', metavar='auto|FILE',
+        help='take effects off and state u with them: what a diagnosis finds, or those of an '
+        'effects.yaml, their coefficients estimated anew where the data see them; the plain '
+        'calibration stays in plain/',
+    )  # fmt: skip
+    sub.add_argument(
+        '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
+    )
+    sub.add_argument(
+        '--no-report', dest='report', action='store_false', help='leave report.html out'
+    )
+
+
 def _add_runs(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         'bag', nargs='+',
@@ -167,22 +186,7 @@ def _add_measuring_verbs(verb: AddVerb) -> None:
     sub = verb('calibrate', run_calibrate)
     _add_runs(sub)
     add_out(sub, 'folder for the results')
-    sub.add_argument(
-        '--method', choices=METHODS, default=OTF,
-        help=f'on the fly, or from the stops at the corner points alone (default {OTF})',
-    )  # fmt: skip
-    sub.add_argument(
-        '--effects', metavar='auto|FILE',
-        help='take effects off and state u with them: what a diagnosis finds, or those of an '
-        'effects.yaml, their coefficients estimated anew where the data see them; the plain '
-        'calibration stays in plain/',
-    )  # fmt: skip
-    sub.add_argument(
-        '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
-    )
-    sub.add_argument(
-        '--no-report', dest='report', action='store_false', help='leave report.html out'
-    )
+    _add_calibrate_options(sub)
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('diagnose', run_diagnose)
