@@ -12,6 +12,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.model import NoiseModel
+from otf_core.planning.after import Answer, Question, plan_after
 from otf_core.planning.creator import plan_path
 from otf_core.planning.effects_seen import forecast_effects, forecast_rows
 from otf_core.planning.forecast import Forecast, Setup, forecast
@@ -40,6 +41,9 @@ class PlanRequest:
         m, machine frame.
     noise : NoiseModel, optional
         As specified in machine.yaml if not given.
+    questions : tuple of Question
+        What a diagnosis left open; the shortest path that answers is chosen then, within
+        ``time_budget``.
     """
 
     given: Plan | None = None
@@ -47,6 +51,7 @@ class PlanRequest:
     wanted_uncertainty: float | None = None
     tracker_place: tuple[float, float, float] | None = None
     noise: NoiseModel | None = None
+    questions: tuple[Question, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the wishes go together; ConfigError names those that do not."""
@@ -97,6 +102,18 @@ def _choose(request: PlanRequest, setup: Setup, config: PlannerConfig) -> tuple[
     return best.plan, f'{aim}; {passes}; {_worth(best.efficiency)}'
 
 
+def _chosen(
+    request: PlanRequest, setup: Setup, config: PlannerConfig
+) -> tuple[Plan, str, list[Answer]]:
+    """Plan as requested, after a diagnosis with what it would say to its questions."""
+    if not request.questions:
+        return *_choose(request, setup, config), []
+    plan, answers = plan_after(request.questions, setup, config, request.time_budget)
+    sure = sum(a.sure for a in answers)
+    how = f'after a diagnosis: the shortest path that answers {sure} of {len(answers)} questions'
+    return plan, how, answers
+
+
 def _worth(efficiency: float) -> str:
     return f'{100 * efficiency:.0f} % of the information of an ideal share of the time among lines'
 
@@ -120,7 +137,7 @@ def make_plan(
     place = None if request.tracker_place is None else np.array(request.tracker_place)
     setup = Setup.of(machine, place, request.noise, judged)
     with one_thread():
-        plan, how = _choose(request, setup, config)
+        plan, how, answers = _chosen(request, setup, config)
         plan = on_increment(plan, machine.lower, machine.upper)
         check_place(plan, setup)
         found: Forecast = forecast(plan, setup)
@@ -141,4 +158,5 @@ def make_plan(
         tuple(advice(places, own)),
         effects,
         systematic,
+        tuple(answers),
     )
