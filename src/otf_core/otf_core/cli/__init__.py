@@ -15,6 +15,7 @@ from otf_core.cli.checking import run_check, run_doctor, run_info
 from otf_core.cli.closing import add_closing_verbs
 from otf_core.cli.completion import SHELLS, run_completion
 from otf_core.cli.exporting import add_exporting_verbs
+from otf_core.cli.keeping import add_keeping_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -83,6 +84,25 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
         help='predict for this target offset, e.g. of a longer tool (m; default: as measured); '
         'rotations that the data do not see are in u by their prior',
     )  # fmt: skip
+
+
+def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        '--method', choices=METHODS, default=OTF,
+        help=f'on the fly, or from the stops at the corner points alone (default {OTF})',
+    )  # fmt: skip
+    sub.add_argument(
+        '--effects', metavar='auto|FILE',
+        help='take effects off and state u with them: what a diagnosis finds, or those of an '
+        'effects.yaml, their coefficients estimated anew where the data see them; the plain '
+        'calibration stays in plain/',
+    )  # fmt: skip
+    sub.add_argument(
+        '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
+    )
+    sub.add_argument(
+        '--no-report', dest='report', action='store_false', help='leave report.html out'
+    )
 
 
 def _add_runs(sub: argparse.ArgumentParser) -> None:
@@ -166,22 +186,7 @@ def _add_measuring_verbs(verb: AddVerb) -> None:
     sub = verb('calibrate', run_calibrate)
     _add_runs(sub)
     add_out(sub, 'folder for the results')
-    sub.add_argument(
-        '--method', choices=METHODS, default=OTF,
-        help=f'on the fly, or from the stops at the corner points alone (default {OTF})',
-    )  # fmt: skip
-    sub.add_argument(
-        '--effects', metavar='auto|FILE',
-        help='take effects off and state u with them: what a diagnosis finds, or those of an '
-        'effects.yaml, their coefficients estimated anew where the data see them; the plain '
-        'calibration stays in plain/',
-    )  # fmt: skip
-    sub.add_argument(
-        '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
-    )
-    sub.add_argument(
-        '--no-report', dest='report', action='store_false', help='leave report.html out'
-    )
+    _add_calibrate_options(sub)
     add_parameters(sub, CalibrationConfig)
 
     sub = verb('diagnose', run_diagnose)
@@ -189,6 +194,11 @@ def _add_measuring_verbs(verb: AddVerb) -> None:
     add_out(sub, 'folder for gap.json and report.html')
     sub.add_argument(
         '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+    )
+    sub.add_argument(
+        '--own-causes',
+        metavar='DIR',
+        help='folder of named empirical effects (.yaml), tried beside the catalogue',
     )
     add_parameters(sub, CalibrationConfig)
 
@@ -218,13 +228,10 @@ def _parser() -> Parser:
         )
         return sub
 
-    _add_checking_verbs(verb)
-    _add_measuring_verbs(verb)
-    _add_judging_verbs(verb)
-    _add_planning_verbs(verb)
-    add_exporting_verbs(verb)
-    add_closing_verbs(verb)
-    add_plant_verbs(verb)
+    own = (_add_checking_verbs, _add_measuring_verbs, _add_judging_verbs, _add_planning_verbs)
+    others = (add_exporting_verbs, add_closing_verbs, add_plant_verbs, add_keeping_verbs)
+    for add in (*own, *others):
+        add(verb)
     return parser
 
 

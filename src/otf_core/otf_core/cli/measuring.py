@@ -126,6 +126,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     config = parameters(CalibrationConfig, arguments)
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import REGISTRY
+    from otf_core.effects.effects_yaml import read_own_causes
     from otf_core.pieces.finding import GATE
     from otf_core.reports.diagnosis import write_diagnosis
     from otf_core.reports.gap_report import gap_sections
@@ -138,7 +139,11 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
     with progress_of(arguments, 'reading', DIAGNOSE) as progress:
         recordings = read_recordings(arguments)
-        diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config, progress)
+        causes = arguments.own_causes
+        own = read_own_causes(causes, recordings[0].machine) if causes else ()
+        diagnosis = diagnose(
+            recordings, twin_recording, arguments.exclude, config, progress, own=own
+        )
         progress('writing', 0.0)
         with out.filled('diagnose') as folder:
             files = write_diagnosis(diagnosis, folder)

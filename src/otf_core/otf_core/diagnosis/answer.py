@@ -10,7 +10,9 @@ from otf_core.diagnosis.engine.assess import gap_um, shrink_interval, shrink_per
 from otf_core.diagnosis.engine.noise_check import NoiseFinding
 from otf_core.diagnosis.explanation import Explanation
 from otf_core.diagnosis.fitted import FittedCause
-from otf_core.diagnosis.result import Gap, NamedCause
+from otf_core.diagnosis.free_curves import curves_of, departs_words
+from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
+from otf_core.diagnosis.unnamed import Unnamed
 
 
 def named_causes(
@@ -54,6 +56,9 @@ def _named_cause(part: FittedCause, before_um: float, after_um: float) -> NamedC
         shrink_percent=shrink_percent(before_um, after_um),
         confidence=part.cause.confidence,
         indistinguishable_from=part.cause.indistinguishable,
+        form=FREE if option.terms.orders else FORMULA,
+        departs=departs_words(part),
+        curves=curves_of(part),
     )
 
 
@@ -111,6 +116,8 @@ def _spoken(causes: Sequence[NamedCause]) -> str:
         text = cause.effect.replace('_', ' ')
         if cause.axes:
             text += f' ({", ".join(cause.axes)})'
+        if cause.departs:
+            text += f', which departs from the formula: {cause.departs}'
         if cause.indistinguishable_from:
             others = ' or '.join(n.replace('_', ' ') for n in cause.indistinguishable_from)
             text += f', not told from {others}'
@@ -134,10 +141,19 @@ def gap_of(explained: Explanation, noise: NoiseFinding | None) -> Gap:
 
 
 def sentence_of(
-    verdict: str, gap: Gap, causes: Sequence[NamedCause], noise: NoiseFinding | None
+    verdict: str,
+    gap: Gap,
+    causes: Sequence[NamedCause],
+    noise: NoiseFinding | None,
+    unnamed: Unnamed | None = None,
 ) -> str:
     """The verdict in words."""
     sentence = _SENTENCES[verdict].format(
         before=gap.before_um, after=gap.after_um, causes=_spoken(causes)
     )
+    if unnamed is not None:
+        sentence += (
+            f' It {unnamed.words}. An empirical effect of these inputs leaves '
+            f'{unnamed.after_um:.2f} um.'
+        )
     return sentence if noise is None else f'{sentence} Tracker noise: {noise.words}.'

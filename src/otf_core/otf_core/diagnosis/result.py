@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from otf_core.calibration.with_effects import EffectsCalibration
+from otf_core.diagnosis.free_curves import Curve
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.place.where import Where
+from otf_core.diagnosis.unnamed import Unnamed
 from otf_core.effects import AppliedEffect
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding
 
+FORMULA, FREE = 'formula', 'free'
 VERDICTS = ('none', 'explained', 'partly_explained', 'unknown')
 
 
@@ -56,6 +59,12 @@ class NamedCause:
         Gap without and with this cause, those found before it being in both.
     confidence : float
     indistinguishable_from : tuple of str
+    form : str
+        'formula', or 'free' where a smooth function of inputs explains the data better.
+    departs : str
+        How the free form departs from the formula, in words; empty for a formula.
+    curves : tuple of Curve
+        Of the free form, the largest first.
     """
 
     effect: str
@@ -68,6 +77,9 @@ class NamedCause:
     shrink_percent: float
     confidence: float
     indistinguishable_from: tuple[str, ...]
+    form: str = FORMULA
+    departs: str = ''
+    curves: tuple[Curve, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -112,12 +124,15 @@ class Diagnosis:
     table_change_um : float
         Mean change of the predicted volumetric error on a lattice by taking the causes off.
     applied : tuple of tuple of AppliedEffect
-        For every run the causes with their fitted parameters, ready for a simulation.
+        For every run the causes, or the one without a name, with their fitted parameters, ready
+        for a simulation.
     calibration : EffectsCalibration
         What ``calibrate`` gives, and what it gives with the causes taken off.
     origin : tuple of Origin
         The recordings.
     shown : Shown
+    unnamed : Unnamed, optional
+        Cause without a name, where the verdict is 'unknown' and something was found.
     """
 
     runs: tuple[str, ...]
@@ -137,3 +152,4 @@ class Diagnosis:
     calibration: EffectsCalibration
     origin: tuple[Origin, ...]
     shown: Shown
+    unnamed: Unnamed | None = None
