@@ -17,7 +17,7 @@ NEEDED = {
     'PyYAML': '6.0',
     'mcap': '1.1',
     'zstandard': '0.18',
-    'rosbags': '0.10',
+    'rosbags': '0.11',
     'threadpoolctl': '3.1',
 }
 """Distributions and their oldest versions, as in setup.py."""
