@@ -113,7 +113,9 @@ def _path(item: Strokes | Dots, points: Array) -> str:
     return ('M%.1f %.1fL%.1f %.1f' * len(ends)) % tuple(ends.reshape(-1).tolist())
 
 
-def scene(items: Sequence[Item], low: Array, high: Array, title: str) -> str:
+def scene(
+    items: Sequence[Item], low: Array, high: Array, title: str, *, turns: bool = True
+) -> str:
     """Picture of items in a box from low to high (3,), m; ``SCRIPT`` lets the reader turn it."""
     centre = 0.5 * (low + high)
     size = 0.5 * float(np.linalg.norm(high - low))
@@ -132,8 +134,10 @@ def scene(items: Sequence[Item], low: Array, high: Array, title: str) -> str:
         marks.append(f'<path class="{kind} {item.kind}" d="{_path(item, points)}"/>')
         code = 0 if isinstance(item, Dots) else 2 if item.arrows else 1
         data.append([code, *np.round(points, 4).reshape(-1).tolist()])
-    numbers = html.escape(json.dumps(data, separators=(',', ':')), quote=True)
     picture = svg(WIDTH, HEIGHT, marks, title)
+    if not turns:
+        return picture
+    numbers = html.escape(json.dumps(data, separators=(',', ':')), quote=True)
     return picture.replace('<svg ', f'<svg class="turn" data-scene="{numbers}" ', 1)
 
 
