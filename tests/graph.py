@@ -15,7 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from otf_bringup.processes import NodeProcess
+from otf_bringup.processes import NodeProcess, module_of
 from otf_msgs.msg import CalibrationResult, CalibratorState, TrackerStatus
 from otf_ros import qos
 
@@ -47,9 +47,9 @@ class Graph:
         self.heard = {}
 
     def start(self, name, arguments=None, **parameters):
-        """Start one of path_planner, tracker_driver, calibrator."""
+        """Start one of path_planner, tracker_driver, calibrator, viewer, page."""
         label = f'{name}-{len(self.nodes)}'
-        module = f'otf_{name}.node'
+        module = module_of(name)
         node = NodeProcess(label, module, parameters, self.folder, self._environment, arguments)
         self.nodes.append(node)
         return node

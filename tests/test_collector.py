@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from otf_calibrator.collector import LATE, Collector
+from otf_calibrator.losses import SequenceWatch
 from otf_core.config import CalibrationConfig
 from otf_core.model.path import NominalPath
 
@@ -69,21 +70,69 @@ def test_next_stream_is_a_new_run_whichever_of_status_and_samples_comes_first(
     assert complete(collector)
 
 
-def test_samples_after_the_calibration_of_an_open_stream_are_ignored(collector):
-    announce(collector, 'a', 0, 'STREAMING')
+@pytest.mark.parametrize('status', [True, False])
+def test_target_that_stands_after_a_calibrated_run_is_ignored_until_it_moves_on(collector, status):
+    if status:
+        announce(collector, 'a', 0, 'STREAMING')
     add(collector, 100)
     collector.taken = True
-    add(collector, 50, start=100)
-    announce(collector, 'a', 150, 'FINISHED')
-    assert (len(collector.buffer), collector.lost, complete(collector)) == (100, 0, '')
+    for k in range(100, 150):
+        collector.add(k * 2_000_000, 0.099, 0.0, 1e-6 * (k % 2), 0.0)
+    assert (len(collector.buffer), collector.taken) == (100, True)
+    collector.add(150 * 2_000_000, 2.0, 0.0, 0.0, 0.0)  # a single stray point
+    collector.add(151 * 2_000_000, 0.099, 0.0, 0.0, 0.0)
+    assert collector.taken
+    if status:
+        announce(collector, 'a', 152, 'STREAMING')
+    add(collector, 120, start=152)
+    assert not collector.taken and 100 < len(collector.buffer) < 120
+    if status:
+        announce(collector, 'a', 272, 'FINISHED')
+        assert complete(collector)
+    assert collector.lost == 0 and collector.remarks == []
 
 
-def test_new_driver_that_never_saw_the_old_one_end_begins_a_new_run(collector):
+def killed_and_started_again(collector, first):
+    """Samples of a driver after that of stream a was killed."""
     announce(collector, 'a', 0, 'STREAMING')
     add(collector, 100)
+    announce(collector, 'a', 100, 'STREAMING')
     announce(collector, 'b', 0, 'STREAMING')
-    add(collector, 10, start=500)
-    assert len(collector.buffer) == 10
+    add(collector, 10, start=first)
+    announce(collector, 'b', 12, 'FINISHED')
+
+
+def test_run_goes_on_with_a_driver_that_was_killed_and_started_again(collector):
+    killed_and_started_again(collector, first=500)
+    assert (len(collector.buffer), collector.lost) == (110, 2)
+
+
+@pytest.mark.parametrize('first', [0, 98, 400_000])
+def test_driver_that_begins_anew_or_much_later_begins_a_run(collector, first):
+    killed_and_started_again(collector, first)
+    assert (len(collector.buffer), collector.lost) == (10, 2)
+    assert '100 samples before were set aside' in collector.remarks[0]
+
+
+def test_stream_held_up_by_a_fault_goes_on(collector):
+    announce(collector, 'a', 0, 'STREAMING')
+    add(collector, 100)
+    announce(collector, 'a', 100, 'IDLE')
+    announce(collector, 'a', 100, 'STREAMING')
+    for k in range(100, 110):
+        collector.add(k * 2_000_000, 0.1, 0.0, 0.0, LATE + 1.0)
+    assert len(collector.buffer) == 110
+
+
+def test_samples_lost_in_a_run_are_not_counted_in_the_next(collector):
+    announce(collector, 'a', 0, 'STREAMING')
+    add(collector, 100)
+    announce(collector, 'a', 130, 'STREAMING')
+    assert collector.lost == 30
+    collector.reset()
+    add(collector, 100, start=130)
+    announce(collector, 'a', 235, 'STREAMING')
+    assert collector.lost == 5
 
 
 def test_stopped_stream_is_not_calibrated_by_itself(collector):
@@ -93,18 +142,42 @@ def test_stopped_stream_is_not_calibrated_by_itself(collector):
     assert not complete(collector, now=1000.0)
 
 
-def test_stamps_that_jump_back_begin_a_new_run(collector):
+@pytest.mark.parametrize('taken', [True, False])
+def test_stamps_that_jump_back_begin_a_new_run_and_it_is_said(taken):
+    said = []
+    collector = Collector(CalibrationConfig, lambda why: said.append((why, len(collector.buffer))))
+    collector.set_path(PATH)
     add(collector, 100, start=10_000)
-    collector.taken = True
+    collector.taken = taken
     add(collector, 10)
     assert (len(collector.buffer), collector.taken) == (10, False)
+    assert said == [('the stamps went back by 20.2 s', 100)]
+    assert len(collector.remarks) == (not taken)
 
 
-def test_silence_after_motion_completes_a_run_without_status(collector):
+def test_stamps_of_several_publishers_begin_no_runs(collector):
+    collector.publishers = 2
+    for k in range(100):
+        collector.add((k % 2) * 3600 * 10**9 + k * 2_000_000, 1e-3 * k, 0.0, 0.0, 0.0)
+    assert len(collector.buffer) == 100
+
+
+def test_silence_after_the_path_completes_a_run_without_status(collector):
     add(collector, 100)
+    assert not complete(collector, now=1000.0)  # half of the path: a pause
+    add(collector, 100, start=100)
     assert not complete(collector, now=9.0)
     assert complete(collector, now=11.0) == 'no sample for 11 s'
     assert not collector.complete(11.0, at_stream_end=True, idle_timeout=0.0)
+
+
+def test_silence_completes_nothing_while_the_driver_says_that_its_stream_goes_on(collector):
+    announce(collector, 'a', 0, 'STREAMING')
+    add(collector, 200)
+    announce(collector, 'a', 200, 'STREAMING')
+    assert not complete(collector, now=1000.0)
+    collector.publishers = 0  # it is gone
+    assert complete(collector, now=1000.0)
 
 
 def test_silence_without_motion_completes_nothing(collector):
@@ -121,8 +194,21 @@ def test_path_that_comes_late_keeps_the_samples():
     assert collector.travelled == pytest.approx(0.099)
 
 
-def test_new_path_after_a_calibration_starts_over(collector):
+@pytest.mark.parametrize('taken', [True, False])
+def test_another_path_starts_over_and_sets_aside_what_was_driven(collector, taken):
     add(collector, 100)
-    collector.taken = True
+    collector.taken = taken
+    assert not collector.set_path(NominalPath(PATH.points + 1e-9))
     assert collector.set_path(NominalPath(PATH.points + 0.1))
     assert (len(collector.buffer), collector.taken) == (0, False)
+    assert collector.remarks == ([] if taken else [
+        'the 100 samples before were set aside: another path was published'
+    ])  # fmt: skip
+
+
+def test_missing_numbers_of_one_publisher_are_counted():
+    watch = SequenceWatch()
+    assert watch.missed([7, 8, 9]) == 0
+    assert watch.missed([10, 14, 15, 17]) == 4
+    assert watch.missed([1, 2]) == 0  # another publisher
+    assert watch.missed([None, 9, None]) == 0

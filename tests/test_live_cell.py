@@ -9,7 +9,7 @@ from graph import offline, without_date
 
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import load_tables
-from otf_msgs.msg import CalibrationResult, CalibratorState, ErrorTable
+from otf_msgs.msg import ErrorTable
 from otf_ros import qos
 
 
@@ -49,31 +49,14 @@ def test_finds_the_true_errors_and_every_reader_gets_the_tables(graph, machine_f
     assert again == without_date((folder / 'error_tables.json').read_bytes())
 
 
-def test_first_lap_gives_a_provisional_result_while_the_second_is_driven(
+def test_calibrator_that_starts_late_gets_path_and_all_samples_without_any_clock(
     graph, machine_file, tmp_path
 ):
-    truth = write_truth(tmp_path, machine_file)
-    heard = graph.listen(CalibrationResult, 'calibrator/provisional', qos.RESULT)
-    states = graph.listen(CalibratorState, 'calibrator/state')
-    graph.start('path_planner', machine_file=machine_file, passes=2, levels=2)
-    graph.start('calibrator', machine_file=machine_file, output_directory=tmp_path / 'out')
-    slow = {'simulated.rate': 200.0, 'time_scale': 8.0}
-    given = {'machine_file': machine_file, 'simulated.truth_tables': truth, **slow}
-    graph.start('tracker_driver', **given)
-    graph.wait(lambda: heard, 'a provisional result')
-    assert states[-1].name == 'BUFFERING'
-    result, _ = graph.wait_for_result()
-    (early,) = heard
-    assert early.status == result.status == result.OK
-    assert 0.3 < early.samples / result.samples < 0.8
-    assert abs(early.c0y - result.c0y) < 5 * early.u_c0y
-
-
-def test_calibrator_that_starts_late_gets_path_and_all_samples(graph, machine_file, tmp_path):
-    graph.start('path_planner', machine_file=machine_file, **SHORT)
-    graph.start('tracker_driver', machine_file=machine_file, **FAST)
+    given = {'machine_file': machine_file, 'use_sim_time': True}
+    graph.start('path_planner', **given, **SHORT)
+    graph.start('tracker_driver', **given, **FAST)
     graph.wait_for_status('IDLE', 'waiting for subscriptions')
-    graph.start('calibrator', machine_file=machine_file, output_directory=tmp_path / 'out')
+    graph.start('calibrator', **given, output_directory=tmp_path / 'out')
     result, _ = graph.wait_for_result()
     assert (result.status, result.samples_lost) == (result.OK, 0)
 

@@ -92,5 +92,5 @@ def core_environment(*packages):
     }
 
 
-def exec_core(arguments, *packages):
-    os.execve(PYTHON, [PYTHON, *arguments], core_environment(*packages))
+def exec_core(arguments, *packages, python=PYTHON):
+    os.execve(python, [python, *arguments], core_environment(*packages))

@@ -15,7 +15,15 @@ ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / 'README.md'
 BEGIN = '<!-- parameters: made by python3 tools/parameter_table.py -->'
 END = '<!-- end of parameters -->'
-FOLDERS = ('otf_core', 'otf_bringup', 'otf_calibrator', 'otf_path_planner', 'otf_tracker_driver')
+FOLDERS = (
+    'otf_core',
+    'otf_bringup',
+    'otf_calibrator',
+    'otf_path_planner',
+    'otf_compensator',
+    'otf_tracker_driver',
+    'otf_view',
+)
 
 
 def _shown(value: Any) -> str:

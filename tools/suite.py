@@ -71,7 +71,11 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
         ),
         Check(
             'pytest tests',
-            [node_python, '-m', 'pytest', f'--ignore={DEVICES}', 'tests'],
+            [
+                node_python,
+                *('-m', 'pytest', '-n', '3', '--dist', 'worksteal'),
+                *(f'--ignore={DEVICES}', 'tests'),
+            ],
             workspace_env,
         ),
     ]

@@ -236,7 +236,7 @@ def build_inputs() -> str:
     for path in sorted(filter(Path.is_file, (ROOT / 'src').rglob('*'))):
         if path.name in BUILD_INPUTS or path.parent.name in BUILD_FOLDERS:
             digest.update(f'{path}\n'.encode() + path.read_bytes())
-        elif path.name == '__init__.py' or path.parent.name in ('launch', 'config'):
+        elif path.name == '__init__.py' or path.parent.name in ('launch', 'config', 'layouts'):
             digest.update(f'{path}\n'.encode())
     return digest.hexdigest()
 

@@ -12,6 +12,7 @@ setup(
         ('share/otf_bringup', ['package.xml']),
         ('share/otf_bringup/launch', sorted(glob('launch/*.py'))),
         ('share/otf_bringup/config', sorted(glob('config/*'))),
+        ('share/otf_bringup/layouts', sorted(glob('layouts/*'))),
     ],
     install_requires=['setuptools'],
     extras_require={'test': ['pytest']},

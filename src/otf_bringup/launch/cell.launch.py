@@ -4,6 +4,7 @@
 ros2 launch otf_bringup cell.launch.py                    simulated cell, real time
 ros2 launch otf_bringup cell.launch.py time_scale:=10.0   the same, ten times as fast
 ros2 launch otf_bringup cell.launch.py diagnose:=true effects:=BACKLASH.yaml
+ros2 launch otf_bringup cell.launch.py view:=true         the same with a page in the browser
 ros2 launch otf_bringup cell.launch.py backend:=replay bag:=BAG machine_file:=MACHINE.yaml
 ros2 launch otf_bringup cell.launch.py backend:=emscon emscon.host:=HOST machine_file:=MACHINE.yaml
 ros2 launch otf_bringup cell.launch.py backend:=stream stream.source:=SOURCE.yaml machine_file:=...
@@ -37,6 +38,7 @@ ARGUMENTS = [
     ('backend', 'simulated', f'source of the samples: {" or ".join(BACKENDS)}'),
     ('time_scale', '1.0', 'how many times as fast as measured to simulate or replay'),
     ('diagnose', 'false', 'diagnose every run after its calibration'),
+    ('view', 'false', 'show the run: markers, numbers for plots, a page for the browser'),
     ('use_sim_time', 'false', 'stamps of states and results by /clock'),
     ('respawn', 'false', 'start a node again that has died; else its end is the end of all'),
     ('nodes', 'path_planner,calibrator,tracker_driver', 'which nodes to start'),
@@ -54,6 +56,7 @@ SHORT = {
     'simulated.seed': 'seed',
 }
 """Parameters of backends whose launch argument leaves out the name of the backend."""
+VIEWERS = ('viewer', 'page')
 KINDS = {'time_scale': float, 'diagnose': bool, 'use_sim_time': bool}
 PLANNER_PARAMETERS = {info.name: info for info in PlannerConfig.infos()}
 BACKEND_PARAMETERS = {
@@ -97,7 +100,8 @@ def nodes(context, known):
             raise RuntimeError(f'nodes: {name!r} is unknown; possible: {", ".join(taken)}')
     if backend and backend.brings_path and 'tracker_driver' in wanted:
         del taken['path_planner']
-    return [node(name, given, *taken[name]) for name in taken if name in wanted]
+    viewers = [node(name, given, [], {}) for name in VIEWERS] if given['view'] == 'true' else []
+    return [*(node(name, given, *taken[name]) for name in taken if name in wanted), *viewers]
 
 
 def refuse_unknown(known, words):
@@ -146,7 +150,7 @@ def elsewhere(given):
     """Return remappings of what comes from other namespaces; tf stays within the cell."""
     names = {'tracker': ('point', 'status', 'gap'), 'planner': ('path', 'plan')}
     return [
-        ('/tf_static', 'tf_static'),
+        *([('/tf_static', 'tf_static')] if given['namespace'] else []),
         *(
             (f'{kind}/{name}', f'/{given[kind].strip("/")}/{kind}/{name}')
             for kind, topics in names.items()
@@ -170,7 +174,7 @@ def node(name, given, taken, own):
     parameters = {key: parameter(given[key], KINDS.get(key, str)) for key in taken}
     respawn = given['respawn'].lower() == 'true'
     return Node(
-        package=f'otf_{name}',
+        package='otf_view' if name in VIEWERS else f'otf_{name}',
         executable=name,
         name=name,
         namespace=LaunchConfiguration('namespace'),
@@ -180,5 +184,5 @@ def node(name, given, taken, own):
         emulate_tty=True,
         respawn=respawn,
         respawn_delay=RESPAWN_DELAY,
-        on_exit=None if respawn else ended,
+        on_exit=None if respawn or name in VIEWERS else ended,
     )

@@ -4,6 +4,7 @@
 Planner, tracker driver and calibrator run as processes of their own, as with the launch files. The
 errors of the machine are drawn here and given to the driver only; the calibrator never sees them.
 With ``--diagnose`` the run is diagnosed as well, with ``--effects`` there is something to find.
+With ``--view`` a page in the browser shows how it goes.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ from typing import Any
 import numpy as np
 from ament_index_python.packages import get_package_share_directory
 
+from otf_bringup import view
 from otf_bringup.domain import free_domain
-from otf_bringup.processes import NodeProcess, ended_together
+from otf_bringup.processes import NodeProcess, ended_together, module_of
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError, OtfError
 from otf_core.files.writing import ensure_folder, write_text
@@ -75,6 +77,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         '--diagnose', action='store_true', help='also diagnose the run; takes 20 s more'
     )
+    parser.add_argument(
+        '--view', action='store_true', help='show the run in the browser while it is driven'
+    )
     return parser.parse_args(arguments)
 
 
@@ -94,7 +99,10 @@ def _run(options: argparse.Namespace) -> int:
         with ended_together(nodes):
             from otf_bringup.monitor import follow
 
+            if options.view:
+                print(f'Live view: {view.open_page(nodes[0])}\n', flush=True)
             result, gap = follow(domain, nodes, options.diagnose)
+            time.sleep(view.TO_READ * options.view)
     if not result.run_id:
         raise DemoError(f'calibration failed: {result.message}\nlogs: {out / "log"}')
     _report(truth, Path(result.output_directory))
@@ -122,7 +130,7 @@ def _prepare(out: Path, options: argparse.Namespace) -> ErrorTables:
 def _start(
     out: Path, options: argparse.Namespace, environment: dict[str, str]
 ) -> list[NodeProcess]:
-    """Start the three nodes."""
+    """Start the nodes; what shows them first."""
     machine = {'machine_file': out / 'machine.yaml'}
     simulation = {'rate': RATE, 'seed': options.seed, 'truth_tables': out / 'truth.json'}
     if options.effects:
@@ -130,7 +138,9 @@ def _start(
     simulated = {f'simulated.{name}': value for name, value in simulation.items()}
     results = {'output_directory': out / 'calibrations', 'diagnose': options.diagnose}
     speed = {'time_scale': 10.0, 'max_rate': 6000.0}
+    shown = {'page': {'port': 0}, 'viewer': {}} if options.view else {}
     given: dict[str, dict[str, Any]] = {
+        **shown,
         'path_planner': machine,
         'calibrator': {**machine, **results},
         'tracker_driver': {**machine, **simulated, **speed},
@@ -138,7 +148,7 @@ def _start(
     nodes: list[NodeProcess] = []
     try:
         for name, parameters in given.items():
-            module = f'otf_{name}.node'
+            module = module_of(name)
             nodes.append(NodeProcess(name, module, parameters, out / 'log', environment))
     except BaseException:
         with ended_together(nodes):
@@ -171,7 +181,7 @@ def _report_gap(gap: GapReport) -> None:
         return
     print(
         f'Diagnosis: {gap.verdict}. {gap.message}\n{gap.where}\n'
-        f'Report: {Path(gap.output_directory) / "report.html"}'
+        f'Report: {Path(gap.output_directory) / "gap_report.html"}'
     )
 
 

@@ -13,15 +13,20 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from otf_calibrator.params import CalibratorConfig
+from otf_compensator.params import CompensatorConfig
 from otf_core.config import CalibrationConfig, ParameterInfo, Parameters, PlannerConfig
 from otf_path_planner.params import PlannerFiles
 from otf_tracker_driver.backends import BACKENDS, CommonConfig
 from otf_tracker_driver.params import DriverConfig
+from otf_view.params import PageConfig, ViewerConfig
 
 NODES: dict[str, tuple[type[Parameters], ...]] = {
     'path_planner': (PlannerFiles, PlannerConfig),
     'tracker_driver': (DriverConfig, CommonConfig),
     'calibrator': (CalibratorConfig, CalibrationConfig),
+    'viewer': (ViewerConfig,),
+    'page': (PageConfig,),
+    'compensator': (CompensatorConfig,),
 }
 NAMED: dict[str, dict[str, type[Parameters]]] = {
     'tracker_driver': {name: backend.parameters for name, backend in BACKENDS.items()},

@@ -2,8 +2,10 @@
 """The samples of the present run: where a run begins and ends, and whether all have arrived.
 
 A run begins with the first sample after the stream before it was over, with a new stream of the
-driver, with stamps that jump back, or by request. Samples and status come on different topics, so
-nothing here depends on which of the two comes first.
+driver, with stamps that jump back, with another path, when the target moves on after a calibrated
+run, or by request. A pause does not end it while the driver says that its stream goes on, or the
+path is not nearly driven. Samples and status come on different topics, so nothing here depends on
+which of the two comes first.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from otf_core.bags.screening import Screening
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
@@ -20,10 +23,20 @@ from otf_core.tracking.path_watch import PathWatcher
 
 JUMP_BACK_NS = 1_000_000_000
 """ns; stamps that go back by more belong to another recording."""
+SAME_RUN_NS = 600_000_000_000
+"""ns; a driver that was started again so much later does not go on with the run."""
 LATE = 2.0
 """s; samples that have not arrived so long after the end of their stream are lost."""
 MOTION = 0.01
 """m; travelled by less, the target has not been driven yet."""
+MOVED = 5
+"""Samples in a row that far from where a calibrated run ended: the target moves on."""
+NEARLY = 0.9
+"""Share of the path that has to be travelled before silence can end a run."""
+BEGUN = 0.05
+"""The same before the state speaks of the next run instead of the last result."""
+SAME_PATH = 1e-6
+"""m; paths that differ by less are the same."""
 
 
 @dataclass
@@ -36,10 +49,18 @@ class Stream:
     finished: bool = False
     ended: bool = False
     ended_at: float = 0.0
+    heard: float = 0.0
+    taken_over: bool = False
+
+    @property
+    def lost(self) -> int:
+        """Samples that were announced and have not arrived."""
+        return max(0, self.announced - self.received)
 
     def over(self, now: float) -> bool:
         """Tell whether no further sample of this stream will come."""
-        return self.ended and (self.received >= self.announced or now - self.ended_at > LATE)
+        silent = now - max(self.ended_at, self.heard)
+        return self.ended and (self.received >= self.announced or silent > LATE)
 
 
 class Collector:
@@ -49,29 +70,51 @@ class Collector:
     ----------
     config : callable
         Returns the present parameters of the method.
+    set_aside : callable, optional
+        Told why the samples so far do not belong to the run that begins, before they are gone.
 
     Attributes
     ----------
     path : NominalPath or None
     buffer : SampleBuffer
         Samples of the present run.
+    screening : Screening
+        What was left out of it.
+    remarks : list of str
+        What happened to it.
     taken : bool
-        The run has been calibrated; further samples of its stream are ignored.
+        The run has been calibrated; while the target stands, further samples are ignored.
     run : int
         Changes with every new run and new path.
+    publishers : int
+        Of the samples, as far as the graph knows. Of several at once, no stamp begins a run.
+    missed : int
+        Samples of the run that the transport lost by its own count.
     """
 
-    def __init__(self, config: Callable[[], CalibrationConfig]) -> None:
-        self._config = config
+    def __init__(
+        self,
+        config: Callable[[], CalibrationConfig],
+        set_aside: Callable[[str], None] = lambda why: None,
+    ) -> None:
+        self._config, self._set_aside = config, set_aside
         self.path: NominalPath | None = None
         self.buffer = SampleBuffer()
+        self.screening = Screening()
+        self.remarks: list[str] = []
         self.taken = False
         self.run = 0
+        self.publishers = 1
+        self.missed = 0
         self._lap_taken = False
         self._watcher: PathWatcher | None = None
         self._stream = Stream()
+        self._lost_before = 0
         self._last_ns: int | None = None
         self._heard = 0.0
+        self._rest: list[float] | None = None
+        self._away = 0
+        self._next = False
 
     @property
     def travelled(self) -> float:
@@ -80,34 +123,56 @@ class Collector:
 
     @property
     def lost(self) -> int:
-        """Samples that the driver has announced and that have not arrived."""
-        return max(0, self._stream.announced - self._stream.received)
+        """Samples that were published and have not arrived."""
+        return max(0, self._lost_before + self._stream.lost, self.missed)
+
+    @property
+    def beginning(self) -> bool:
+        """True as long as hardly anything is driven of a run after a calibrated one."""
+        length = self.path.length if self.path else 0.0
+        return self._next and self.travelled < BEGUN * length
+
+    @property
+    def ended(self) -> bool:
+        """True if no sample can be added: calibrated, or the driver has ended its stream."""
+        return self.taken or self._stream.ended
+
+    def goes_on(self, now: float) -> bool:
+        """Tell whether more samples of the run are on their way."""
+        return not self.taken and not self._stream.ended and now - self._heard < LATE
 
     def set_path(self, path: NominalPath) -> bool:
-        """Take a path; samples that came before it are kept. False if it is the present one."""
-        if self.path is not None and np.array_equal(path.points, self.path.points):
+        """Take a path; samples that came before the first are kept. False if it is the same."""
+        if self.path is not None and _same(path, self.path):
             return False
+        if self.path is not None and (self.taken or len(self.buffer)):
+            self._next_run('another path was published')
         self.path = path
-        if self.taken:
-            self.reset()
         self._watch()
         return True
 
     def reset(self) -> None:
         """Forget the samples; a stream that the driver has told of goes on."""
         self.buffer.clear()
+        self.screening, self.remarks, self.missed = Screening(), [], 0
         if not self._stream.name:
             self._stream = Stream()
-        self.taken = False
+        self._lost_before = -self._stream.lost
+        self.taken = self._next = False
+        self._rest, self._away = None, 0
         self._watch()
 
     def add(self, stamp_ns: int, x: float, y: float, z: float, now: float) -> None:
         """Take one sample: stamp in ns, tracker frame in m, time of arrival in s."""
-        jump = self._last_ns is not None and stamp_ns < self._last_ns - JUMP_BACK_NS
-        if jump or self._stream.over(now):
-            self._begin()
+        why = self._boundary(stamp_ns, now)
+        if why:
+            self._begin(why)
+        elif self.taken and self._moved_on(x, y, z):
+            self._next_run('the target moves on')
+            self._next = True
         self._last_ns, self._heard = stamp_ns, now
         self._stream.received += 1
+        self._stream.heard = now
         if self.taken:
             return
         self.buffer.append(stamp_ns, x, y, z)
@@ -132,11 +197,18 @@ class Collector:
         """
         if not name:
             return
-        if self._stream.name and name != self._stream.name:
-            self._begin()
+        before = self._stream
+        if before.name and name != before.name:
+            if before.ended:
+                self._begin('the driver has begun another stream')
+            else:  # it was started again: the first sample tells whether the run goes on
+                self._lost_before += before.lost
+                self._stream = Stream(taken_over=True)
         stream = self._stream
         stream.name, stream.announced, stream.finished = name, published, finished
-        if not streaming and not stream.ended:
+        if streaming:
+            stream.ended = False
+        elif not stream.ended:
             stream.ended, stream.ended_at = True, now
 
     def first_lap(self) -> tuple[Samples, NominalPath] | None:
@@ -163,17 +235,55 @@ class Collector:
         """Say why the run is complete; empty if it is not."""
         if self.taken or self.path is None or not len(self.buffer):
             return ''
-        stopped = self._stream.ended and not self._stream.finished
         if at_stream_end and self._stream.finished and self._stream.over(now):
             return 'the stream has ended'
         idle = now - self._heard
-        if idle_timeout and idle > idle_timeout and self.travelled > MOTION and not stopped:
+        stream = self._stream
+        goes_on = stream.name and not stream.ended and self.publishers
+        stopped = stream.ended and not stream.finished
+        driven = self.travelled > max(MOTION, NEARLY * self.path.length)
+        if idle_timeout and idle > idle_timeout and driven and not goes_on and not stopped:
             return f'no sample for {idle:.0f} s'
         return ''
 
-    def _begin(self) -> None:
-        self._stream, self._last_ns = Stream(), None
+    def silence(self, now: float) -> float:
+        """Seconds since the last sample."""
+        return now - self._heard
+
+    def _boundary(self, stamp_ns: int, now: float) -> str:
+        """Say why a sample begins another run; empty if it does not."""
+        stream, last = self._stream, self._last_ns
+        taken_over, stream.taken_over = stream.taken_over, False
+        if stream.over(now):
+            return 'the stream before was over'
+        if last is None or self.publishers > 1:
+            return ''
+        if stamp_ns < last - (0 if taken_over else JUMP_BACK_NS):
+            return f'the stamps went back by {1e-9 * (last - stamp_ns):.1f} s'
+        if taken_over and stamp_ns > last + SAME_RUN_NS:
+            return 'the driver was started again much later'
+        return ''
+
+    def _moved_on(self, x: float, y: float, z: float) -> bool:
+        if self._rest is None:
+            self._rest = self.buffer.snapshot(len(self.buffer) - 1).xyz[0].tolist()
+        a, b, c = self._rest
+        far = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 > MOTION * MOTION
+        self._away = self._away + 1 if far else 0
+        return self._away >= MOVED
+
+    def _begin(self, why: str) -> None:
+        """Begin a run with another stream."""
+        self._next_run(why)
+        self._stream, self._last_ns, self._lost_before = Stream(), None, 0
+
+    def _next_run(self, why: str) -> None:
+        count, lost = len(self.buffer), not self.taken and self.travelled > MOTION
+        if count:
+            self._set_aside(why)
         self.reset()
+        if lost:
+            self.remarks.append(f'the {count} samples before were set aside: {why}')
 
     def _watch(self) -> None:
         self.run += 1
@@ -184,3 +294,8 @@ class Collector:
             rows = zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True)
             for stamp_ns, (x, y, z) in rows:
                 self._watcher.add(stamp_ns, x, y, z)
+
+
+def _same(a: NominalPath, b: NominalPath) -> bool:
+    shape = a.points.shape == b.points.shape
+    return shape and bool(np.max(np.abs(a.points - b.points)) < SAME_PATH)

@@ -18,7 +18,7 @@ from typing import Any
 from otf_calibrator.diagnosis_task import Failure, Task
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.errors import OtfError
-from otf_core.reports.diagnosis import diagnosis_to_dict, write_diagnosis
+from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
 from otf_core.sim.twin import twin_recording
 
 SPANS = {
@@ -58,7 +58,7 @@ def perform(task: Task, progress: Callable[[str, float], None]) -> dict[str, Any
     recording = replace(task.recording, name=task.name)
     diagnosis = diagnose([recording], twin_recording, (), task.config, tell)
     progress('writing the report', WRITING)
-    write_diagnosis(diagnosis, task.folder)
+    write_diagnosis(diagnosis, task.folder, BESIDE_TABLES)
     return diagnosis_to_dict(diagnosis)
 
 

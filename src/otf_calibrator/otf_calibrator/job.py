@@ -8,13 +8,14 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 
 from otf_calibrator.params import CalibratorConfig
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.sample_order import in_time_order
+from otf_core.bags.screening import Screening
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
@@ -35,17 +36,26 @@ Writer = Callable[[Path], list[Path]]
 
 BAG = 'samples'
 """Name of the bag beside the results, and so of the run in them."""
+TOPIC = 'tracker/point'
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be calibrated."""
+    """What is to be calibrated.
+
+    ``remarks`` and ``screening`` say what happened to the samples, ``journal`` where they are
+    written; the run has ended if the request is ``final``.
+    """
 
     samples: Samples
     path: NominalPath
     files: CalibratorConfig
     config: CalibrationConfig
     lost: int
+    remarks: tuple[str, ...] = ()
+    screening: Screening = field(default_factory=Screening)
+    journal: Path | None = None
+    final: bool = True
 
 
 @dataclass(frozen=True)
@@ -77,13 +87,19 @@ class Worker:
         self._warn = warn
         self._pool = ThreadPoolExecutor(1, 'calibration')
         self._stop, self._ahead = threading.Event(), threading.Event()
+        self._cancelled = threading.Event()
         self.stage, self.fraction = '', 0.0
 
     def start(self, request: Request) -> Future[Calibrated]:
         """Start a calibration; the future raises what went wrong."""
         self.stage, self.fraction = 'aligning', 0.0
         self._ahead.set()
+        self._cancelled.clear()
         return self._pool.submit(self._calibrate, request)
+
+    def cancel(self) -> None:
+        """End the calibration under way at its next step."""
+        self._cancelled.set()
 
     def look_ahead(self, request: Request) -> Future[CalibrationResult]:
         """Calibrate what has been driven so far, until a calibration is started."""
@@ -114,6 +130,8 @@ class Worker:
     def _progress(self, stage: str, fraction: float) -> None:
         if self._stop.is_set():
             raise Cancelled('the calibrator is shutting down')
+        if self._cancelled.is_set():
+            raise Cancelled('the calibration was cancelled; its samples stay')
         self.stage, self.fraction = stage, fraction
 
     def _provisional(self, request: Request) -> CalibrationResult:
@@ -127,7 +145,7 @@ class Worker:
     def _calibrate(self, request: Request) -> Calibrated:
         recording = _recording(request)
         result, write = self._solved(recording, request)
-        base = Path(request.files.output_directory).expanduser().absolute()
+        base = _base(request.files)
         folder = free_folder(base, result.run_id)
         try:
             with OutputFolder(folder).filled('calibrator') as partial:
@@ -149,24 +167,34 @@ class Worker:
                 self._progress,
                 files.method,
             )
-            return done.result, functools.partial(write_with_effects, done)
+            return done.result, functools.partial(write_with_effects, done, report=files.report)
         prepare = PREPARATIONS[files.method]
         result = calibrate_runs([recording], request.config, self._progress, prepare)
-        return result, functools.partial(write_calibration, result)
+        return result, functools.partial(write_calibration, result, report=files.report)
 
 
 def _recording(request: Request) -> Recording:
     machine = load_machine(request.files.machine_file)
+    request.screening.check(TOPIC)
+    remarks = [*request.remarks, *request.screening.remarks()]
     # in the order in which the offline command takes them from a bag
-    samples = in_time_order('tracker/point', request.samples.stamp_ns, request.samples.xyz)
-    return Recording(samples, request.path, machine, BAG)
+    samples = in_time_order(TOPIC, request.samples.stamp_ns, request.samples.xyz, remarks)
+    return Recording(samples, request.path, machine, BAG, tuple(remarks))
 
 
 def check_files(files: CalibratorConfig) -> None:
-    """Refuse a description of the machine or of effects that cannot be read."""
+    """Refuse descriptions that cannot be read, and a place for results that cannot be written."""
     machine = load_machine(files.machine_file)
+    try:
+        OutputFolder(free_folder(_base(files), 'results'))
+    except ConfigError as error:
+        raise ConfigError(f'parameter output_directory: {error}') from None
     if files.effects not in (NONE, AUTO):
         read_effects(files.effects, machine)
+
+
+def _base(files: CalibratorConfig) -> Path:
+    return Path(files.output_directory).expanduser().absolute()
 
 
 def free_folder(base: Path, run_id: str) -> Path:

@@ -3,18 +3,21 @@
 
 from __future__ import annotations
 
-import time
 import traceback
 from concurrent.futures import Future
 
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 
+from otf_calibrator.action import CalibrateAction
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.diagnostics import tell
+from otf_calibrator.intake import Batch
 from otf_calibrator.job import Calibrated, check_files
+from otf_calibrator.listening import keep_journal, status_of
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.results import ResultPublishers
 from otf_calibrator.session import Session
@@ -26,9 +29,11 @@ from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer
+from otf_ros.topic_watch import TopicWatch
 
 PERIOD = 0.1
 """s; how often the run and a calibration under way are looked at."""
+POINT, PATH, STATUS = 'tracker/point', 'planner/path', 'tracker/status'
 
 
 class Calibrator(Node):
@@ -37,81 +42,75 @@ class Calibrator(Node):
     Raises
     ------
     OtfError
-        If parameters or the machine description are wrong at start. Whatever is wrong later
-        gives the state FAILED, and the node lives on.
+        If parameters, the machine description or the folders for results and journal are wrong
+        at start. Whatever is wrong later gives the state FAILED, and the node lives on.
     """
 
     def __init__(self) -> None:
         super().__init__('calibrator')
-        self._settings = NodeParameters(self, CalibratorConfig, CalibrationConfig)
+        groups = CalibratorConfig, CalibrationConfig
+        self._settings = NodeParameters(self, *groups, read_only=['journal_directory'])
         files, _ = self._read_settings()
         if not files.machine_file:
             raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
         check_files(files)
         self._session = Session(self._read_settings, self.get_logger().warning)
+        keep_journal(self, self._session.intake, files)
+        self._watch = TopicWatch(
+            self, {POINT: qos.MEASUREMENT, PATH: qos.PATH, STATUS: qos.STATUS}, POINT
+        )
         self._state = StatePublisher(self)
         self._results = ResultPublishers(self)
-        self.create_subscription(Path, 'planner/path', self._on_path, qos.PATH)
-        self.create_subscription(TrackerStatus, 'tracker/status', self._on_status, qos.STATUS)
+        self.create_subscription(Path, PATH, self._on_path, qos.PATH)
+        self.create_subscription(TrackerStatus, STATUS, self._on_status, qos.STATUS)
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
-        services.offer(self, 'calibrator/reset', self._on_reset)
+        services.offer(self, 'calibrator/reset', self._session.forget)
         services.offer(self, 'calibrator/diagnose', self._session.diagnose)
         tell(self, self._session, lambda: self._read_settings()[0].output_directory)
+        self._action = CalibrateAction(self, self._session, lambda: self._results.latest)
         create_timer(self, PERIOD, self._tick)
         # last: samples may come at once
-        Drain(self, PointStamped, 'tracker/point', self._on_points, qos.MEASUREMENT)
+        Drain(self, PointStamped, POINT, self._on_points, qos.MEASUREMENT)
 
     def close(self) -> None:
         """End a calibration or a diagnosis under way; files are whole or not there."""
         self._session.close()
+        self._action.close()
 
     def _read_settings(self) -> tuple[CalibratorConfig, CalibrationConfig]:
         return self._settings.read(CalibratorConfig), self._settings.read(CalibrationConfig)
 
     def _on_path(self, message: Path) -> None:
         try:
-            new = self._session.collector.set_path(convert.path_from_message(message))
+            path = convert.path_from_message(message)
         except OtfError as error:
             self.get_logger().error(f'planner/path ignored: {error}')
             return
-        if new:
+        if self._session.intake.path(path, serialize_message(message)):
             kept, points = len(self._session.collector.buffer), len(message.poses)
             self.get_logger().info(f'new path of {points} points, for {kept} samples so far')
 
     def _on_status(self, message: TrackerStatus) -> None:
-        self._session.collector.announce(
-            message.stream_id,
-            message.samples_published,
-            message.state == TrackerStatus.STREAMING,
-            message.state == TrackerStatus.FINISHED,
-            time.monotonic(),
-        )
+        self._session.intake.status(status_of(message), serialize_message(message))
 
-    def _on_points(self, messages: list[PointStamped]) -> None:
-        now, add = time.monotonic(), self._session.collector.add
-        for stamp_ns, x, y, z in convert.points_from_messages(messages):
-            add(stamp_ns, x, y, z, now)
-
-    def _on_reset(self) -> tuple[bool, str]:
-        count = len(self._session.collector.buffer)
-        self._session.collector.reset()
-        self._session.abandon()
-        return True, f'{count} samples forgotten; ready for a run'
+    def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
+        points = convert.points_from_messages(messages)
+        self._session.intake.samples(Batch(points, numbers))
 
     def _tick(self) -> None:
+        self._watch.look()
+        self._session.collector.publishers = self._watch.publishers
         if job := self._session.finished():
             self._finish(job)
-        reason = self._session.complete()
-        if reason:
+        if reason := self._session.complete():
             self.get_logger().info(self._session.start(reason))
-        early = self._session.look_ahead()
-        if early:
+        if early := self._session.look_ahead():
             method = self._read_settings()[0].method
             self.get_logger().info(self._results.publish_provisional(early, method))
-        diagnosed = self._session.diagnosed()
-        if diagnosed:
+        if diagnosed := self._session.diagnosed():
             self._tell(*diagnosed)
-        self._state.publish(self._session)
+        self._state.publish(self._session, self._watch.troubles)
+        self._action.look()
 
     def _finish(self, job: Future[Calibrated]) -> None:
         """Publish what a calibration gave."""
@@ -133,7 +132,7 @@ class Calibrator(Node):
             text, code = f'internal error: {error!r}', 1
             self.get_logger().error(''.join(traceback.format_exception(error)))
         self._results.publish_failure(code, text)
-        self._state.failed(text)
+        self._state.failed(text + self._session.intake.kept())
 
     def _tell(self, outcome: Calibrated, answer: Answer) -> None:
         """Publish what a diagnosis gave."""

@@ -17,6 +17,10 @@ class CalibratorConfig(Parameters):
         'calibrations', 'results go to a folder of their own in here, a link named latest shows '
         'the newest',
     )  # fmt: skip
+    journal_directory: str = parameter(
+        '', 'what arrives is written here at once, a bag per run, and a restarted calibrator goes '
+        'on with it; empty: journal, in output_directory; none: no journal',
+    )  # fmt: skip
     method: str = parameter(
         OTF, 'otf: on the fly; standstill: only the stops at the corner points are used',
         choices=METHODS,
@@ -28,11 +32,13 @@ class CalibratorConfig(Parameters):
         True, 'calibrate when tracker/status says FINISHED and all its samples have arrived'
     )
     idle_timeout: float = parameter(
-        10.0, 'calibrate when no sample has come for so long after motion; 0: never', 's', 0, 3600
-    )
+        10.0, 'calibrate when no sample has come for so long, the path is driven and the driver '
+        'does not say that its stream goes on; 0: never', 's', 0, 3600,
+    )  # fmt: skip
     save_bag: bool = parameter(
         True, 'keep the samples of every calibration as a bag beside its results'
     )
+    report: bool = parameter(True, 'write report.html beside the tables of every calibration')
     effects: str = parameter(
         'none', 'taken off before the tables are solved for: none, auto (what a diagnosis of the '
         'run finds; takes a minute) or an effects.yaml; plain tables stay beside, in plain/',

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Latched publishers: 18 tables, result, alignment, tf if there; the report of a diagnosis."""
+"""Latched publishers: tables, errors on a grid, result, alignment, tf if there; the diagnosis."""
 
 from __future__ import annotations
 
 from concurrent.futures import Future
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 
@@ -12,10 +13,11 @@ from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
 from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.volume import volume_errors
 from otf_core.errors import Cancelled
 from otf_core.model.motions import MOTIONS
 from otf_msgs.msg import CalibrationResult as ResultMessage
-from otf_msgs.msg import ErrorTable, GapReport
+from otf_msgs.msg import ErrorTable, GapReport, VolumeErrors
 from otf_ros import convert_gap, convert_result, qos
 
 try:
@@ -25,10 +27,17 @@ except ImportError:  # a small installation: calibrator/alignment says the same
 
 
 class ResultPublishers:
-    """Topics below ``calibrator/``."""
+    """Topics below ``calibrator/``.
+
+    Attributes
+    ----------
+    latest : CalibrationResult message or None
+        The result that was published last.
+    """
 
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
+        self.latest: ResultMessage | None = None
         self._tables = {
             name: node.create_publisher(ErrorTable, f'calibrator/error_table/{name}', qos.RESULT)
             for name in MOTIONS
@@ -37,6 +46,7 @@ class ResultPublishers:
         self._provisional = node.create_publisher(
             ResultMessage, 'calibrator/provisional', qos.RESULT
         )
+        self._volume = node.create_publisher(VolumeErrors, 'calibrator/volume', qos.RESULT)
         self._alignment = node.create_publisher(
             TransformStamped, 'calibrator/alignment', qos.RESULT
         )
@@ -51,16 +61,14 @@ class ResultPublishers:
         result, lost = outcome.result, outcome.request.lost
         for name, table in convert_result.tables_to_messages(result, now).items():
             self._tables[name].publish(table)
-        alignment = convert_result.alignment_to_message(result, now)
-        self._alignment.publish(alignment)
-        if self._broadcaster:
-            self._broadcaster.sendTransform(alignment)
+        self._alignment.publish(self._place(result, now))
+        self._grid(result, now, provisional=False)
         message = convert_result.result_to_message(result, now, outcome.request.files.method)
         message.samples_lost, message.output_directory = lost, str(outcome.folder or '')
         warnings = [*result.warnings, outcome.problem]
         warnings.append(f'{lost} samples were lost on the way' if lost else '')
         message.warnings = [text for text in warnings if text]
-        self._result.publish(message)
+        self._tell(message)
         return list(message.warnings)
 
     def publish_provisional(self, job: Future[CalibrationResult], method: str) -> str:
@@ -73,16 +81,33 @@ class ResultPublishers:
                 if ended
                 else f'no provisional result: {error}'
             )
-        result = job.result()
-        message = convert_result.result_to_message(result, self._clock.now().to_msg(), method)
+        result, now = job.result(), self._clock.now().to_msg()
+        self._place(result, now)
+        self._grid(result, now, provisional=True)
+        message = convert_result.result_to_message(result, now, method)
         message.warnings = list(result.warnings)
         self._provisional.publish(message)
         return f'provisional: {convert_result.summary(result)}'
 
+    def _place(self, result: CalibrationResult, now: Time) -> TransformStamped:
+        """Return the place of the tracker, and tell tf of it."""
+        alignment = convert_result.alignment_to_message(result, now)
+        if self._broadcaster:
+            self._broadcaster.sendTransform(alignment)
+        return alignment
+
+    def _grid(self, result: CalibrationResult, now: Time, provisional: bool) -> None:
+        volume = volume_errors(result, provisional)
+        self._volume.publish(convert_result.volume_to_message(volume, result.run_id, now))
+
     def publish_failure(self, exit_code: int, text: str) -> None:
         """Publish that there is no result, and why; the tables published before stay."""
         now = self._clock.now().to_msg()
-        self._result.publish(convert_result.failure_to_message(exit_code, text, now))
+        self._tell(convert_result.failure_to_message(exit_code, text, now))
+
+    def _tell(self, message: ResultMessage) -> None:
+        self.latest = message
+        self._result.publish(message)
 
     def publish_gap(self, outcome: Calibrated, answer: Answer) -> None:
         """Publish what a diagnosis of a calibrated run gave, or why it gave nothing."""

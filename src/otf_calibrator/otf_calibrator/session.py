@@ -6,17 +6,20 @@ The last calibrated run can be diagnosed meanwhile; the next calibration ends th
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
 
 from otf_calibrator.collector import Collector
 from otf_calibrator.diagnosis_job import Answer, DiagnosisJob
+from otf_calibrator.intake import Intake
 from otf_calibrator.job import Calibrated, Request, Worker
 from otf_calibrator.params import CalibratorConfig
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
 
+INTERIM = 'interim result: the run goes on, and its samples are still taken'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
 
 
@@ -33,6 +36,7 @@ class Session:
     Attributes
     ----------
     collector : Collector
+    intake : Intake
     worker : Worker
     diagnosis : DiagnosisJob or None
         The diagnosis under way.
@@ -40,7 +44,8 @@ class Session:
 
     def __init__(self, settings: Settings, warn: Callable[[str], None]) -> None:
         self._settings = settings
-        self.collector = Collector(lambda: settings()[1])
+        self.collector = Collector(lambda: settings()[1], lambda why: self.intake.set_aside(why))
+        self.intake = Intake(self.collector, warn)
         self.worker = Worker(warn)
         self._job: Future[Calibrated] | None = None
         self._ahead: Future[CalibrationResult] | None = None
@@ -48,31 +53,68 @@ class Session:
         self._judged_run = 0
         self.diagnosis: DiagnosisJob | None = None
         self._last: Calibrated | None = None
+        self._asked = (-1, 0)
 
     @property
     def busy(self) -> bool:
         """True while a calibration is under way."""
         return self._job is not None
 
+    @property
+    def answered(self) -> bool:
+        """True if a calibration was asked for and no sample has come since."""
+        return self._asked == self._present
+
+    @property
+    def _present(self) -> tuple[int, int]:
+        return self.collector.run, len(self.collector.buffer)
+
     def calibrate(self) -> tuple[bool, str]:
-        """Calibrate the samples so far; tell whether that has started, or what to do first."""
+        """Calibrate the samples so far; tell whether that has started, or what to do first.
+
+        The run goes on with what comes after, unless it was over.
+        """
         if self.busy:
             return False, 'a calibration is under way; wait for DONE or FAILED on calibrator/state'
         if self.collector.path is None:
             return False, 'no path yet: start the path planner or publish planner/path'
         if not len(self.collector.buffer):
             return False, 'no samples yet: activate the tracker driver and drive the path'
-        return True, self.start('requested') + '; follow calibrator/state'
+        self._asked = self._present
+        if self.collector.ended:
+            return True, self.start('requested') + '; follow calibrator/state'
+        goes_on = self.collector.goes_on(time.monotonic())
+        started = self._start('requested', final=False, remarks=(INTERIM,) if goes_on else ())
+        return True, started + '; follow calibrator/state'
 
     def start(self, reason: str) -> str:
-        """Calibrate the samples so far; return what was started."""
+        """Calibrate the samples of a complete run; return what was started."""
+        started = self._start(reason, final=True)
+        self.collector.taken = True
+        return started
+
+    def _start(self, reason: str, final: bool, remarks: tuple[str, ...] = ()) -> str:
         collector = self.collector
         samples, path = collector.buffer.snapshot(), collector.path
         assert path is not None, 'asked before'
         self.abandon()
-        self._job = self.worker.start(Request(samples, path, *self._settings(), collector.lost))
-        collector.taken = True
+        request = Request(
+            samples,
+            path,
+            *self._settings(),
+            collector.lost,
+            (*collector.remarks, *remarks),
+            copy.deepcopy(collector.screening),
+            self.intake.journal.folder if self.intake.journal else None,
+            final,
+        )
+        self._job = self.worker.start(request)
         return f'calibration of {len(samples)} samples started: {reason}'
+
+    def cancel(self) -> None:
+        """End a calibration under way as soon as it can be; its samples stay."""
+        if self.busy:
+            self.worker.cancel()
 
     def look_ahead(self) -> Future[CalibrationResult] | None:
         """Solve what was driven after the first lap; return that once it has come to its end."""
@@ -84,6 +126,16 @@ class Session:
         ahead, self._ahead = self._ahead, None
         return ahead
 
+    def forget(self) -> tuple[bool, str]:
+        """Begin a run anew; tell what was forgotten."""
+        count, kept = len(self.collector.buffer), ''
+        if self.intake.journal:
+            folder = self.intake.journal.end('set aside: reset')
+            kept = f' here; they stay in {folder}' if folder else ''
+        self.collector.reset()
+        self.abandon()
+        return True, f'{count} samples forgotten{kept}; ready for a run'
+
     def finished(self) -> Future[Calibrated] | None:
         """Return a calibration that has come to its end, once."""
         if not self._job or not self._job.done():
@@ -91,6 +143,7 @@ class Session:
         job, self._job = self._job, None
         if job.exception() is None:
             self._last = job.result()
+            self.intake.settle(self._last.request, self._last.folder)
         return job
 
     def diagnose(self) -> tuple[bool, str]:
@@ -124,13 +177,14 @@ class Session:
             self.diagnosis = None
 
     def close(self) -> None:
-        """End what is under way; files are whole or not there."""
+        """End what is under way; files are whole or not there, the samples in the journal."""
         self.abandon()
+        self.intake.close()
         self.worker.close()
 
     def complete(self) -> str:
         """Say why the run is complete and can be calibrated; empty if it is not."""
-        if self.busy:
+        if self.busy or self.answered:
             return ''
         files = self._settings()[0]
         if self._verdict and self._verdict.done():

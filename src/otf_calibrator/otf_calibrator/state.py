@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 import time
 
 from rclpy.node import Node
@@ -11,6 +13,7 @@ from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
 from otf_calibrator.session import Session
+from otf_core.live.time_left import TimeLeft
 from otf_msgs.msg import CalibratorState
 from otf_ros import qos
 from otf_ros.convert_result import summary
@@ -25,6 +28,8 @@ NAMES = {
     CalibratorState.DONE: 'DONE',
     CalibratorState.FAILED: 'FAILED',
 }
+SILENCE = 2.0
+"""s without samples that the state speaks of."""
 STAGES = {'aligning': CalibratorState.ALIGNING, 'solving': CalibratorState.SOLVING}
 Described = tuple[int, float, str]
 NO_DIAGNOSIS = (False, 0.0, '')
@@ -41,6 +46,8 @@ class StatePublisher:
         self._diagnosis = NO_DIAGNOSIS
         self._shown = (-1, False)
         self._at = 0.0
+        self._warned: set[str] = set()
+        self._time_left = TimeLeft()
 
     def done(self, outcome: Calibrated) -> None:
         """Remember that the run was calibrated."""
@@ -66,15 +73,21 @@ class StatePublisher:
         self._diagnosis = (False, 1.0, text)
         logger.info(f'diagnosis: {text}')
 
-    def publish(self, session: Session) -> None:
-        """Publish the state if it has changed or was published a while ago."""
+    def publish(self, session: Session, troubles: list[str]) -> None:
+        """Publish the state, and what is wrong, if it has changed or was published long ago."""
         collector, job = session.collector, session.diagnosis
         state, progress, text = self._describe(session)
+        troubles = [*troubles, *session.intake.troubles()]
+        self._warn(troubles)
+        text = '; attention: '.join([text, *troubles])
         diagnosis = self._diagnosis
         if job:
             diagnosis = (True, job.fraction, job.stage)
             self._diagnosis = ABANDONED  # as long as it has not told what it gave
         now, shown = time.monotonic(), (state, job is not None)
+        stage = _stage(session)
+        work = stage, collector.run
+        time_left = self._time_left.estimate(work, progress, now) if stage else math.nan
         if shown == self._shown and now - self._at < REPEAT:
             return
         if state != self._shown[0]:
@@ -86,8 +99,11 @@ class StatePublisher:
         message = CalibratorState(
             state=state,
             name=NAMES[state],
+            stage=stage,
             progress=progress,
+            time_left=time_left,
             samples=len(collector.buffer),
+            samples_lost=collector.lost,
             path_length=collector.path.length if collector.path else 0.0,
             travelled=collector.travelled,
             message=text,
@@ -98,12 +114,19 @@ class StatePublisher:
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 
+    def _warn(self, troubles: list[str]) -> None:
+        """Log what is wrong, but not anew whenever a number changes."""
+        said = {re.sub(r'\d+', '', text): text for text in troubles}
+        for text in (said[key] for key in said.keys() - self._warned):
+            self._node.get_logger().warning(text)
+        self._warned = set(said)
+
     def _describe(self, session: Session) -> Described:
         collector, worker = session.collector, session.worker
         if session.busy:
             state = STAGES.get(worker.stage, CalibratorState.SOLVING)
             return state, worker.fraction, f'{worker.stage}, samples are still taken'
-        if collector.taken:
+        if collector.taken or collector.beginning or session.answered:
             return self._outcome
         if collector.path is None:
             return (
@@ -115,8 +138,20 @@ class StatePublisher:
             text = 'waiting for tracker/point: activate the tracker driver'
             return CalibratorState.BUFFERING, 0.0, text
         length = collector.path.length
+        silence = collector.silence(time.monotonic())
         text = (
             f'{collector.travelled:.2f} of {length:.2f} m driven; calibrates at standstill at the '
             f'end point, or call calibrator/calibrate'
         )
+        if silence > SILENCE:
+            text += f'; no sample for {silence:.0f} s, the run goes on with the next'
         return CalibratorState.BUFFERING, min(1.0, collector.travelled / length), text
+
+
+def _stage(session: Session) -> str:
+    """What takes its time now; empty if nothing does."""
+    if session.busy:
+        return session.worker.stage
+    collector = session.collector
+    driving = collector.path is not None and len(collector.buffer) and not collector.taken
+    return 'driving' if driving else ''

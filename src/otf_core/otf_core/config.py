@@ -204,6 +204,21 @@ class SimulationConfig(Parameters):
 
 
 @dataclass(frozen=True)
+class LoopConfig(Parameters):
+    """The round on a real control: how it drives, and the simulated machine and tracker on it."""
+
+    seed: int = parameter(
+        1, 'seed of machine, tracker and lines that are judged', '', 0, 2**31 - 1
+    )
+    feed: float = parameter(0.4, 'feed of all programs', 'm/s', 1e-3, 5.0)
+    acceleration: float = parameter(5.0, 'acceleration of the axes', 'm/s^2', 0.01, 100)
+    rate: float = parameter(500.0, 'tracker samples per second', 'Hz', 1, 5000)
+    error_size: float = parameter(
+        5e-5, 'mean volumetric error of the machine before compensation', 'm', 1e-6, 1e-3
+    )
+
+
+@dataclass(frozen=True)
 class ForecastConfig(Parameters):
     """What a plan is judged for: rate, drives, where the tracker may stand.
 

@@ -47,7 +47,12 @@ def test_no_ros_is_imported(file):
     assert not {r for r in roots if re.fullmatch(r'\w+_(msgs|interfaces)', r)}
 
 
-SIMULATING = ('sim', 'blind', 'validation')  # trials and validations are simulations
+SIMULATING = (
+    'sim',
+    'blind',
+    'validation',
+    'loop',
+)  # trials, validations, the machine on a control
 COMMAND_LINE = 'cli'
 PUBLIC = 'api'  # hands the twin to the diagnosis, as the command line does
 

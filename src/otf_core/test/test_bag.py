@@ -234,9 +234,10 @@ def test_points_of_any_frame_length_decode(length, little):
     gap = [b'\xff' * (i % 5) + d for i, d in enumerate(data)]
     size = np.array([len(d) for d in data])
     start = np.cumsum([len(g) for g in gap]) - size
-    stamp, xyz = decode_points(np.frombuffer(b''.join(gap), np.uint8), start, size, frame)
-    assert stamp.tobytes() == samples.stamp_ns.tobytes()
-    assert xyz.tobytes() == samples.xyz.tobytes()
+    points = decode_points(np.frombuffer(b''.join(gap), np.uint8), start, size, frame)
+    assert points.stamp_ns.tobytes() == samples.stamp_ns.tobytes()
+    assert points.xyz.tobytes() == samples.xyz.tobytes()
+    assert points.kept is None
 
 
 def test_big_endian_and_several_publishers_on_one_topic(tmp_path):

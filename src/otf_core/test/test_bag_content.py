@@ -126,11 +126,20 @@ def test_wrong_type_is_named(tmp_path, as_rosbag):
     [('', 'empty'), ('lab', "'lab'"), ('trackes', "'trackes'"), ('/tracker', "'/tracker'")],
 )
 @pytest.mark.parametrize('little', [True, False])
-def test_wrong_frame_of_a_point_is_named(tmp_path, frame, shown, little):
+def test_points_in_a_wrong_frame_are_left_out_if_few_and_refused_if_most(
+    tmp_path, frame, shown, little
+):
     messages = list(MESSAGES)
     messages[42] = (*MESSAGES[42][:3], point_cdr(START, (1, 2, 3), frame, little))
-    with pytest.raises(InputError, match=f"message 41: frame_id is {shown}, expected 'tracker'"):
-        read_bag(write_mcap(tmp_path / 'a.mcap', messages))
+    found = read_bag(write_mcap(tmp_path / 'a.mcap', messages))
+    np.testing.assert_array_equal(found.samples.xyz, np.delete(CONTENT.samples.xyz, 41, axis=0))
+    (remark,) = found.remarks
+    assert '1 of 200 points in another frame' in remark
+    assert f"frame_id is {shown}, expected 'tracker'" in remark
+    alien = [(*m[:3], point_cdr(m[2], (1, 2, 3), frame, little)) for m in MESSAGES[1:102]]
+    file = write_mcap(tmp_path / 'b.mcap', [PATH_MESSAGE, *alien, *MESSAGES[102:]])
+    with pytest.raises(InputError, match=f"101 of 200 .* frame_id is {shown}, expected 'tracker'"):
+        read_bag(file)
 
 
 @pytest.mark.parametrize(
@@ -180,20 +189,30 @@ def test_topics_without_messages_are_explained(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ('value', 'text'),
+    ('value', 'few', 'many', 'text'),
     [
-        (np.nan, 'not finite'),
-        (np.frombuffer(struct.pack('<Q', 0x7FF0000000000001))[0], 'not finite'),  # signalling
-        (np.inf, 'not finite'),
-        (4321.0, 'the unit is m'),
+        (np.nan, 100, 101, 'not finite'),
+        (np.frombuffer(struct.pack('<Q', 0x7FF0000000000001))[0], 100, 101, 'not finite'),
+        (np.inf, 100, 101, 'not finite'),
+        (4321.0, 2, 3, 'the unit is m'),
     ],
 )
-def test_unusable_points_are_counted_and_the_first_located(tmp_path, value, text):
-    samples = some_samples()
-    samples.xyz[[17, 99]] = value
-    file = write_mcap(tmp_path / 'a.mcap', [PATH_MESSAGE, *point_messages(samples)])
-    seconds = f'{samples.time[17]:.6f}'
-    with pytest.raises(InputError, match=f'2 of 200 .* sample 17, {seconds} s .*{text}'):
+def test_unusable_points_are_left_out_if_few_and_refused_if_many(tmp_path, value, few, many, text):
+    def bag_with(count):
+        samples = some_samples()
+        samples.xyz[17 : 17 + count] = value
+        return samples, write_mcap(
+            tmp_path / f'{count}.mcap', [PATH_MESSAGE, *point_messages(samples)]
+        )
+
+    samples, file = bag_with(few)
+    found = read_bag(file)
+    kept = np.delete(np.arange(200), np.s_[17 : 17 + few])
+    assert found.samples.xyz.tobytes() == samples.xyz[kept].tobytes()
+    first = f'sample 17, {samples.time[17]:.6f} s'
+    assert f'dropped {few} of 200 points' in found.remarks[0] and first in found.remarks[0]
+    _, file = bag_with(many)
+    with pytest.raises(InputError, match=f'{many} of 200 .* {first} .*{text}'):
         read_bag(file)
 
 
@@ -206,7 +225,7 @@ def test_points_without_beam_are_dropped_and_counted(tmp_path, caplog):
     np.testing.assert_array_equal(found.stamp_ns, np.delete(samples.stamp_ns, [17, 99]))
     np.testing.assert_array_equal(found.xyz, np.delete(samples.xyz, [17, 99], axis=0))
     assert (
-        f'dropped 2 of 200 points in the origin of the tracker (no beam), the first '
+        f'dropped 2 of 200 points in the origin of the tracker (no beam); the first is sample 17, '
         f'{samples.time[17]:.6f} s' in caplog.text
     )
 

@@ -6,12 +6,13 @@ import struct
 
 import numpy as np
 import pytest
-from bag_cells import CONTENT, assert_same, write_mcap, write_rosbag
+from bag_cells import CONTENT, MESSAGES, PATH_MESSAGE, assert_same, write_mcap, write_rosbag
+from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from otf_core.bags import mcap_messages
-from otf_core.bags.bag import read_bag, write_bag
+from otf_core.bags.bag import read_bag, read_parts, write_bag
 from otf_core.bags.mcap_messages import McapMessages
 from otf_core.errors import ConfigError, InputError
 
@@ -87,16 +88,64 @@ def cuts(size):
         {'use_chunking': False},
     ],
 )
-def test_mcap_cut_off_anywhere_is_unusable_input(tmp_path, options):
+def test_mcap_cut_off_anywhere_is_read_to_its_last_complete_chunk(tmp_path, caplog, options):
     file = write_mcap(tmp_path / 'a.mcap', **options)
     whole = file.read_bytes()
+    with file.open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    ends = [c.chunk_start_offset + c.chunk_length for c in summary.chunk_indexes]
+    total = len(CONTENT.samples)
     for cut in [*cuts(len(whole)), *range(1, 10), len(whole) - 1]:
+        caplog.clear()
         file.write_bytes(whole[:cut])
-        with pytest.raises(InputError, match='is empty' if not cut else 'is cut off|is no MCAP'):
-            read_bag(file)
-    file.write_bytes(whole[: len(whole) // 2] + mcap_messages.MAGIC)
-    with pytest.raises(InputError, match='mcap recover'):
+        complete = sum(end <= cut for end in ends)
+        if (options.get('use_chunking') is False and cut > 3000) or complete:
+            found = read_bag(file)
+            count = len(found.samples)
+            assert found.samples.xyz.tobytes() == CONTENT.samples.xyz[:count].tobytes()
+            assert count == total or count >= total * complete // len(ends or [1]) - 40
+            assert complete < len(ends) or not ends or count == total
+            assert 'has no end (cut off, or still being recorded)' in caplog.text
+            assert found.remarks
+        elif not cut or cut < 8:
+            with pytest.raises(InputError, match='is empty' if not cut else 'is no MCAP'):
+                read_bag(file)
+
+
+def test_damage_inside_needs_recover_and_costs_its_chunk_only(tmp_path):
+    file = write_mcap(tmp_path / 'a.mcap', compression=CompressionType.NONE)
+    data = bytearray(file.read_bytes())
+    data[data.index(CONTENT.samples.xyz[60].tobytes())] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=r'checksum of a chunk is wrong; .*--recover'):
         read_bag(file)
+    found = read_bag(file, recover=True)
+    lost = set(CONTENT.samples.stamp_ns.tolist()) - set(found.samples.stamp_ns.tolist())
+    assert int(CONTENT.samples.stamp_ns[60]) in lost and 0 < len(lost) < 60
+    assert 'damaged chunk' in found.remarks[0]
+
+
+def test_file_that_a_crash_left_full_of_zeros_is_read_up_to_them(tmp_path):
+    file = write_mcap(tmp_path / 'a.mcap', compression=CompressionType.NONE)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) * 2 // 3] + bytes(len(whole) // 3))
+    found = read_bag(file)
+    assert 0 < len(found.samples) < 200 and 'has no end' in found.remarks[0]
+
+
+def test_parts_of_a_recording_that_has_no_metadata_yet_are_one_bag(tmp_path):
+    for part in range(2):
+        middle = [PATH_MESSAGE, *MESSAGES[1:][100 * part : 100 * part + 100]]
+        write_mcap(tmp_path / f'run_{part}.mcap', middle)
+    assert_same(read_bag(tmp_path))
+
+
+def test_parts_of_one_run_are_joined_whatever_their_order(tmp_path):
+    parts = [MESSAGES[101:], [PATH_MESSAGE, *MESSAGES[1:101]]]
+    files = [write_mcap(tmp_path / f'{k}.mcap', part) for k, part in enumerate(parts)]
+    assert_same(read_parts(files))
+    with pytest.raises(InputError, match='/planner/path is missing'):
+        read_bag(files[0])
 
 
 @pytest.mark.parametrize(
@@ -203,7 +252,8 @@ CHANNEL = record(4, struct.pack('<HH', 1, 0) + text('/a') + text('cdr') + struct
     ('body', 'reason'),
     [
         (chunk(2**62, '', b''), 'states 4611686018427387904 bytes'),
-        (chunk(2**29, 'lz4', b'\x04"M\x18'), 'decompressed'),
+        (chunk(2**24, 'lz4', b'\x04"M\x18'), 'decompressed'),
+        (chunk(2**29, 'lz4', b'\x04"M\x18'), 'states 536870912 bytes'),
         (chunk(2**29, 'zstd', b'\x28\xb5\x2f\xfd\x20\x00'), 'states 536870912 bytes'),
         (chunk(5, '', b'abcd'), '4 bytes instead of 5'),
         (chunk(5, 'bz2', b'abcde'), "'bz2' is not supported"),

@@ -134,9 +134,6 @@ def test_sums_of_groups_are_those_of_generalised_least_squares(case):
         laps = [high - low for (low, high), mine in zip(whitener.bounds, group, strict=True)
                 if mine == g]  # fmt: skip
         assert own.rows == 2 * sum(laps)
-    twice = found[0].repeated(2.0)
-    np.testing.assert_array_equal(twice.matrix, 2.0 * found[0].matrix)
-    assert (twice.rows, twice.square) == (2 * found[0].rows, 2.0 * found[0].square)
 
 
 def test_whitened_noise_is_white_whatever_the_lengths_of_the_legs(case):

@@ -14,15 +14,15 @@ FACES = ('__init__', 'config', 'errors', 'threads', 'version')
 """All that lies beside the rooms: what is used everywhere, and the public names, loaded lazily."""
 FLOORS = (
     ('api', 'cli'),
-    ('reports',),
-    ('blind', 'validation'),
+    ('info', 'installation', 'reports'),
+    ('blind', 'checking', 'loop', 'validation'),
     ('planning',),
     ('diagnosis',),
     ('calibration',),
     ('budget', 'contradictions', 'sim'),
-    ('solving',),
-    ('effects', 'pieces', 'comparison'),
-    ('bags', 'noise', 'prediction', 'tracking'),
+    ('inputs', 'solving'),
+    ('effects', 'pieces', 'comparison', 'exports', 'fleet'),
+    ('bags', 'live', 'noise', 'prediction', 'tracking'),
     ('model',),
     ('files',),
 )

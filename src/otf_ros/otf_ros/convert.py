@@ -10,9 +10,13 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PointStamped, PoseStamped, Transform
 from nav_msgs.msg import Path
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
+from otf_core.bags.cdr import frame_text
+from otf_core.bags.sample_order import usable_path
+from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -55,11 +59,20 @@ def points_to_messages(samples: Samples) -> Iterator[PointStamped]:
 
 def points_from_messages(
     messages: Iterable[PointStamped],
-) -> Iterator[tuple[int, float, float, float]]:
-    """Yield stamp in ns and x, y, z in m of every message."""
+) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Return stamps (n,) in ns and points (n, 3) in m by the frames of the messages."""
+    rows: dict[str, list[tuple[int, float, float, float]]] = {}
     for message in messages:
-        stamp, point = message.header.stamp, message.point
-        yield stamp.sec * NS + stamp.nanosec, point.x, point.y, point.z
+        head, point = message.header, message.point
+        stamp_ns = head.stamp.sec * NS + head.stamp.nanosec
+        rows.setdefault(head.frame_id, []).append((stamp_ns, point.x, point.y, point.z))
+    return {
+        frame: (
+            np.array([row[0] for row in found], np.int64),
+            np.array([row[1:] for row in found], float),
+        )
+        for frame, found in rows.items()
+    }
 
 
 def path_to_message(path: NominalPath, stamp: Time) -> Path:
@@ -73,9 +86,13 @@ def path_to_message(path: NominalPath, stamp: Time) -> Path:
 
 
 def path_from_message(message: Path) -> NominalPath:
-    """Return the path of a message; InputError if it is none."""
+    """Return the path of a message; InputError if it is none, or in another frame."""
+    for what, head in [('path', message.header), *(('a pose', p.header) for p in message.poses)]:
+        if head.frame_id != MACHINE_FRAME and (what == 'path' or head.frame_id):
+            raise InputError(frame_text(what, head.frame_id, MACHINE_FRAME))
     positions = [pose.pose.position for pose in message.poses]
-    return NominalPath(np.array([(p.x, p.y, p.z) for p in positions], float).reshape(-1, 3))
+    points = np.array([(p.x, p.y, p.z) for p in positions], float).reshape(-1, 3)
+    return usable_path('planner/path', points)
 
 
 def plan_to_message(plan: Plan, machine: str, passes: int, stamp: Time) -> PlanMessage:
@@ -110,3 +127,10 @@ def transform_to_message(transform: RigidTransform) -> Transform:
     t = message.translation
     t.x, t.y, t.z = transform.translation.tolist()
     return message
+
+
+def transform_from_message(message: Transform) -> RigidTransform:
+    """Return the rigid transform of a translation and a unit quaternion."""
+    r, t = message.rotation, message.translation
+    rotation = Rotation.from_quat([r.x, r.y, r.z, r.w]).as_matrix()
+    return RigidTransform(rotation, np.array([t.x, t.y, t.z]))

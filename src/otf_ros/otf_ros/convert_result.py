@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import Point, TransformStamped, Vector3
 
 from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.volume import motion_sizes
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.volume import VolumeErrors
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable
+from otf_msgs.msg import VolumeErrors as VolumeMessage
 from otf_ros.convert import TRACKER_FRAME, header, transform_to_message
 
 ZERO_GAUGE = 'zero at axis position 0, else at the minimum'
@@ -53,6 +57,7 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
     """Return the summary; what only the node knows (lost samples, folder) is left empty."""
     fit, machine = result.fit, result.tables.machine
     passed = not result.failed_gates
+    sizes = motion_sizes(result)
     message = ResultMessage(
         header=header(stamp),
         run_id=result.run_id,
@@ -71,6 +76,9 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
         path_mae_before=fit.path_mae_before,
         path_mae_after=fit.path_mae_after,
         residual_rms=fit.residual_rms,
+        motions=list(sizes),
+        motion_largest=[largest for largest, _ in sizes.values()],
+        motion_u=[u for _, u in sizes.values()],
         not_identifiable=list(result.not_identifiable),
         warnings=list(result.warnings),
     )
@@ -80,14 +88,40 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
     return message
 
 
+def volume_to_message(volume: VolumeErrors, run_id: str, stamp: Time) -> VolumeMessage:
+    """Return predicted errors on a grid."""
+    vectors = [
+        [Vector3(x=x, y=y, z=z) for x, y, z in field.tolist()]
+        for field in (volume.errors, volume.u)
+    ]
+    return VolumeMessage(
+        header=header(stamp),
+        run_id=run_id,
+        provisional=volume.provisional,
+        points=[Point(x=x, y=y, z=z) for x, y, z in volume.points.tolist()],
+        errors=vectors[0],
+        u=vectors[1],
+    )
+
+
+def volume_from_message(message: VolumeMessage) -> VolumeErrors:
+    """Return predicted errors on a grid; ShapeError if their numbers differ."""
+    fields = [
+        np.array([(v.x, v.y, v.z) for v in field], float).reshape(-1, 3)
+        for field in (message.points, message.errors, message.u)
+    ]
+    return VolumeErrors(*fields, message.provisional)
+
+
 def summary(result: CalibrationResult) -> str:
     """Return the outcome in one sentence."""
     if result.failed_gates:
         return f'quality gate failed: {"; ".join(result.failed_gates)}'
     fit = result.fit
+    verdict = f'; {result.verdict.sentence}' if result.verdict else ''
     return (
         f'mean distance from the path {1e6 * fit.path_mae_before:.2f} um, '
-        f'compensated {1e6 * fit.path_mae_after:.2f} um'
+        f'compensated {1e6 * fit.path_mae_after:.2f} um{verdict}'
     )
 
 

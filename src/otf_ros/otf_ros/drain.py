@@ -17,17 +17,19 @@ from rclpy.qos import QoSProfile
 from otf_ros.timers import create_timer
 
 
-class _NeverWoken(CallbackGroup):
+class NeverWoken(CallbackGroup):
     """Keeps a subscription out of the executor's wait set; a timer reads it instead."""
 
     def can_execute(self, entity: Any) -> bool:
+        """No, never."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
+        """No, never."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        pass
+        """Nothing was begun."""
 
 
 class Drain:
@@ -40,7 +42,8 @@ class Drain:
         Message class.
     topic : str
     callback : callable
-        Called with a list of messages (never empty) in the order of their arrival.
+        Called with a list of messages (never empty) in the order of their arrival, and with the
+        numbers that their publisher gave them (None where the middleware does not tell).
     qos : rclpy.qos.QoSProfile
         Its depth must hold what arrives within a few periods.
     period : float
@@ -52,14 +55,14 @@ class Drain:
         node: Node,
         msg_type: type,
         topic: str,
-        callback: Callable[[list[Any]], None],
+        callback: Callable[[list[Any], list[int | None]], None],
         qos: QoSProfile,
         period: float = 0.02,
     ) -> None:
         self._callback = callback
         self._most = qos.depth
         self.subscription = node.create_subscription(
-            msg_type, topic, self._never, qos, callback_group=_NeverWoken()
+            msg_type, topic, self._never, qos, callback_group=NeverWoken()
         )
         self._timer = create_timer(node, period, self.empty)
 
@@ -70,6 +73,7 @@ class Drain:
     def empty(self) -> None:
         """Hand over what is pending now; at most one queue length, so other work gets its turn."""
         messages: list[Any] = []
+        numbers: list[int | None] = []
         handle, msg_type = self.subscription.handle, self.subscription.msg_type
         with handle:
             while len(messages) < self._most:
@@ -77,5 +81,6 @@ class Drain:
                 if taken is None:
                     break
                 messages.append(taken[0])
+                numbers.append(taken[1]['publication_sequence_number'])
         if messages:
-            self._callback(messages)
+            self._callback(messages, numbers)

@@ -12,25 +12,45 @@ from otf_core.diagnosis.result import Diagnosis
 from otf_core.errors import ConfigError
 from otf_core.files.manifest import MANIFEST
 from otf_core.files.output import OutputFolder
-from otf_core.model.machine import Machine, load_machine
+from otf_core.inputs.recordings import Given, read_recording
+from otf_core.model.machine import Machine
 from otf_core.pieces.runs import Recording
 from otf_core.planning.judged import PlanReport
 from otf_core.planning.nc import DIALECTS
-from otf_core.reports import calibration, plan
+from otf_core.reports import calibration, gap_report, plan
 from otf_core.reports import diagnosis as reports
 
 Name = str | Path
 
 
-def read_bag(source: Name, machine: Machine | Name) -> Recording:
+def read_bag(
+    source: Name,
+    machine: Machine | Name,
+    *,
+    path: Name | None = None,
+    topic: str | None = None,
+    path_topic: str | None = None,
+    columns: str | None = None,
+    rate: float | None = None,
+) -> Recording:
     """Read a recorded run.
 
     Parameters
     ----------
     source : str or Path
-        A rosbag2 folder or an .mcap file with ``/tracker/point`` and ``/planner/path``.
+        A rosbag2 folder or an .mcap file with ``/tracker/point`` and ``/planner/path``; or a
+        table of samples as text, with ``path``.
     machine : Machine, str or Path
         The machine that was driven, or its machine.yaml.
+    path : str or Path, optional
+        A plan.json or a CSV of corner points, in place of what the recording holds.
+    topic, path_topic : str, optional
+        Other names of the two topics of a bag.
+    columns : str, optional
+        What stands in the columns of a text, e.g. ``time_s,x_mm,y_mm,z_mm``; as its head says if
+        not given.
+    rate : float, optional
+        Hz; of samples in a text without times.
 
     Returns
     -------
@@ -39,9 +59,9 @@ def read_bag(source: Name, machine: Machine | Name) -> Recording:
     Raises
     ------
     ConfigError
-        If there is no bag, or machine.yaml is wrong.
+        If there is no recording, or machine.yaml is wrong.
     InputError
-        If the bag is damaged, or holds no usable points and path.
+        If it is damaged, or holds no usable points and path.
 
     Examples
     --------
@@ -51,9 +71,7 @@ def read_bag(source: Name, machine: Machine | Name) -> Recording:
     >>> round(recording.path.length, 3)
     41.005
     """
-    content = bag.read_bag(source)
-    used = machine if isinstance(machine, Machine) else load_machine(machine)
-    return Recording(content.samples, content.path, used, str(source))
+    return read_recording([source], machine, Given(path, topic, path_topic, columns, rate))
 
 
 def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) -> None:
@@ -201,7 +219,7 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     if isinstance(of, CalibrationResult):
         return calibration.format_result(of)
     if isinstance(of, Diagnosis):
-        return reports.format_diagnosis(of)
+        return gap_report.format_diagnosis(of)
     if isinstance(of, PlanReport):
         return plan.format_report(of)
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')

@@ -3,27 +3,30 @@
 
 A bag is a rosbag2 folder or an .mcap file with the topics ``/tracker/point``
 (geometry_msgs/msg/PointStamped in frame ``tracker``, header.stamp is the time of measurement) and
-``/planner/path`` (nav_msgs/msg/Path in frame ``machine``). Any other topics are skipped.
+``/planner/path`` (nav_msgs/msg/Path in frame ``machine``). Any other topics are skipped. Poses and
+transforms do for points; topics of other names are taken where they are named, in any frame.
 """
 
 from __future__ import annotations
 
+import logging
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.bags.bag_source import locate
+from otf_core.bags.bag_reading import BagReading, Reading, path_of
 from otf_core.bags.bag_writer import write_recording
-from otf_core.bags.cdr import decode_path, decode_points
-from otf_core.bags.column import Column
-from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.sample_order import in_time_order, usable_path
+from otf_core.bags.screening import Screening
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -35,13 +38,18 @@ class BagContent:
     samples : Samples
         Stamps strictly increase.
     path : NominalPath
+    remarks : tuple of str
+        What was repaired or left out, in words.
     """
 
     samples: Samples
     path: NominalPath
+    remarks: tuple[str, ...] = ()
 
 
-def read_bag(source: str | Path) -> BagContent:
+def read_bag(
+    source: str | Path, *, recover: bool = False, point: Topic = POINT, path: Topic = PATH
+) -> BagContent:
     """Read points and path.
 
     Points are taken in the order of reception (log time) and then put in the order of their own
@@ -52,23 +60,68 @@ def read_bag(source: str | Path) -> BagContent:
     ----------
     source : str or Path
         A rosbag2 folder (any number of parts, any storage or compression that rosbags reads), a
-        folder with a single .mcap file, or an .mcap file.
+        folder with a single .mcap file or numbered parts, or an .mcap file. An MCAP file that is
+        cut off or still being recorded is read to its last complete chunk.
+    recover : bool
+        Leave out damaged chunks inside an MCAP file as well, instead of refusing the bag.
+    point, path : Topic
+        See ``topics.called`` for other names.
 
     Raises
     ------
     ConfigError
         If the source does not exist or is by its kind no bag.
     InputError
-        If the bag is damaged, cut off or does not hold usable points and one usable path; the
-        message says what, where and what to do.
+        If the bag is damaged or does not hold usable points and one usable path; the message says
+        what, where and what to do.
     """
-    recording = _Recording(source, (POINT, PATH))
-    return BagContent(recording.samples(), recording.path())
+    return read_parts([source], recover=recover, point=point, path=path)
 
 
-def read_points(source: str | Path) -> Samples:
+def read_parts(
+    sources: Sequence[str | Path],
+    *,
+    recover: bool = False,
+    point: Topic = POINT,
+    path: Topic = PATH,
+) -> BagContent:
+    """Read bags that are parts of one run, in any order, as if they were one bag.
+
+    Every part has points; the path stands in one of them at least, the same in all that have it.
+    """
+    alone = len(sources) == 1
+    parts = [BagReading(s, point, path, recover=recover) for s in sources]
+    for part in parts:
+        part.require(*((point, path) if alone else (point,)))
+    where = str(sources[0]) if alone else f'{sources[0]} and {len(sources) - 1} more'
+    remarks = [text for part in parts for text in part.remarks]
+    samples = samples_of(where, parts, remarks)
+    for text in remarks:
+        _log.warning('%s: %s', where, text)
+    return BagContent(samples, path_of(where, parts), tuple(remarks))
+
+
+def read_points(source: str | Path, *, recover: bool = False, point: Topic = POINT) -> Samples:
     """Read the points of a bag that may lack a path; otherwise as ``read_bag``."""
-    return _Recording(source, (POINT,)).samples()
+    part = BagReading(source, point, None, recover=recover)
+    part.require(point)
+    remarks = list(part.remarks)
+    samples = samples_of(str(source), [part], remarks)
+    for text in remarks:
+        _log.warning('%s: %s', source, text)
+    return samples
+
+
+def samples_of(where: str, parts: Sequence[Reading], remarks: list[str]) -> Samples:
+    """Join the points of parts; ``remarks`` is filled with what was repaired or left out."""
+    raw = sorted((part.received() for part in parts), key=lambda r: r.stamp_ns[:1].tolist())
+    stamp_ns, xyz = (
+        raw[0].stamp_ns if len(raw) == 1 else np.concatenate([r.stamp_ns for r in raw]),
+        raw[0].xyz if len(raw) == 1 else np.concatenate([r.xyz for r in raw]),
+    )
+    screening = Screening()
+    screening.foreign(sum((part.foreign for part in parts), Counter()))
+    return in_time_order(f'{where}: {parts[0].point.name}', stamp_ns, xyz, remarks, screening)
 
 
 def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = False) -> None:
@@ -93,76 +146,11 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
         If the content is not what ``read_bag`` would give back unchanged.
     """
     samples = content.samples
-    checked = in_time_order(f'{folder}: samples', samples.stamp_ns, samples.xyz)
-    if not np.array_equal(checked.stamp_ns, samples.stamp_ns):
+    remarks: list[str] = []
+    in_time_order(f'{folder}: samples', samples.stamp_ns, samples.xyz, remarks)
+    if not np.all(samples.stamp_ns[1:] > samples.stamp_ns[:-1]):
         raise InputError(f'{folder}: stamps of samples to write have to increase strictly')
+    if remarks:
+        raise InputError(f'{folder}: samples would not be read as they are: {remarks[0]}')
     usable_path(f'{folder}: path', content.path.points)
     write_recording(Path(folder), samples, content.path, overwrite)
-
-
-class _Recording:
-    """Raw points and paths of the wanted topics of one bag."""
-
-    def __init__(self, source: str | Path, wanted: tuple[Topic, ...]) -> None:
-        self._where = str(source)
-        self._stamp_ns = Column(np.empty(0, np.int64))
-        self._xyz = Column(np.empty((0, 3)))
-        self._log_time = Column(np.empty(0, np.int64))
-        self._paths: list[NDArray[np.float64]] = []
-        self._last_path: bytes | None = None
-        self._points = 0
-        found: dict[str, str] = {}
-        for block in locate(source).messages({t.name: t.type for t in wanted}, found):
-            try:
-                self._add(block)
-            except InputError as error:
-                raise InputError(f'{self._where}: {block.topic}: {error}') from None
-        for topic in wanted:
-            if topic.name not in found:
-                listed = ', '.join(f'{n} ({t})' for n, t in sorted(found.items())) or 'none'
-                raise InputError(
-                    f'{self._where}: topic {topic.name} is missing; topics in the bag: {listed}; '
-                    f'record it or remap to that name'
-                )
-
-    def _add(self, block: MessageBlock) -> None:
-        if block.topic == POINT.name:
-            stamp_ns, xyz = decode_points(
-                block.buffer, block.start, block.size, POINT.frame, self._points
-            )
-            self._stamp_ns.add(stamp_ns)
-            self._xyz.add(xyz)
-            self._log_time.add(block.log_time)
-            self._points += stamp_ns.size
-            return
-        for start, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
-            data = bytes(block.buffer[start : start + size])
-            if data == self._last_path:
-                continue
-            self._last_path = data
-            points = decode_path(data, PATH.frame)
-            if not any(np.array_equal(points, known, equal_nan=True) for known in self._paths):
-                self._paths.append(points)
-
-    def samples(self) -> Samples:
-        """Return the points in time order; the recording does not keep them."""
-        log_time = self._log_time.joined()
-        as_received = bool(np.all(log_time[1:] >= log_time[:-1]))
-        order = None if as_received else np.argsort(log_time, kind='stable')
-        del log_time
-        stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
-        if order is not None:
-            stamp_ns, xyz = stamp_ns[order], xyz[order]
-        return in_time_order(f'{self._where}: {POINT.name}', stamp_ns, xyz)
-
-    def path(self) -> NominalPath:
-        """Return the only path."""
-        where = f'{self._where}: {PATH.name}'
-        if not self._paths:
-            raise InputError(f'{where}: no path was published while it was recorded')
-        if len(self._paths) > 1:
-            raise InputError(
-                f'{where}: {len(self._paths)} different paths were published; '
-                f'record each run in its own bag'
-            )
-        return usable_path(where, self._paths[0])

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path, PurePath
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.bags.mcap_messages import McapMessages, MessageBlock, check_type
+from otf_core.bags.mcap_messages import McapMessages, MessageBlock, Wanted, check_type
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_yaml
 
@@ -40,15 +40,24 @@ class BagSource:
     plain: bool
 
     def messages(
-        self, wanted: Mapping[str, str], topics: dict[str, str]
+        self,
+        wanted: Wanted,
+        topics: dict[str, str],
+        remarks: list[str] | None = None,
+        *,
+        recover: bool = False,
     ) -> Iterator[MessageBlock]:
         """Yield the messages of the wanted topics and collect all topics with their types.
 
         Parameters
         ----------
-        wanted : mapping of topic to message type
+        wanted : mapping of topic to message types
         topics : dict of topic to message type
             Filled while reading.
+        remarks : list of str
+            Filled with what is missing of files without their end.
+        recover : bool
+            Leave out what is damaged inside MCAP files instead of refusing them.
 
         Raises
         ------
@@ -57,7 +66,7 @@ class BagSource:
         """
         if self.plain:
             for file in self.files:
-                yield from McapMessages(file, wanted, topics)
+                yield from McapMessages(file, wanted, topics, remarks, recover=recover)
         else:
             yield from _general_messages(self.path, wanted, topics)
 
@@ -99,6 +108,9 @@ def _locate_in_folder(folder: Path) -> BagSource:
     found = sorted(p for p in folder.iterdir() if p.suffix in ('.mcap', '.db3') and p.is_file())
     if len(found) == 1:
         return BagSource(found[0], (found[0],), found[0].suffix == '.mcap')
+    if found and _are_parts(found):  # rosbag2 writes metadata.yaml when it ends
+        parts = tuple(sorted(found, key=_part))
+        return BagSource(folder, parts, True)
     if found:
         raise InputError(
             f'{folder}: holds {len(found)} recordings ({_names(found)}) and no metadata.yaml; '
@@ -108,6 +120,20 @@ def _locate_in_folder(folder: Path) -> BagSource:
     if inside:
         raise InputError(f'{folder}: is no bag but holds some ({_names(inside)}); name one')
     raise InputError(f'{folder}: holds neither metadata.yaml nor an .mcap file; {EXPECTED}')
+
+
+def _part(path: Path) -> int:
+    """Number of a part of a recording by its name, NAME_0.mcap; -1 if it is none."""
+    number = path.stem.rpartition('_')[2]
+    return int(number) if number.isascii() and number.isdecimal() and len(number) < 7 else -1
+
+
+def _are_parts(found: list[Path]) -> bool:
+    """Tell whether files are the parts that rosbag2 splits a recording into, none missing."""
+    same = {p.stem.rpartition('_')[0] for p in found}
+    numbers = sorted(map(_part, found))
+    plain = all(p.suffix == '.mcap' for p in found)
+    return plain and len(same) == 1 and numbers == list(range(len(found)))
 
 
 def _names(paths: list[Path]) -> str:
@@ -143,7 +169,7 @@ def _from_metadata(folder: Path) -> BagSource:
 
 
 def _general_messages(
-    path: Path, wanted: Mapping[str, str], topics: dict[str, str]
+    path: Path, wanted: Wanted, topics: dict[str, str]
 ) -> Iterator[MessageBlock]:
     """Yield what rosbags reads: sqlite3 storage, compressed files or messages."""
     from rosbags.rosbag2 import Reader  # costs 50 ms that plain MCAP does not need

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CDR encoding of the two message types a bag carries: PointStamped in bulk, Path one by one.
+"""CDR encoding of what a bag carries: stamped points in bulk, Path one by one.
 
 A message begins with 00 01 (little endian) or 00 00 (big endian) and two option bytes; alignment
 counts from byte 4. PointStamped is int32 sec, uint32 nanosec, string frame_id, three float64: with
@@ -10,6 +10,8 @@ padding come before x. Checked against rosbags 0.11 (serde/cdr.py).
 from __future__ import annotations
 
 import struct
+from collections import Counter
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -43,11 +45,66 @@ def gather(buffer: Bytes, at: Index, width: int) -> NDArray[np.void]:
     return np.asarray(windows[at])
 
 
+@dataclass(frozen=True)
+class PointForm:
+    """How messages hold a stamped point.
+
+    Attributes
+    ----------
+    type : str
+        Of the messages, without its package.
+    child : str, optional
+        The child_frame_id that stands between header and point; None: nothing does.
+    after : int
+        Bytes that follow the point: rotation, covariance, speed.
+    """
+
+    type: str = 'PointStamped'
+    child: str | None = None
+    after: int = 0
+
+
+POINT_FORM = PointForm()
+ROTATION, COVARIANCE, TWIST = 4 * 8, 36 * 8, 6 * 8
+FORMS = {
+    'geometry_msgs/msg/PointStamped': POINT_FORM,
+    'geometry_msgs/msg/PoseStamped': PointForm('PoseStamped', None, ROTATION),
+    'geometry_msgs/msg/PoseWithCovarianceStamped': PointForm(
+        'PoseWithCovarianceStamped', None, ROTATION + COVARIANCE
+    ),
+    'geometry_msgs/msg/TransformStamped': PointForm('TransformStamped', '', ROTATION),
+    'nav_msgs/msg/Odometry': PointForm('Odometry', '', ROTATION + COVARIANCE + TWIST + COVARIANCE),
+}
+"""Types that samples may have (common_interfaces, Jazzy); a child frame is that of the data."""
+
+
+def form_of(kind: str, data: bytes) -> tuple[PointForm, str]:
+    """Form of the messages of a type, and the frame of the first of them.
+
+    Raises
+    ------
+    InputError
+        If it is no message of this type.
+    """
+    form = FORMS[kind]
+    try:
+        reader = CdrReader(data)
+        reader.numbers('iI')
+        frame = reader.text()
+        return (form if form.child is None else replace(form, child=reader.text())), frame
+    except ValueError as error:
+        raise InputError(f'message 0 is no {form.type} in CDR ({error})') from None
+
+
 @cache
-def point_dtype(frame: str, order: str) -> np.dtype[np.void]:
-    """Layout of a PointStamped with this frame_id; ``order`` is ``<`` or ``>``."""
+def point_dtype(frame: str, order: str, form: PointForm = POINT_FORM) -> np.dtype[np.void]:
+    """Layout of a message with this frame_id; ``order`` is ``<`` or ``>``."""
     length = len(frame.encode())
-    xyz_at = 4 + 13 + length + (-(13 + length)) % 8
+    end = 13 + length
+    child_at = end + -end % 4
+    if form.child is not None:
+        end = child_at + 4 + len(form.child.encode()) + 1
+    xyz_at = 4 + end + -end % 8
     fields = {
         'encapsulation': ('>u2', 0),
         'sec': (f'{order}i4', 4),
@@ -56,20 +113,50 @@ def point_dtype(frame: str, order: str) -> np.dtype[np.void]:
         'frame': (f'S{length + 1}', 16),
         'xyz': (f'({3},){order}f8', xyz_at),
     }
+    if form.child is not None:
+        fields |= {
+            'child_length': (f'{order}u4', 4 + child_at),
+            'child': (f'S{len(form.child.encode()) + 1}', 8 + child_at),
+        }
     return np.dtype(
         {
             'names': list(fields),
             'formats': [form for form, _ in fields.values()],
             'offsets': [offset for _, offset in fields.values()],
-            'itemsize': xyz_at + 24,
+            'itemsize': xyz_at + 24 + form.after,
         }
     )
 
 
+@dataclass(frozen=True)
+class DecodedPoints:
+    """Points of many messages.
+
+    Attributes
+    ----------
+    stamp_ns : ndarray of int64, shape (n,), ns
+    xyz : ndarray of float64, shape (n, 3), m
+    kept : ndarray of bool, optional
+        Messages that they are of, where some were in another frame.
+    foreign : Counter of str
+        Messages in other frames, by frame_id.
+    """
+
+    stamp_ns: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    kept: NDArray[np.bool_] | None
+    foreign: Counter[str]
+
+
 def decode_points(
-    buffer: Bytes, start: Index, size: Index, frame: str, first: int = 0
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Decode many PointStamped messages at once.
+    buffer: Bytes,
+    start: Index,
+    size: Index,
+    frame: str,
+    first: int = 0,
+    form: PointForm = POINT_FORM,
+) -> DecodedPoints:
+    """Decode many messages with a stamped point at once.
 
     Parameters
     ----------
@@ -78,61 +165,75 @@ def decode_points(
     start, size : ndarray of int64, shape (n,)
         Where each message begins and how many bytes it has; inside the buffer.
     frame : str
-        The frame_id every message must have.
+        The frame_id of the points; those of others are left out.
     first : int
         Number of the first message, for error texts.
-
-    Returns
-    -------
-    stamp_ns : ndarray of int64, shape (n,), ns
-    xyz : ndarray of float64, shape (n, 3), m
+    form : PointForm
+        Of the messages.
 
     Raises
     ------
     InputError
-        Names the first message that is no PointStamped, has another frame or a broken stamp.
+        Names the first message that is none of this type or has a broken stamp.
     """
-    need = point_dtype(frame, '<').itemsize
+    need = point_dtype(frame, '<', form).itemsize
     bad = (size < need) | (size > need + MAX_TRAILING)
-    if bad.any():
-        _refuse(buffer, start, size, frame, first, bad)
+    if not bad.any():
+        stamp_ns, xyz, bad = _decoded(buffer, start, frame, form)
+        if not bad.any():
+            return DecodedPoints(stamp_ns, xyz, None, Counter())
+    foreign = Counter(
+        _foreign_frame(
+            bytes(buffer[start[i] : start[i] + min(int(size[i]), 4096)]), first + i, form
+        )
+        for i in np.flatnonzero(bad).tolist()
+    )
+    if frame in foreign:  # of the same frame, but longer than it should be
+        raise InputError(f'a message of frame {frame!r} is no {form.type} in CDR')
+    stamp_ns, xyz, _ = _decoded(buffer, start[~bad], frame, form)
+    return DecodedPoints(stamp_ns, xyz, ~bad, foreign)
+
+
+def _decoded(
+    buffer: Bytes, start: Index, frame: str, form: PointForm
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Stamps, points, and which messages are of another frame or broken."""
+    need = point_dtype(frame, '<', form).itemsize
     rows = gather(buffer, start, need)
-    code = rows.view(point_dtype(frame, '<'))['encapsulation']
+    code = rows.view(point_dtype(frame, '<', form))['encapsulation']
     stamp_ns, xyz = np.empty(start.size, np.int64), np.empty((start.size, 3))
     bad = code > 1
     for value, order in ((1, '<'), (0, '>')):
         of_order = code == value
         chosen = slice(None) if of_order.all() else of_order
-        part = rows[chosen].view(point_dtype(frame, order))
+        part = rows[chosen].view(point_dtype(frame, order, form))
         if part.size:
             stamp_ns[chosen] = part['sec'].astype(np.int64) * SECOND_NS + part['nanosec']
             xyz[chosen] = part['xyz']
             bad[chosen] |= part['length'] != part.dtype['frame'].itemsize
             bad[chosen] |= part['frame'] != frame.encode()
             bad[chosen] |= part['nanosec'] >= SECOND_NS
-    if bad.any():
-        _refuse(buffer, start, size, frame, first, bad)
-    return stamp_ns, xyz
+            if form.child is not None:
+                bad[chosen] |= part['child_length'] != part.dtype['child'].itemsize
+                bad[chosen] |= part['child'] != form.child.encode()
+    return stamp_ns, xyz, bad
 
 
-def _refuse(
-    buffer: Bytes, start: Index, size: Index, frame: str, first: int, bad: NDArray[np.bool_]
-) -> None:
-    """Raise InputError that says what is wrong with the first bad PointStamped."""
-    i = int(np.flatnonzero(bad)[0])
-    # a point needs few bytes: do not copy what a damaged length may claim
-    data = bytes(buffer[start[i] : start[i] + min(int(size[i]), 4096)])
+def _foreign_frame(data: bytes, number: int, form: PointForm) -> str:
+    """Frame of a message that is not as expected; InputError says what else is wrong."""
     try:
         reader = CdrReader(data)
         _, nanosec = reader.numbers('iI')
         found = reader.text()
-        reader.numbers('3d')
+        child = None if form.child is None else reader.text()
+        reader.numbers(f'{3 + form.after // 8}d')
         reader.finish()
     except ValueError as error:
-        raise InputError(f'message {first + i} is no PointStamped in CDR ({error})') from None
-    if found != frame:
-        raise InputError(frame_text(f'message {first + i}', found, frame))
-    raise InputError(f'message {first + i}: header.stamp has nanosec {nanosec}, above 999999999')
+        raise InputError(f'message {number} is no {form.type} in CDR ({error})') from None
+    if nanosec >= SECOND_NS:
+        text = f'message {number}: header.stamp has nanosec {nanosec}, above 999999999'
+        raise InputError(text)
+    return found if child == form.child else f'{found}, child {child}'
 
 
 def frame_text(what: str, found: str, expected: str) -> str:
@@ -140,7 +241,7 @@ def frame_text(what: str, found: str, expected: str) -> str:
     shown = f"'{found}'" if found else 'empty'
     return (
         f"{what}: frame_id is {shown}, expected '{expected}'; "
-        f'publish in that frame or rewrite the bag'
+        f'publish in that frame, or name the topic (--topic, --path-topic) to take any'
     )
 
 
@@ -194,6 +295,7 @@ def decode_path(data: bytes, frame: str) -> NDArray[np.float64]:
         reader = CdrReader(data)
         reader.numbers('iI')
         found = reader.text()
+        frame = frame or found
         if found != frame:
             raise InputError(frame_text('message', found, frame))
         count = int(reader.numbers('I')[0])

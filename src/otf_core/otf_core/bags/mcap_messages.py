@@ -3,7 +3,8 @@
 
 The positions of all records follow from their lengths alone, in the file as in a decompressed
 chunk (``mcap_records``). Everything else is numpy. The file is mapped, and what was read of it is
-given back chunk by chunk; no length it states is believed before it was checked.
+given back chunk by chunk; no length it states is believed before it was checked. A file without
+its end (cut off, or still being recorded) is read to its last complete chunk, which is said.
 Source: mcap.dev/spec as implemented by mcap 1.6 (records.py, stream_reader.py).
 """
 
@@ -27,12 +28,15 @@ from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 
 from otf_core.bags.cdr import Bytes, Index, gather
-from otf_core.bags.mcap_records import RECORD_HEAD, record_starts
+from otf_core.bags.mcap_records import RECORD_HEAD, complete_records, record_starts
 from otf_core.errors import InputError
 
 MAGIC = b'\x89MCAP0\r\n'
 MAX_CHUNK = 1 << 30
 """Bytes; a chunk that claims to unpack to more is taken for damaged."""
+SMALL_CHUNK, MAX_RATIO = 1 << 25, 200
+"""Bytes; a larger chunk that claims to unpack to so many times its size is taken for damaged:
+points and paths shrink to a tenth at best."""
 BATCH = 100_000
 """Messages of one block at most: a file without chunks is one buffer."""
 CRC_BLOCK = 1 << 24
@@ -47,7 +51,11 @@ MESSAGE_HEAD = np.dtype(
         ('publish_time', '<u8'),
     ]
 )
-RECOVER = "'mcap recover IN.mcap -o OUT.mcap' saves what is readable"
+Wanted = Mapping[str, tuple[str, ...]]
+"""Topics with the types that they may have; the first is the usual one."""
+RECOVER = (
+    "--recover reads the rest without it, as 'mcap recover IN.mcap -o OUT.mcap' does for any tool"
+)
 
 
 @dataclass(frozen=True)
@@ -71,40 +79,61 @@ class MessageBlock:
     log_time: Index
 
 
+class _Damaged(InputError):
+    """Bytes are not what they should be."""
+
+
 class McapMessages:
     """One pass over an MCAP file.
 
     Parameters
     ----------
     file : Path
-    wanted : mapping of topic to message type
+    wanted : mapping of topic to message types
         Topics to read; one that is in the file with another type is an InputError.
     topics : dict of topic to message type
         Filled with all topics that are in the file.
+    remarks : list of str
+        Filled with what had to be left out.
+    recover : bool
+        Leave out damaged chunks instead of refusing the file.
     """
 
-    def __init__(self, file: Path, wanted: Mapping[str, str], topics: dict[str, str]) -> None:
+    def __init__(
+        self,
+        file: Path,
+        wanted: Wanted,
+        topics: dict[str, str],
+        remarks: list[str] | None = None,
+        *,
+        recover: bool = False,
+    ) -> None:
         self._file = file
         self._wanted = wanted
         self._topics = topics
+        self._remarks = [] if remarks is None else remarks
+        self._recover = recover
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, str] = {}
         self._count = 0
+        self._left_out = 0
 
     def __iter__(self) -> Iterator[MessageBlock]:
-        """Yield blocks in file order; InputError if the file is damaged or cut off."""
+        """Yield blocks in file order; InputError if the file is damaged."""
         data = self._map()
-        starts = self._starts(data, len(MAGIC), data.size - len(MAGIC))
+        whole = data.size >= 2 * len(MAGIC) and bytes(data[-len(MAGIC) :]) == MAGIC
+        starts = self._starts_of_file(data, whole)
         opcodes = data[starts[:-1]]
-        if not np.any(opcodes == Opcode.DATA_END) or opcodes[-1] != Opcode.FOOTER:
-            self._damaged('the data section or the footer is missing')
+        if whole and (not np.any(opcodes == Opcode.DATA_END) or opcodes[-1] != Opcode.FOOTER):
+            self._damaged_end('the data section or the footer is missing')
         stated = None
         bulk = np.isin(opcodes, [Opcode.MESSAGE, Opcode.MESSAGE_INDEX])
         for i in np.flatnonzero(~bulk):
             opcode, at, end = opcodes[i], int(starts[i]), int(starts[i + 1])
             record = data[at + RECORD_HEAD : end]
             if opcode == Opcode.CHUNK:
-                yield from self._chunk(self._parse(Chunk, record))
+                cut = not whole and not np.any(opcodes[i + 1 :] == Opcode.CHUNK)
+                yield from self._chunk_or_nothing(record, at, cut)
                 self._give_back()
             elif opcode == Opcode.DATA_END:
                 self._check_data_crc(data, at, self._parse(DataEnd, record).data_section_crc)
@@ -113,8 +142,48 @@ class McapMessages:
             else:
                 self._register(opcode, record)
         yield from self._messages(data, starts)
-        if stated not in (None, self._count):
-            self._damaged(f'it states {stated} messages but holds {self._count}')
+        if stated not in (None, self._count) and not self._left_out:
+            self._damaged_end(f'it states {stated} messages but holds {self._count}')
+        self._tell(data.size, int(starts[-1]), whole)
+
+    def _starts_of_file(self, data: Bytes, whole: bool) -> Index:
+        """Positions of the records; without its end those that are complete."""
+        begin = len(MAGIC)
+        if whole and not self._recover:
+            return self._starts(data, begin, data.size - len(MAGIC))
+        try:
+            return complete_records(data, begin, data.size - len(MAGIC) * whole)
+        except ValueError as error:
+            if not self._recover:
+                self._damaged(str(error))
+            return complete_records(data, begin, int(str(error).rpartition(' ')[2]))
+
+    def _chunk_or_nothing(self, record: Bytes, at: int, cut: bool) -> Iterator[MessageBlock]:
+        """Yield the messages of a chunk; none of one that may be left out."""
+        count, name = self._count, self._file.name
+        try:
+            yield from self._chunk(self._parse(Chunk, record))
+        except _Damaged:
+            if not (cut or self._recover) or self._count > count:
+                raise
+            self._left_out += 1
+            if self._recover and not cut:
+                self._remarks.append(f'the damaged chunk at byte {at} of {name} is left out')
+
+    def _tell(self, size: int, end: int, whole: bool) -> None:
+        """Say what is missing of a file without its end."""
+        name = self._file.name
+        if whole and end == size - len(MAGIC):
+            return
+        if whole:
+            self._remarks.append(f'{name}: what follows the damage at byte {end} is left out')
+            return
+        torn = ' and its last chunk, which is torn,' if self._left_out else ''
+        self._remarks.append(
+            f'{name} has no end (cut off, or still being recorded); read to its last '
+            f'complete chunk: {self._count} messages, {size - end} of {size} bytes{torn} '
+            f'are left out'
+        )
 
     def _map(self) -> Bytes:
         try:
@@ -127,11 +196,6 @@ class McapMessages:
         data = np.frombuffer(self._pages, np.uint8)
         if bytes(data[: len(MAGIC)]) != MAGIC:
             raise InputError(f'{self._file}: is no MCAP file (it does not begin with its mark)')
-        if data.size < 2 * len(MAGIC) or bytes(data[-len(MAGIC) :]) != MAGIC:
-            raise InputError(
-                f'{self._file}: is cut off after {data.size} bytes (the mark at the end is '
-                f'missing); copy it again or end the recording properly, or {RECOVER}'
-            )
         return data
 
     def _give_back(self) -> None:
@@ -139,7 +203,13 @@ class McapMessages:
         self._pages.madvise(mmap.MADV_DONTNEED)
 
     def _damaged(self, what: str) -> NoReturn:
-        raise InputError(f'{self._file}: is damaged, {what}; copy it again, or {RECOVER}')
+        raise _Damaged(f'{self._file}: is damaged, {what}; copy it again, or {RECOVER}')
+
+    def _damaged_end(self, what: str) -> None:
+        """Refuse a file of which something is missing, or say so where that is wanted."""
+        if not self._recover:
+            self._damaged(what)
+        self._remarks.append(f'{self._file.name}: {what}')
 
     def _starts(self, buffer: Bytes, begin: int, end: int) -> Index:
         try:
@@ -162,7 +232,7 @@ class McapMessages:
             found = zlib.crc32(data[at : min(at + CRC_BLOCK, end)].data, found)
             self._give_back()
         if found != stated:
-            self._damaged('the checksum of the data section is wrong')
+            self._damaged_end('the checksum of the data section is wrong')
 
     def _register(self, opcode: int, record: Bytes) -> None:
         if opcode == Opcode.SCHEMA:
@@ -199,7 +269,8 @@ class McapMessages:
                 known = zstandard.get_frame_parameters(chunk.data).content_size
                 if known not in (size, zstandard.CONTENTSIZE_UNKNOWN):
                     size = -1
-            if not 0 <= size <= MAX_CHUNK:
+            bomb = size > SMALL_CHUNK and size > MAX_RATIO * len(chunk.data)
+            if not 0 <= size <= MAX_CHUNK or bomb:
                 self._damaged(f'a chunk states {chunk.uncompressed_size} bytes')
             stream, length = get_chunk_data_stream(chunk, validate_crc=True)
         except CRCValidationError:
@@ -238,13 +309,11 @@ class McapMessages:
                 yield MessageBlock(topic, buffer, start, size[pick], log_time)
 
 
-def check_type(
-    where: Path, topic: str, kind: str, encoding: str, wanted: Mapping[str, str]
-) -> None:
+def check_type(where: Path, topic: str, kind: str, encoding: str, wanted: Wanted) -> None:
     """Raise InputError if a wanted topic has another message type or is not CDR."""
-    if topic in wanted and kind != wanted[topic]:
+    if topic in wanted and kind not in wanted[topic]:
         raise InputError(
-            f"{where}: topic {topic} has type '{kind}', expected '{wanted[topic]}'; "
+            f"{where}: topic {topic} has type '{kind}', expected '{wanted[topic][0]}'; "
             f'record that type or remap the topic'
         )
     if topic in wanted and encoding != 'cdr':

@@ -31,20 +31,41 @@ def record_starts(buffer: Bytes, begin: int, end: int) -> Index:
     ValueError
         If the lengths do not lead exactly to the end.
     """
+    starts = complete_records(buffer, begin, end)
+    if starts[-1] != end:
+        raise ValueError(f'the record at byte {starts[-1]} is cut off')
+    return starts
+
+
+def complete_records(buffer: Bytes, begin: int, end: int) -> Index:
+    """Positions of the records that are whole before ``end``, and where the last of them ends.
+
+    Zeros up to the end, which a crash may leave of a file, count as cut off.
+
+    Raises
+    ------
+    ValueError
+        If something that is no record begins where one should.
+    """
     unpack = struct.Struct('<BQ').unpack_from
     view, at, last, last_head = buffer.data, begin, begin, end - RECORD_HEAD
     parts: list[Index] = []
     walked: list[int] = []
-    while at <= last_head:
+    whole = True
+    while whole and at <= last_head:
         for _ in range(WALK):
             opcode, length = unpack(view, at)
-            if not opcode:
+            if not opcode and buffer[at:end].any():
                 raise ValueError(f'no record at byte {at}')
+            whole = bool(opcode) and length <= end - at - RECORD_HEAD
+            if not whole:
+                break
             walked.append(at)
             last, at = at, at + RECORD_HEAD + length
             if at > last_head:
                 break
-        repeats = len(walked) > 2 and at - last == last - walked[-2] == walked[-2] - walked[-3]
+        alike = len(walked) > 2 and at - last == last - walked[-2] == walked[-2] - walked[-3]
+        repeats = whole and alike
         if repeats or len(walked) > LISTED:
             parts.append(np.array(walked, np.int64))
             walked = []
@@ -53,9 +74,9 @@ def record_starts(buffer: Bytes, begin: int, end: int) -> Index:
             parts.append(more[1:])
             last = int(more[-1])
             at = last + RECORD_HEAD + length
-    if at != end:
-        raise ValueError(f'the record at byte {last} is cut off')
-    return np.concatenate([*parts, np.array([*walked, end], np.int64)])
+            if at > end:  # the last of them is cut off
+                parts[-1], at, whole = parts[-1][:-1], last, False
+    return np.concatenate([*parts, np.array([*walked, at], np.int64)])
 
 
 def _alike(buffer: Bytes, at: int, end: int, opcode: int, length: int) -> Index:

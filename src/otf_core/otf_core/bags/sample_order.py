@@ -2,18 +2,17 @@
 """Recorded points to samples with strictly increasing stamps, or a reason why that fails.
 
 Transport may swap, repeat and delay messages; the tracker's own stamp says what was measured when.
-What transport explains is repaired with a warning in the log; so are points in the tracker's
-origin, which some trackers give while the beam is broken. What neither explains (clock set back,
-two trackers on one topic, no stamps, no numbers) is an error.
+What transport explains is repaired with a remark, and points that are no measurements are left out
+(``screening``). What neither explains (clock set back, two trackers on one topic, no stamps) is an
+error.
 """
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.bags.screening import MAX_RANGE, Screening
 from otf_core.bags.stamp_words import stamp_words
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
@@ -23,20 +22,20 @@ MAX_REORDER_NS = 1_000_000_000
 """ns; stamps that go back by more are no matter of transport."""
 MAX_CONFLICTS = 1e-3
 """Share of samples that may repeat a stamp with another point; they are dropped."""
-MAX_WITHOUT_BEAM = 0.5
-"""Share of points in the tracker's origin, which stand for a broken beam; they are dropped."""
-MAX_RANGE = 1000.0
-"""m; beyond the reach of any laser tracker, so the unit is wrong or the data are damaged."""
-
-_log = logging.getLogger(__name__)
 
 
-def in_time_order(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> Samples:
+def in_time_order(
+    where: str,
+    stamp_ns: NDArray[np.int64],
+    xyz: NDArray[np.float64],
+    remarks: list[str] | None = None,
+    screening: Screening | None = None,
+) -> Samples:
     """Return samples with strictly increasing stamps.
 
     Points out of order by up to 1 s are sorted by stamp (stable), exact repetitions are dropped,
-    and so are a second point of the same stamp if that is rare (0.1 %) and points in the
-    tracker's origin (no beam) unless they are most of all; each with a warning.
+    and so are a second point of the same stamp if that is rare (0.1 %) and points that are no
+    measurements unless they are too many; each with a remark.
 
     Parameters
     ----------
@@ -45,6 +44,10 @@ def in_time_order(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float
     stamp_ns : ndarray of int64, shape (n,), ns
         Measurement times in the order of reception.
     xyz : ndarray of float64, shape (n, 3), m
+    remarks : list of str, optional
+        Filled with what was left out or put in order.
+    screening : Screening, optional
+        What has been left out before.
 
     Raises
     ------
@@ -52,6 +55,10 @@ def in_time_order(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float
         No points, coordinates that no tracker measures, hardly any beam, stamps not set, stamps
         that go back by more than 1 s, or different points with the same stamp in many places.
     """
+    remarks = [] if remarks is None else remarks
+    screening = screening or Screening()
+    good = screening.good(stamp_ns, xyz) if stamp_ns.any() else None
+    screening.check(where)
     if not stamp_ns.size:
         raise InputError(f'{where}: no points; was the tracker measuring while it was recorded?')
     if not stamp_ns.any():
@@ -59,61 +66,18 @@ def in_time_order(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float
             f'{where}: header.stamp is not set (all {stamp_ns.size} are zero); '
             f'the driver has to fill in the time of measurement'
         )
-    check_points(where, stamp_ns, xyz)
-    stamp_ns, xyz = _without_broken_beam(where, stamp_ns, xyz)
+    remarks += screening.remarks()
+    if good is not None:
+        stamp_ns, xyz = stamp_ns[good], xyz[good]
     if np.all(stamp_ns[1:] > stamp_ns[:-1]):
         return Samples(stamp_ns, xyz)
     _check_steps(where, stamp_ns)
     if np.any(np.diff(stamp_ns) < 0):
         late = int(np.count_nonzero(np.diff(stamp_ns) < 0))
-        _log.warning('%s: stamps went back %d times, sorted by stamp', where, late)
+        remarks.append(f'stamps went back {late} times, sorted by stamp')
         order = np.argsort(stamp_ns, kind='stable')
         stamp_ns, xyz = stamp_ns[order], xyz[order]
-    return _without_repetitions(where, stamp_ns, xyz)
-
-
-def check_points(where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> None:
-    """Raise InputError if a point is not finite or out of reach."""
-    with np.errstate(invalid='ignore'):  # signalling nan
-        if xyz.max(initial=0.0) < MAX_RANGE and xyz.min(initial=0.0) > -MAX_RANGE:
-            return  # false for nan
-        reach = np.abs(xyz).max(axis=1, initial=0.0)
-        good = reach < MAX_RANGE  # false for nan
-    i = int(np.flatnonzero(~good)[0])
-    seconds = (int(stamp_ns[i]) - int(stamp_ns[0])) * 1e-9
-    if not np.isfinite(reach[i]):
-        why = 'not finite; do not publish points without a valid measurement'
-    else:
-        why = f'beyond {MAX_RANGE:g} m; the unit is m'
-    raise InputError(
-        f'{where}: {np.count_nonzero(~good)} of {len(xyz)} points are unusable; the first is '
-        f'sample {i}, {seconds:.6f} s after the start: {xyz[i].tolist()} is {why}'
-    )
-
-
-def _without_broken_beam(
-    where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    lost = (xyz[:, 0] == 0) & (xyz[:, 1] == 0) & (xyz[:, 2] == 0)
-    count = int(np.count_nonzero(lost))
-    if not count:
-        return stamp_ns, xyz
-    if count > MAX_WITHOUT_BEAM * lost.size:
-        raise InputError(
-            f'{where}: {count} of {lost.size} points lie in the origin of the tracker, as if the '
-            f'beam had been broken for most of the time; check target and tracker'
-        )
-    i = int(np.argmax(lost))
-    seconds = (int(stamp_ns[i]) - int(stamp_ns[0])) * 1e-9
-    _log.warning(
-        '%s: dropped %d of %d points in the origin of the tracker (no beam), the first %.6f s '
-        'after the start',
-        where,
-        count,
-        lost.size,
-        seconds,
-    )
-    return stamp_ns[~lost], xyz[~lost]
+    return _without_repetitions(where, stamp_ns, xyz, remarks)
 
 
 def usable_path(where: str, points: NDArray[np.float64]) -> NominalPath:
@@ -142,7 +106,7 @@ def _check_steps(where: str, stamp_ns: NDArray[np.int64]) -> None:
 
 
 def _without_repetitions(
-    where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]
+    where: str, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64], remarks: list[str]
 ) -> Samples:
     again = np.diff(stamp_ns) == 0
     if not again.any():
@@ -158,10 +122,7 @@ def _without_repetitions(
             f'first is sample {i} with stamp {stamp_ns[i]} ns; the stamps {stamp_words(stamp_ns)}'
         )
     repeated = int(np.count_nonzero(~keep)) - conflicts
-    _log.warning(
-        '%s: dropped %d repeated samples and %d with the stamp of another point',
-        where,
-        repeated,
-        conflicts,
+    remarks.append(
+        f'dropped {repeated} repeated samples and {conflicts} with the stamp of another point'
     )
     return Samples(stamp_ns[keep], xyz[keep])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two topics of a bag: name, message type, frame and quality of service."""
+"""The topics of a bag: name, message type, frame and quality of service."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -13,6 +13,7 @@ class Topic:
     Attributes
     ----------
     name, type, frame : str
+        An empty frame stands for any.
     depth : int
         Messages a publisher keeps for a reliable reader.
     durability : str
@@ -28,3 +29,12 @@ class Topic:
 
 POINT = Topic('/tracker/point', 'geometry_msgs/msg/PointStamped', 'tracker', 1000, 'volatile')
 PATH = Topic('/planner/path', 'nav_msgs/msg/Path', 'machine', 1, 'transient_local')
+STATUS = Topic('/tracker/status', 'otf_msgs/msg/TrackerStatus', 'tracker', 1, 'transient_local')
+"""Only in journals; nothing depends on it offline."""
+
+
+def called(topic: Topic, name: str | None) -> Topic:
+    """Return a topic under another name, whose frame is then as it comes; None: as it is."""
+    if name is None:
+        return topic
+    return replace(topic, name='/' + name.removeprefix('/'), frame='')

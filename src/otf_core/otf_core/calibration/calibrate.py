@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from otf_core.budget.budget import EFFECTS, make_budget, whole_check, with_source
 from otf_core.budget.typical import typical_systematic, typical_warnings
 from otf_core.calibration.result import CalibrationResult, Fit, RunResult
+from otf_core.calibration.verdict import judge
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
@@ -26,8 +27,9 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import origins
 from otf_core.model.tables import ErrorTables, with_uncertainty
+from otf_core.noise.events import lost_samples
 from otf_core.noise.model import NoiseModel, sample_variance
-from otf_core.pieces.finding import GATE, WARNING, words_of
+from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose
 from otf_core.solving.curve_lag import curve_remarks, moved_onto_curves
@@ -182,13 +184,20 @@ def solve_recordings(
     progress('aligning', 0.0)
     check_recordings(recordings)
     runs, nodes = prepare(recordings, config)
-    runs = examine(runs, nodes, config, mend=mend)
+    runs = _with_remarks(recordings, examine(runs, nodes, config, mend=mend))
     progress('solving', 0.0)
     solution = solve_with_reversal(runs, nodes, config, progress)
     moved = moved_onto_curves(runs, solution)
     if moved is not None:
         runs, solution = moved, solve_with_reversal(moved, nodes, config, progress)
     return SolvedRecordings(runs, nodes, solution)
+
+
+def _with_remarks(recordings: Sequence[Recording], runs: Sequence[Run]) -> list[Run]:
+    """Let the first run carry what was said of the recordings when they were read."""
+    said = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
+    first, *others = runs
+    return [replace(first, remarks=(*said, *first.remarks)), *others]
 
 
 def _run_result(
@@ -201,6 +210,8 @@ def _run_result(
         name=Path(run.recording.name).name,
         target_offset=run.machine.target_offset,
         samples=len(run.recording.samples),
+        rate=1.0 / run.recording.samples.step,
+        lost=lost_samples(run.recording.samples.stamp_ns),
         T_machine_tracker=solved.pose,
         noise=run.noise_and_misfit[0],
         misfit=run.noise_and_misfit[1],
@@ -288,6 +299,8 @@ def assemble(
     tables = with_uncertainty(table.tables, covariance)
     typical = typical_systematic(runs, done, tables, table.rows, covariance)
     remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
+    hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
+    verdict = judge(tables, covariance, budget, hidden)
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,
@@ -310,7 +323,7 @@ def assemble(
         fraction=table.fraction,
         table_costs=table.costs,
         prior=prior_of(done, tables, config.unidentifiable_above),
-        not_identifiable=tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted),
+        not_identifiable=hidden,
         typical=typical,
         warnings=(
             *typical_warnings(typical),
@@ -319,8 +332,13 @@ def assemble(
             *(r.alignment.remark for r in runs if r.alignment.remark),
             *curve_remarks(runs, done),
         ),
-        failed_gates=(*words_of(remarks, GATE), *_failed_gates(fit)),
+        failed_gates=(
+            *words_of(remarks, GATE),
+            *_failed_gates(fit),
+            *(verdict.failures if verdict else ()),
+        ),
         config=config,
         origin=origins(r.recording for r in runs),
         effects=taken.stated if taken is not None else (),
+        verdict=verdict,
     )

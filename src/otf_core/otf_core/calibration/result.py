@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget
 from otf_core.budget.typical import TypicalSystematic
+from otf_core.calibration.verdict import Verdict
 from otf_core.config import CalibrationConfig
 from otf_core.effects.stated import StatedEffect
 from otf_core.model.frames import RigidTransform
 from otf_core.model.provenance import Origin
 from otf_core.model.tables import ErrorTables
+from otf_core.noise.events import Lost
 from otf_core.noise.model import Misfit, NoiseModel
 from otf_core.pieces.pieces import Pieces
 from otf_core.prediction.table_prior import MotionPrior
@@ -81,6 +83,10 @@ class RunResult:
         Of the recording.
     target_offset : ndarray, shape (3,), m
     samples : int
+    rate : float
+        Hz, usual rate of the samples.
+    lost : Lost
+        What their stamps say is missing.
     T_machine_tracker : RigidTransform
     noise : NoiseModel
         Noise of single samples as the residuals show it.
@@ -106,6 +112,8 @@ class RunResult:
     name: str
     target_offset: Array
     samples: int
+    rate: float
+    lost: Lost
     T_machine_tracker: RigidTransform
     noise: NoiseModel
     misfit: Misfit
@@ -154,6 +162,8 @@ class CalibrationResult:
         The recordings.
     effects : tuple of StatedEffect
         Taken off the runs before the tables were solved for.
+    verdict : Verdict, optional
+        By the limits of machine.yaml; None without any.
     """
 
     run_id: str
@@ -173,6 +183,7 @@ class CalibrationResult:
     config: CalibrationConfig
     origin: tuple[Origin, ...] = ()
     effects: tuple[StatedEffect, ...] = ()
+    verdict: Verdict | None = None
 
     @property
     def T_machine_tracker(self) -> RigidTransform:

@@ -11,6 +11,10 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
+from otf_core.cli.checking import run_check, run_doctor, run_info
+from otf_core.cli.closing import add_closing_verbs
+from otf_core.cli.completion import SHELLS, run_completion
+from otf_core.cli.exporting import add_exporting_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -18,10 +22,12 @@ from otf_core.cli.measuring import (
     run_noise,
     run_predict,
 )
-from otf_core.cli.options import add_out, add_parameters
-from otf_core.cli.output import OutputFull, bounded, note
+from otf_core.cli.options import add_out, add_parameters, add_reading
+from otf_core.cli.output import OutputFull, answer, bounded, logged, note
 from otf_core.cli.parser import Parser, asked
+from otf_core.cli.plant import add_plant_verbs
 from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
+from otf_core.cli.verbs import EXAMPLES, VERBS
 from otf_core.config import (
     METHODS,
     OTF,
@@ -36,6 +42,7 @@ from otf_core.version import __version__
 
 LARGEST_SEED = 10_000_000
 Handler = Callable[[argparse.Namespace], int]
+AddVerb = Callable[[str, Handler], argparse.ArgumentParser]
 
 
 def _seed(text: str) -> int:
@@ -81,30 +88,36 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
 def _add_runs(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         'bag', nargs='+',
-        help='rosbag2 folders or .mcap files: runs of one machine, e.g. with other stations, '
-        'feeds or target offsets',
+        help='rosbag2 folders, .mcap files or tables of samples as text: runs of one machine, '
+        'e.g. with other stations, feeds or target offsets',
     )  # fmt: skip
     sub.add_argument(
         '--machine', required=True, action='append', metavar='M.yaml',
         help='machine.yaml of all bags; or given once per bag, in their order',
     )  # fmt: skip
+    sub.add_argument(
+        '--join', action='store_true',
+        help='the bags are parts of one run, whose recording was ended and begun again',
+    )  # fmt: skip
+    add_reading(sub)
 
 
-def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentParser]) -> None:
+def _add_judging_verbs(verb: AddVerb) -> None:
     """Verbs that judge a tracker, a calibration or this program."""
-    sub = verb('noise', run_noise, 'Tracker noise in the standstills of a bag.')
+    sub = verb('noise', run_noise)
     sub.add_argument('bag', help='rosbag2 folder or .mcap file; /tracker/point suffices')
     add_out(sub, 'folder for the results')
+    add_reading(sub, path=False)
     add_parameters(sub, CalibrationConfig, ('standstill_speed',))
 
-    sub = verb('compare', run_compare, 'Error tables or direct measurements, motion by motion.')
+    sub = verb('compare', run_compare)
     sub.add_argument('a', help='error_tables.json, or CSV of a direct measurement')
     sub.add_argument('b', help='the same')
     sub.add_argument('--machine', help='machine.yaml, for direct measurements')
     sub.add_argument('--points', help='CSV with the header x,y,z; a grid if not given')
     add_out(sub, 'folder for the results')
 
-    sub = verb('validate', run_validate, "The paper's comparisons on simulated cells.")
+    sub = verb('validate', run_validate)
     add_out(sub, 'folder for table and figures')
     sub.add_argument('--quick', action='store_true', help='two cells instead of eight')
     sub.add_argument(
@@ -112,7 +125,7 @@ def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPars
         help='of the first cell (default 2001)',
     )  # fmt: skip
 
-    sub = verb('blind', run_blind, 'Blind trial: draw and seal cells, diagnose them, score.')
+    sub = verb('blind', run_blind)
     sub.add_argument('--trials', type=int, required=True, help='cells to draw')
     sub.add_argument('--seed', type=int, required=True, help='all random numbers hang on it')
     add_out(sub, 'folder; an interrupted trial goes on there')
@@ -124,17 +137,55 @@ def _add_judging_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPars
     )
 
 
+def _examples(name: str) -> str:
+    lines = [f'  {line}' for line in EXAMPLES[name]]
+    return '\n'.join([f'example{"s" if len(lines) > 1 else ""}:', *lines])
+
+
+def _add_checking_verbs(verb: AddVerb) -> None:
+    """Verbs that answer in seconds."""
+    sub = verb('check', run_check)
+    sub.add_argument('bag', help='rosbag2 folder, .mcap file or table of samples as text')
+    sub.add_argument(
+        '--machine', help='machine.yaml: also its axes, its noise, and a forecast of u'
+    )
+    add_reading(sub)
+    add_parameters(sub, CalibrationConfig, ('match_tolerance', 'standstill_speed'))
+
+    sub = verb('info', run_info)
+    sub.add_argument('file', help='a file or folder that otf wrote or reads')
+
+    verb('doctor', run_doctor)
+
+    sub = verb('completion', run_completion)
+    sub.add_argument('shell', choices=SHELLS)
+
+
 def _parser() -> Parser:
-    parser = Parser(prog='otf', description='On-the-fly machine-tool calibration, offline verbs.')
+    parser = Parser(
+        prog='otf', description='On-the-fly machine-tool calibration, offline verbs.',
+        epilog='otf VERB --help shows options and examples.',
+    )  # fmt: skip
     parser.add_argument('--version', action='version', version=f'otf {__version__}')
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
 
-    def verb(name: str, handler: Handler, text: str) -> argparse.ArgumentParser:
-        sub: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
+    def verb(name: str, handler: Handler) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = verbs.add_parser(
+            name, help=VERBS[name], description=VERBS[name], epilog=_examples(name),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )  # fmt: skip
         sub.set_defaults(handler=handler)
+        sub.add_argument(
+            '--json', action='store_true', help='print one JSON object; words go to stderr'
+        )
+        sub.add_argument(
+            '--quiet', action='store_true', help='print no words but warnings and errors'
+        )
         return sub
 
-    sub = verb('calibrate', run_calibrate, 'Error tables from recorded bags.')
+    _add_checking_verbs(verb)
+
+    sub = verb('calibrate', run_calibrate)
     _add_runs(sub)
     add_out(sub, 'folder for the results')
     sub.add_argument(
@@ -150,9 +201,12 @@ def _parser() -> Parser:
     sub.add_argument(
         '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
     )
+    sub.add_argument(
+        '--no-report', dest='report', action='store_false', help='leave report.html out'
+    )
     add_parameters(sub, CalibrationConfig)
 
-    sub = verb('diagnose', run_diagnose, 'Where and why a real run departs from its simulation.')
+    sub = verb('diagnose', run_diagnose)
     _add_runs(sub)
     add_out(sub, 'folder for gap.json and report.html')
     sub.add_argument(
@@ -160,21 +214,20 @@ def _parser() -> Parser:
     )
     add_parameters(sub, CalibrationConfig)
 
-    sub = verb(
-        'predict',
-        run_predict,
-        'Volumetric errors at points, from error tables: the mean of forward and backward travel.',
-    )
+    sub = verb('predict', run_predict)
     _add_predict_options(sub)
 
     _add_judging_verbs(verb)
     _add_planning_verbs(verb)
+    add_exporting_verbs(verb)
+    add_closing_verbs(verb)
+    add_plant_verbs(verb)
     return parser
 
 
-def _add_planning_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentParser]) -> None:
+def _add_planning_verbs(verb: AddVerb) -> None:
     """Verbs that come before a measurement, or stand for one."""
-    sub = verb('plan', run_plan, 'Path for a machine, forecast of what it can see, NC program.')
+    sub = verb('plan', run_plan)
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'folder for path, forecast and program')
     sub.add_argument(
@@ -184,7 +237,7 @@ def _add_planning_verbs(verb: Callable[[str, Handler, str], argparse.ArgumentPar
     add_parameters(sub, PlannerConfig)
     add_parameters(sub, ForecastConfig)
 
-    sub = verb('simulate', run_simulate, 'Bag of a simulated run.')
+    sub = verb('simulate', run_simulate)
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'bag folder to write, or .mcap file; its truth lies in or beside it')
     sub.add_argument('--tables', help='error_tables.json of the truth; drawn if not given')
@@ -213,12 +266,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
     arguments = asked(_parser(), _joined(sys.argv[1:] if argv is None else argv))
     try:
-        return int(arguments.handler(arguments))
+        with logged(quiet=arguments.quiet):
+            return int(arguments.handler(arguments))
     except OutputFull as error:
         note(f'otf {arguments.verb}: {error}')
         return error.exit_code
     except OtfError as error:
-        note(f'otf {arguments.verb}: {bounded(str(error))}')
+        words = f'otf {arguments.verb}: {bounded(str(error))}'
+        if not arguments.json:
+            note(words)
+        else:
+            arguments.quiet = False
+            answer(arguments, words, {'exit': error.exit_code, 'error': str(error)})
         return error.exit_code
     except KeyboardInterrupt:
         note(f'otf {arguments.verb}: interrupted')

@@ -4,46 +4,53 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import output_folder, parameters
-from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
+from otf_core.cli.options import given_of, output_folder, parameters
+from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from otf_core.calibration.result import CalibrationResult
     from otf_core.pieces.runs import Recording
 
+TABLES = 'error_tables.json'
+
 
 def read_recordings(arguments: argparse.Namespace) -> list[Recording]:
-    """Read the bags of a command, each with its machine.yaml.
+    """Read the recordings of a command, each with its machine.yaml, and its path where given.
 
     Raises
     ------
     ConfigError
-        If there is neither one machine.yaml nor one per bag.
+        If there is neither one machine.yaml or path nor one per recording.
     InputError
-        Names the bag that cannot be read.
+        Names the recording that cannot be read.
     """
-    from otf_core.bags.bag import read_bag
+    from otf_core.inputs.recordings import read_recording
     from otf_core.model.machine import load_machine
-    from otf_core.pieces.runs import Recording
 
-    bags, files = arguments.bag, arguments.machine
-    if len(files) not in (1, len(bags)):
+    runs = [arguments.bag] if arguments.join else [[name] for name in arguments.bag]
+    machines = [load_machine(file) for file in _for_each(arguments.machine, runs, '--machine')]
+    paths = _for_each(arguments.path or [None], runs, '--path')
+    return [
+        read_recording(parts, machine, given_of(arguments, path))
+        for parts, machine, path in zip(runs, machines, paths, strict=True)
+    ]
+
+
+def _for_each(files: list[Any], runs: list[list[str]], option: str) -> list[Any]:
+    """One of the files given for every run; ConfigError if it is not clear which."""
+    if len(files) not in (1, len(runs)):
+        what = 'machine.yaml' if option == '--machine' else 'path'
         raise ConfigError(
-            f'--machine: given {len(files)} times for {len(bags)} bags; give one machine.yaml '
+            f'{option}: given {len(files)} times for {len(runs)} runs; give one {what} '
             f'for all of them, or one for each in their order'
         )
-    machines = [load_machine(file) for file in files]
-    if len(machines) == 1:
-        machines *= len(bags)
-    contents = [read_bag(name) for name in bags]
-    return [
-        Recording(content.samples, content.path, machine, str(name))
-        for content, machine, name in zip(contents, machines, bags, strict=True)
-    ]
+    return files * len(runs) if len(files) == 1 else files
 
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
@@ -53,15 +60,30 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         return _calibrate_with_effects(arguments, config)
     from otf_core.calibration.calibrate import calibrate_runs
     from otf_core.pieces.methods import PREPARATIONS
-    from otf_core.reports.calibration import format_result, write_calibration
+    from otf_core.reports.calibration import write_calibration
 
     out = output_folder(arguments, *arguments.bag, *arguments.machine)
     recordings = read_recordings(arguments)
     result = calibrate_runs(recordings, config, prepare=PREPARATIONS[arguments.method])
     with out.filled('calibrate') as folder:
-        files = write_calibration(result, folder, residuals_csv=arguments.residuals_csv)
-    say(format_result(result) + '\n' + listed(files, arguments.out))
+        files = write_calibration(
+            result, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+        )
+    _answer_calibration(arguments, result, '', files)
     return _judged(result)
+
+
+def _answer_calibration(
+    arguments: argparse.Namespace, result: CalibrationResult, more: str, files: list[Path]
+) -> None:
+    """Print a calibration; ``more`` words follow its own."""
+    from otf_core.reports.calibration import facts_of
+    from otf_core.reports.calibration_report import calibration_sections
+    from otf_core.reports.section import sections_to_dict, sections_to_text
+
+    sections = calibration_sections(facts_of(result))
+    report = sections_to_dict(sections)
+    answer_from(arguments, f'{sections_to_text(sections)}\n{more}', files, TABLES, report=report)
 
 
 def _judged(result: CalibrationResult) -> int:
@@ -74,7 +96,6 @@ def _judged(result: CalibrationResult) -> int:
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
     """Error tables with effects taken off."""
     from otf_core.diagnosis.calibrate_with_effects import AUTO, calibrate_with_effects
-    from otf_core.reports.calibration import format_result
     from otf_core.reports.with_effects import write_with_effects
     from otf_core.sim.twin import twin_recording
 
@@ -85,8 +106,10 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
         recordings, arguments.effects, twin_recording, config, method=arguments.method
     )
     with out.filled('calibrate') as folder:
-        files = write_with_effects(done, folder, residuals_csv=arguments.residuals_csv)
-    say(f'{format_result(done.result)}\n\n{done.words}\n{listed(files, arguments.out)}')
+        files = write_with_effects(
+            done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+        )
+    _answer_calibration(arguments, done.result, f'\n{done.words}\n', files)
     return _judged(done.result)
 
 
@@ -96,7 +119,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import REGISTRY
     from otf_core.pieces.finding import GATE
-    from otf_core.reports.diagnosis import format_diagnosis, write_diagnosis
+    from otf_core.reports.diagnosis import write_diagnosis
+    from otf_core.reports.gap_report import gap_sections
+    from otf_core.reports.section import sections_to_dict, sections_to_text
     from otf_core.sim.twin import twin_recording
 
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
@@ -107,7 +132,9 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config)
     with out.filled('diagnose') as folder:
         files = write_diagnosis(diagnosis, folder)
-    say(format_diagnosis(diagnosis) + listed(files, arguments.out))
+    sections = gap_sections(diagnosis)
+    report = sections_to_dict(sections)
+    answer_from(arguments, sections_to_text(sections), files, 'gap.json', report=report)
     for remark in diagnosis.contradictions:
         note(f'otf: {remark.severity}: {remark.check}: {remark.words}')
     return QUALITY_GATE_FAILED if any(r.severity == GATE for r in diagnosis.contradictions) else 0
@@ -117,14 +144,14 @@ def run_noise(arguments: argparse.Namespace) -> int:
     """Tracker noise in the standstills of a bag."""
     from pathlib import Path
 
-    from otf_core.bags.bag import read_points
+    from otf_core.inputs.recordings import read_samples
     from otf_core.model.provenance import origin_of, provenance
     from otf_core.noise.report import noise_report
     from otf_core.reports.noise import format_noise, write_noise
 
     out = output_folder(arguments, arguments.bag)
     speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
-    samples = read_points(arguments.bag)
+    samples = read_samples(arguments.bag, given_of(arguments))
     try:
         report = noise_report(samples, speed)
     except OtfError as error:
@@ -132,7 +159,7 @@ def run_noise(arguments: argparse.Namespace) -> int:
     origin = origin_of(Path(arguments.bag).name, samples)
     with out.filled('noise') as folder:
         files = write_noise(report, folder, provenance('noise', runs=[origin]))
-    say(format_noise(report) + '\n' + listed(files, arguments.out))
+    answer_from(arguments, format_noise(report) + '\n', files, 'noise.json')
     return 0
 
 
@@ -159,7 +186,11 @@ def run_predict(arguments: argparse.Namespace) -> int:
         write_csv(partial, header, columns, prediction.inside)
     for text in prediction.notes:
         note(f'otf predict: {text}')
-    say(prediction.summary)
+    names = header.split(',')
+    rows = np.hstack([columns, prediction.inside[:, None]]).tolist() if arguments.json else []
+    data = {'points': [dict(zip(names, row, strict=True)) for row in rows]}
+    about = {'notes': list(prediction.notes), 'u_contains': prediction.holds}
+    answer(arguments, prediction.summary, {**about, **data, 'out': arguments.out})
     return 0
 
 
@@ -185,5 +216,5 @@ def run_compare(arguments: argparse.Namespace) -> int:
     )
     with out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
-    say(format_comparison(result) + '\n' + listed(files, arguments.out))
+    answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
     return 0

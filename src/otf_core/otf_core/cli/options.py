@@ -12,6 +12,7 @@ from otf_core.errors import ConfigError
 
 if TYPE_CHECKING:
     from otf_core.files.output import OutputFolder
+    from otf_core.inputs.recordings import Given
 
 CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
 """Options stated in another unit than the parameter, as machine users do: name, factor."""
@@ -47,6 +48,48 @@ def add_out(parser: argparse.ArgumentParser, text: str) -> None:
         '--overwrite',
         action='store_true',
         help='replace results that are there; other files are never deleted',
+    )
+
+
+def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
+    """Add the options that say how recordings are read."""
+    group = parser.add_argument_group('how recordings are read')
+    if path:
+        group.add_argument(
+            '--path', action='append', metavar='FILE',
+            help='plan.json, or CSV x,y,z of the corner points, where the recording holds no path '
+            'or another is meant; once for all, or once per recording',
+        )  # fmt: skip
+        group.add_argument('--path-topic', metavar='NAME', help='topic of the path in a bag')
+    group.add_argument(
+        '--topic', metavar='NAME',
+        help='topic of the samples in a bag: PointStamped, PoseStamped, TransformStamped or '
+        'Odometry, in any frame',
+    )  # fmt: skip
+    group.add_argument(
+        '--columns', metavar='LIST',
+        help='what stands in the columns of a text, e.g. time_s,-,x_mm,y_mm,z_mm; as its head '
+        'says if not given',
+    )  # fmt: skip
+    group.add_argument(
+        '--rate', type=float, metavar='HZ', help='of the samples of a text without times'
+    )
+    group.add_argument(
+        '--recover', action='store_true', help='leave out what is damaged inside a bag'
+    )
+
+
+def given_of(arguments: argparse.Namespace, path: str | None = None) -> Given:
+    """How recordings are read, by the options."""
+    from otf_core.inputs.recordings import Given
+
+    return Given(
+        path=path,
+        topic=arguments.topic,
+        path_topic=getattr(arguments, 'path_topic', None),
+        columns=arguments.columns,
+        rate=arguments.rate,
+        recover=arguments.recover,
     )
 
 

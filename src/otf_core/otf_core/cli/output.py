@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line prints, and its exit codes."""
+"""What the command line prints, and its exit codes: results on stdout, messages on stderr."""
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import sys
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 from otf_core.errors import OtfError
 
@@ -17,6 +20,8 @@ QUALITY_GATE_FAILED = 4
 
 
 LONGEST_MESSAGE = 1000
+BULKY = 'covariance'
+"""Key of a result that stays in its file."""
 
 
 class OutputFull(OtfError):
@@ -50,7 +55,78 @@ def note(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+@contextmanager
+def logged(*, quiet: bool) -> Iterator[None]:
+    """Print what the core logs to stderr: how inputs were read, what was left out."""
+    import logging
+
+    handler, logger = logging.StreamHandler(), logging.getLogger('otf_core')
+    handler.setFormatter(logging.Formatter('otf: %(message)s'))
+    level = logger.level
+    logger.setLevel(logging.WARNING if quiet else logging.INFO)
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+
+
+def answer(arguments: argparse.Namespace, words: str, data: Mapping[str, Any]) -> None:
+    """Print a result: words, or with --json one object and the words beside it.
+
+    Parameters
+    ----------
+    arguments : Namespace
+        With ``json`` and ``quiet``.
+    words : str
+        With --quiet they are not printed.
+    data : mapping
+        The object.
+    """
+    if arguments.json:
+        if not arguments.quiet:
+            note(words)
+        say(json.dumps({'verb': arguments.verb, **data}, indent=1, allow_nan=False))
+    elif not arguments.quiet:
+        say(words)
+
+
+def answer_from(
+    arguments: argparse.Namespace, words: str, files: Sequence[Path], main: str, **more: Any
+) -> None:
+    """Print the result of a verb that wrote files; the object is one of them.
+
+    Parameters
+    ----------
+    arguments : Namespace
+        With ``json``, ``quiet`` and ``out``.
+    words : str
+        Which files were written is added.
+    files : sequence of Path
+        As they were written.
+    main : str
+        Name of the JSON file in the folder that holds the result.
+    more
+        Further entries of the object.
+    """
+    data: dict[str, Any] = {}
+    if arguments.json:
+        from pathlib import Path
+
+        from otf_core.files.json_file import read_json
+
+        data = dict(read_json(Path(arguments.out) / main))
+        data.pop(BULKY, None)
+        data |= {**more, 'out': arguments.out, 'files': _places(files, arguments.out)}
+    answer(arguments, words + listed(files, arguments.out), data)
+
+
+def _places(files: Sequence[Path], folder: str) -> list[str]:
+    """Names of files as they stand in a folder."""
+    return [str(f.relative_to(folder)) if f.is_relative_to(folder) else f.name for f in files]
+
+
 def listed(files: Sequence[Path], folder: str) -> str:
     """Say which files were written."""
-    places = (f.relative_to(folder) if f.is_relative_to(folder) else f.name for f in files)
-    return f'\nwritten: {", ".join(map(str, places))} in {folder}'
+    return f'\nwritten: {", ".join(_places(files, folder))} in {folder}'

@@ -8,7 +8,7 @@ import dataclasses
 from typing import Any
 
 from otf_core.cli.options import output_folder, parameters
-from otf_core.cli.output import QUALITY_GATE_FAILED, listed, note, say
+from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, OtfError
 
@@ -16,10 +16,10 @@ from otf_core.errors import ConfigError, OtfError
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
     """Plan, and the place of the tracker that it assumes or None; as plan.json has them."""
     from otf_core.files.csv_points import read_points_csv
+    from otf_core.inputs.plan_json import PlanFile, looks_like_json, read_plan
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import check_inside, plan_for_path
     from otf_core.planning.creator import plan_path
-    from otf_core.planning.plan_json import PlanFile, looks_like_json, read_plan
 
     name = arguments.path
     if name is None:
@@ -79,10 +79,18 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     del read['machine']  # the description has a place of its own in the block provenance
     out.write(run, file.plan, config, effects, read)
     place = ', '.join(f'{v:.3f}' for v in run.place)
-    say(
+    words = (
         f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}, '
         f'tracker at ({place}) m'
     )
+    data = {
+        'samples': len(run.samples),
+        'duration_s': float(run.samples.time[-1]),
+        'tracker_place': run.place.tolist(),
+        'seed': config.seed,
+        'out': arguments.out,
+    }
+    answer(arguments, words, data)
     return 0
 
 
@@ -115,10 +123,9 @@ def run_plan(arguments: argparse.Namespace) -> int:
     )
     with out.filled('plan') as folder:
         files = write_report(report, folder, dialect, about)
-    say(format_report(report))
-    say(f'written: {", ".join(f.name for f in files)} in {arguments.out}')
-    if dialect is None:
-        say(f'no NC program: give --dialect {"|".join(DIALECTS)} for one')
+    if dialect is None and not arguments.quiet:
+        note(f'no NC program: give --dialect {"|".join(DIALECTS)} for one')
+    answer_from(arguments, format_report(report), files, 'plan.json')
     return 0
 
 
@@ -132,12 +139,12 @@ def run_validate(arguments: argparse.Namespace) -> int:
 
     out = output_folder(arguments)
     laboratory, cells = SimulatedLaboratory(), scale(arguments.quick, arguments.first_cell)
-    found = validate(laboratory, cells, note)
+    found = validate(laboratory, cells, (lambda text: None) if arguments.quiet else note)
     truth = found.cells[0].reference.truth
     direct = laboratory.measure_directly(truth, found.seeds[0])
     with out.filled('validate') as folder:
         files = write_validation(found, direct, folder)
-    say(format_rows(found.rows) + '\n' + listed(files, arguments.out))
+    answer_from(arguments, format_rows(found.rows) + '\n', files, 'validation.json')
     failed = [row.quantity for row in found.rows if row.passed is False]
     for quantity in failed:
         note(f'otf: quality gate failed: {quantity}')
@@ -154,8 +161,10 @@ def run_blind(arguments: argparse.Namespace) -> int:
     if arguments.overwrite or not holds_trial(arguments.out):
         output_folder(arguments).clear()
     run = run_leave_one_out if arguments.leave_one_out else run_trial
+    tell = (lambda text: None) if arguments.quiet else note
     try:
-        say(run(arguments.trials, arguments.seed, arguments.out, arguments.jobs, note))
+        words = run(arguments.trials, arguments.seed, arguments.out, arguments.jobs, tell)
+        answer_from(arguments, words, [Path(arguments.out) / 'score.txt'], 'score.json')
     finally:
         list_files(Path(arguments.out))
     return 0

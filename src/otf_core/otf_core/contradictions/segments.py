@@ -20,7 +20,7 @@ from otf_core.contradictions.fit import Fit
 from otf_core.contradictions.rows import UNIT, Rows
 from otf_core.model.observation import Samples
 from otf_core.pieces.pieces import Pieces
-from otf_core.tracking.track import GAP_TIME
+from otf_core.tracking.track import broken
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -66,8 +66,7 @@ def segment_of_samples(samples: Samples) -> Index:
     """Number of the uninterrupted segment of every sample, shape (n,), from 0."""
     if len(samples) < 3:
         return np.zeros(len(samples), dtype=np.int64)
-    broken = np.diff(samples.stamp_ns) > max(1e9 * GAP_TIME, 5.0 * samples.step_ns)
-    return np.concatenate([[0], np.cumsum(broken)])
+    return np.concatenate([[0], np.cumsum(broken(samples))])
 
 
 def between(segment: Index) -> Index:

@@ -34,10 +34,11 @@ def check_stamps(recordings: Sequence[Recording]) -> None:
     """Refuse stamps that do not ascend or that belong to two streams; InputError says why."""
     for recording in recordings:
         with blamed(recording.name):
-            _check(recording.samples, recording.path)
+            check_samples(recording.samples, recording.path)
 
 
-def _check(samples: Samples, path: NominalPath) -> None:
+def check_samples(samples: Samples, path: NominalPath | None) -> None:
+    """Ask one run; without a path the speed is not judged, for want of a unit."""
     step = np.diff(samples.stamp_ns)
     if len(step) and step.min() < 0:
         raise InputError('stamps go back; sort the samples by their time of measurement')
@@ -46,6 +47,8 @@ def _check(samples: Samples, path: NominalPath) -> None:
     two = two_streams(samples)
     if two:
         raise InputError(two)
+    if path is None:
+        return
     larger = float(np.ptp(samples.xyz, axis=0).max() / np.ptp(path.points, axis=0).max())
     if not 1.0 / OTHER_UNIT < larger < OTHER_UNIT:
         return  # the alignment names the unit

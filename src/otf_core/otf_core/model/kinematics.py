@@ -64,7 +64,18 @@ def motion_influence(machine: Machine, motion: ErrorMotion, q: Points) -> Points
     unit = _UNIT[motion.along]
     if motion.is_translation:
         return np.broadcast_to(unit, q.shape)
-    return np.cross(unit, lever(machine, motion.axis, q))
+    return turned(motion.along, lever(machine, motion.axis, q))
+
+
+def turned(along: int, arm: Points) -> Points:
+    """Vector product of a unit vector of the machine frame with lever arms (n, 3).
+
+    Several times faster than ``numpy.cross``, which counts where positions come one by one.
+    """
+    found = np.zeros_like(arm)
+    after, last = (along + 1) % 3, (along + 2) % 3
+    found[:, after], found[:, last] = -arm[:, last], arm[:, after]
+    return found
 
 
 def squareness_influence(name: str, q: Points) -> Points:

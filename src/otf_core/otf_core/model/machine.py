@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import Fields, parse_yaml, read_yaml_bytes
+from otf_core.model.circumstances import Circumstances, circumstances_from_fields
 from otf_core.model.declared import DeclaredUncertainty, declared_from_fields
+from otf_core.model.limits import Limits, limits_from_fields
 from otf_core.model.presets import TRACKERS, chosen
 
 AXES = ('X', 'Y', 'Z')
@@ -100,6 +102,10 @@ class Machine:
     tracker : TrackerSpec
     uncertainty : DeclaredUncertainty, optional
         Standard uncertainties that no run shows.
+    limits : Limits, optional
+        What a calibration is judged by.
+    stated : Circumstances
+        Instrument and conditions, for reports alone.
     file_sha256 : str
         SHA-256 of the file it was read from; empty if there is none.
     """
@@ -110,6 +116,8 @@ class Machine:
     target_offset: NDArray[np.float64]
     tracker: TrackerSpec
     uncertainty: DeclaredUncertainty | None = None
+    limits: Limits | None = None
+    stated: Circumstances = field(default_factory=Circumstances)
     file_sha256: str = field(default='', repr=False, compare=False)
 
     @property
@@ -143,6 +151,11 @@ class Machine:
             data['uncertainty'] = dict(self.uncertainty.values)
             if self.uncertainty.preset is not None:
                 data['uncertainty']['preset'] = self.uncertainty.preset
+        if self.limits is not None:
+            data['limits'] = dict(self.limits.values)
+        for key in ('instrument', 'conditions'):
+            if getattr(self.stated, key):
+                data[key] = dict(getattr(self.stated, key))
         return data
 
 
@@ -183,8 +196,14 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         declared = declared_from_fields(top.mapping('uncertainty'), spec.preset)
     elif spec.preset is not None:
         declared = declared_from_fields(Fields({}, where), spec.preset)
+    limits = limits_from_fields(top.mapping('limits')) if top.has('limits') else None
+    instrument, conditions = (
+        top.mapping(key) if top.has(key) else Fields({}, where)
+        for key in ('instrument', 'conditions')
+    )
+    stated = circumstances_from_fields(instrument, conditions)
     top.done()
-    return Machine(name, chain, axes, offset, spec, declared)
+    return Machine(name, chain, axes, offset, spec, declared, limits, stated)
 
 
 def _tracker(fields: Fields) -> TrackerSpec:

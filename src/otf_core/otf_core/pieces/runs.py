@@ -44,6 +44,8 @@ class Recording:
         The same machine in all runs; its target offset and tracker may differ.
     name : str
         Where it comes from, for messages and reports; empty if it needs none.
+    remarks : tuple of str
+        What was repaired or left out of it, in words; warnings of every result.
 
     Examples
     --------
@@ -58,6 +60,7 @@ class Recording:
     path: NominalPath
     machine: Machine
     name: str = ''
+    remarks: tuple[str, ...] = ()
 
 
 @contextmanager

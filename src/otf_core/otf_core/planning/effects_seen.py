@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from otf_core.diagnosis.engine.rows import Rows, rows_of
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects import REGISTRY, Effect
 from otf_core.planning.planned_budget import Planned
+from otf_core.solving.normal import WORKERS
 
 Array = NDArray[np.float64]
 
@@ -108,9 +111,13 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
         not_told_from, needs, words.
     """
     visible, traces = {}, {}
-    for effect in effects_without(()):
-        visible[effect.name], trace = _seen(rows, effect)
-        if visible[effect.name].visible and trace is not None:
+    rows.factor, rows.residual  # noqa: B018  made once, before threads need them
+    effects = effects_without(())
+    with ThreadPoolExecutor(WORKERS) as pool:
+        judged = list(pool.map(partial(_seen, rows), effects))
+    for effect, (sight, trace) in zip(effects, judged, strict=True):
+        visible[effect.name] = sight
+        if sight.visible and trace is not None:
             traces[effect.name] = trace
     apart = not_told_apart(traces)
     entries = []

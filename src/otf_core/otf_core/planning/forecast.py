@@ -291,13 +291,43 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
     -------
     Forecast
     """
-    machine, limit = setup.machine, setup.calibration.unidentifiable_above
     points = plan.path.points
-    nodes = table_nodes(machine, points.min(axis=0), points.max(axis=0))
-    unknowns = layout(smooth_bases(nodes))
-    equal = equal_pieces(unknowns.knots, PART, setup.calibration.piece_length)
+    nodes = table_nodes(setup.machine, points.min(axis=0), points.max(axis=0))
+    equal = equal_pieces(layout(smooth_bases(nodes)).knots, PART, setup.calibration.piece_length)
     pieces = forecast_pieces(plan, as_needed(as_recorded(nodes, setup), equal), setup)
-    pose = tracker_pose(setup)
+    duration = drive_times(plan, setup.config.acceleration).duration
+    return forecast_of_pieces(pieces, tracker_pose(setup), nodes, points, setup, duration)
+
+
+def forecast_of_pieces(
+    pieces: Pieces,
+    pose: RigidTransform,
+    nodes: dict[str, Array],
+    points: Array,
+    setup: Setup,
+    duration: float,
+) -> Forecast:
+    """What path pieces show, whatever was measured at them: of a plan, or of a recording.
+
+    Parameters
+    ----------
+    pieces : Pieces
+    pose : RigidTransform
+        Of the tracker.
+    nodes : mapping of axis to ndarray, m
+        Of the tables.
+    points : ndarray, shape (n, 3), m
+        Corner points, which span the grid that is judged.
+    setup : Setup
+    duration : float
+        s.
+
+    Returns
+    -------
+    Forecast
+    """
+    machine, limit = setup.machine, setup.calibration.unidentifiable_above
+    unknowns = layout(smooth_bases(nodes))
     judged = build_system(machine, pieces, pose, unknowns, nodal_lever=True)
     whitener = Whitener.of(judged, pieces, setup.noise)
     normal = normal_equations(judged, unknowns, whitener)
@@ -324,7 +354,7 @@ def forecast(plan: Plan, setup: Setup) -> Forecast:
         grid_u=grid_u,
         grid_u_free=grid_u_free,
         pieces=pieces,
-        duration=drive_times(plan, setup.config.acceleration).duration,
+        duration=duration,
     )
 
 

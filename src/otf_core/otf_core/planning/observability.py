@@ -8,16 +8,17 @@ a second target offset does.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES, Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.planning.forecast import Forecast
+from otf_core.solving.positive import Positive
 from otf_core.solving.solution import TIE_BREAK, smoothness
 from otf_core.solving.unknowns import Unknowns, reference_position
 
@@ -88,36 +89,48 @@ def _bow(unknowns: Unknowns, name: str) -> Array:
     return np.asarray(np.linalg.lstsq(gauge, value, rcond=None)[0])
 
 
-def imitators(result: Forecast, error: str, limit: float) -> tuple[str, ...]:
-    """Seen errors that take up the effect of an unseen one, the strongest first.
+def imitators(result: Forecast, errors: Sequence[str], limit: float) -> dict[str, tuple[str, ...]]:
+    """Seen errors that take up the effect of unseen ones, the strongest first.
 
     Parameters
     ----------
     result : Forecast
-    error : str
+    errors : sequence of str
     limit : float
         m or rad; ``unidentifiable_above``.
     """
+    if not errors:
+        return {}
     unknowns, matrix = result.unknowns, result.normal.matrix * limit**2
-    free = unknowns.free_blocks[error]
-    bow = _bow(unknowns, error)
-    own = float(bow @ matrix[free, free] @ bow)
-    if own <= 1e-6 * max(float(np.max(np.diag(matrix))), 1.0) * float(bow @ bow):
-        return ()
     blocks = [unknowns.free_blocks[n] for n in result.solution.accepted]
     use = np.concatenate([np.arange(b.start, b.stop) for b in blocks])
+    bows = np.zeros((unknowns.free, len(errors)))
+    for k, error in enumerate(errors):
+        bows[unknowns.free_blocks[error], k] = _bow(unknowns, error)
+    pulled = matrix @ bows
     prior = TIE_BREAK * smoothness(unknowns)[np.ix_(use, use)]
-    factor = linalg.cho_factor(matrix[np.ix_(use, use)] + prior, lower=True, check_finite=False)
-    share = linalg.cho_solve(factor, matrix[use, free] @ bow, check_finite=False)
-    coefficient = np.zeros(unknowns.free)
-    coefficient[use] = share
-    found = []
+    coefficients = np.zeros_like(bows)
+    coefficients[use] = Positive(matrix[np.ix_(use, use)] + prior).solve(pulled[use])
+    largest = max(float(np.max(np.diag(matrix))), 1.0)
+    found = {}
+    for error, bow, pull, own in zip(errors, bows.T, pulled.T, coefficients.T, strict=True):
+        size = float(bow @ pull)
+        seen = size > 1e-6 * largest * float(bow @ bow)
+        found[error] = _strongest(result, matrix, own, _SHARE * size) if seen else ()
+    return found
+
+
+def _strongest(
+    result: Forecast, matrix: Array, coefficients: Array, least: float
+) -> tuple[str, ...]:
+    """Errors by their weight with some coefficients (free,), where it is above the least."""
+    weights = []
     for name in result.solution.accepted:
-        part = unknowns.free_blocks[name]
-        weight = float(coefficient[part] @ matrix[part, part] @ coefficient[part]) / own
-        if name in (*SQUARENESS, *MOTIONS) and weight > _SHARE:
-            found.append((weight, name))
-    return tuple(n for _, n in sorted(found, reverse=True))
+        part = result.unknowns.free_blocks[name]
+        weight = float(coefficients[part] @ matrix[part, part] @ coefficients[part])
+        if name in (*SQUARENESS, *MOTIONS) and weight > least:
+            weights.append((weight, name))
+    return tuple(name for _, name in sorted(weights, reverse=True))
 
 
 def _moves_nothing(result: Forecast, machine: Machine, error: ErrorMotion) -> bool:
@@ -125,12 +138,11 @@ def _moves_nothing(result: Forecast, machine: Machine, error: ErrorMotion) -> bo
     return bool(np.abs(influence).max() < 1e-9)
 
 
-def _unseen(result: Forecast, machine: Machine, error: str, limit: float) -> Unseen:
+def _unseen(result: Forecast, machine: Machine, error: str, others: tuple[str, ...]) -> Unseen:
     motion = ErrorMotion.of(error) if error in MOTIONS else None
     if motion and len(result.nodes[motion.axis]) == 1:
         words = f'{error}: the path does not move {motion.axis}'
         return Unseen(error, (), words, f'lines that move {motion.axis}')
-    others = imitators(result, error, limit)
     if motion and not motion.is_translation and _moves_nothing(result, machine, motion):
         words = f'{error}: rotation about an axis through the target: it moves nothing'
         return Unseen(error, (), words, _second_offset(AXES[motion.along]))
@@ -178,7 +190,8 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Unseen, 
         Unseen errors first, then motions that are not determined at single nodes, then parts of
         the axis ranges that are not driven.
     """
-    found = [_unseen(result, machine, error, limit) for error in result.not_identifiable]
+    mixed = imitators(result, result.not_identifiable, limit)
+    found = [_unseen(result, machine, error, others) for error, others in mixed.items()]
     for name, positions in result.loose_nodes.items():
         found.append(_loose(name, positions, len(result.nodes[name.axis])))
     found += _not_driven(result, machine)

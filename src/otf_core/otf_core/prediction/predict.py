@@ -8,34 +8,23 @@ u is that of the tables (linear propagation of their covariance) and, where the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.model.kinematics import displacement
 from otf_core.model.machine import AXES
-from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.model.tables import ErrorTables, TablesFile, load_tables
-from otf_core.prediction.covariance import unpack_covariance
-from otf_core.prediction.driven_volume import driven_from_dict, inside, table_ranges
-from otf_core.prediction.table_prior import (
-    MotionPrior,
-    growth_variance,
-    prior_from_dict,
-    unseen_columns,
-)
-from otf_core.prediction.uncertainty import prediction_uncertainty
+from otf_core.model.tables import ErrorTables, TablesFile
+from otf_core.prediction.driven_volume import table_ranges
+from otf_core.prediction.predictor import Predictor
+from otf_core.prediction.table_prior import MotionPrior
 
 Array = NDArray[np.float64]
 
 ABSURD = 10.0
 """Points further outside than this many axis ranges are refused: another unit, most likely."""
-LONGEST_OFFSET = 10.0
-"""m; as in machine.yaml."""
 
 
 @dataclass(frozen=True)
@@ -75,25 +64,7 @@ class Prediction:
         )
 
 
-def _independent(tables: ErrorTables) -> Array:
-    own = [np.array([tables.squareness[k].u]) for k in SQUARENESS]
-    own += [tables.motions[k].u for k in MOTIONS]
-    return np.diag(np.concatenate(own) ** 2)
-
-
-def _contained(tables: ErrorTables, extra: Mapping[str, Any]) -> str:
-    budget = extra.get('budget')
-    if not isinstance(budget, Mapping) or not isinstance(budget.get('not_stated'), list):
-        return 'what the tables hold, which their file does not say'
-    missing = ', '.join(map(str, budget['not_stated']))
-    if not missing:
-        return 'noise, misfit and the declared systematic contributions'
-    if tables.machine.uncertainty is None:
-        return 'noise and misfit only, no systematic contribution'
-    return f'noise, misfit and what was declared, but not: {missing}'
-
-
-def _check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
+def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
     """Refuse points that no such machine can reach; tell of those outside its axes."""
     machine, (low, high) = tables.machine, table_ranges(tables)
     low, high = np.minimum(low, machine.lower), np.maximum(high, machine.upper)
@@ -148,24 +119,6 @@ def _unseen_note(unseen: Mapping[str, Array], prior: Mapping[str, MotionPrior]) 
     return notes
 
 
-def _unseen(tables: ErrorTables, extra: Mapping[str, Any]) -> list[str]:
-    """Names of motions and squareness errors that the data did not see."""
-    listed = extra.get('not_identifiable')
-    squareness = [n for n in SQUARENESS if isinstance(listed, list) and n in listed]
-    return [*squareness, *(m for m in MOTIONS if not tables.motions[m].identifiable)]
-
-
-def _offset(tables: ErrorTables, wanted: Array | None) -> Array:
-    if wanted is None:
-        return tables.machine.target_offset
-    offset = np.asarray(wanted, dtype=float)
-    if offset.shape != (3,) or not np.all(np.isfinite(offset)):
-        raise ConfigError('target_offset: expected three finite numbers, in m')
-    if np.max(np.abs(offset)) > LONGEST_OFFSET:
-        raise ConfigError(f'target_offset: {offset.tolist()} m is no length of a tool; unit is m')
-    return offset
-
-
 def predict(
     source: str | Path | TablesFile,
     q: Array,
@@ -193,33 +146,13 @@ def predict(
     ConfigError
         If the tables cannot be read, or points or offset are not of such a machine.
     """
-    content = source if isinstance(source, TablesFile) else load_tables(source)
-    name = 'tables' if isinstance(source, TablesFile) else str(source)
-    measured, extra = content.tables, content.extra
-    prior = prior_from_dict(extra.get('prior'), name)
-    driven = driven_from_dict(extra.get('driven'), name)
-    offset, (low, high) = _offset(measured, target_offset), table_ranges(measured)
-    notes = _check_points(measured, q, where)
-    tables = replace(measured, machine=replace(measured.machine, target_offset=offset))
-    nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
-    size = len(SQUARENESS) + sum(len(v) for v in nodes.values())
-    covariance = unpack_covariance(extra.get('covariance'), size)
-    known = covariance is not None
-    if covariance is None:
-        covariance = _independent(tables)
+    predictor = Predictor.of(source, target_offset)
+    notes = check_points(predictor.tables, q, where)
+    if not predictor.correlated:
         notes.append('the tables hold no covariance; u takes their nodes as independent')
-    u = prediction_uncertainty(tables.machine, nodes, covariance, q)
-    unseen = unseen_columns(measured, _unseen(measured, extra), q, low, high, offset)
-    variance = u**2 + growth_variance(tables, prior, q)
-    for motion, columns in unseen.items():
-        variance = variance + (prior.get(motion, MotionPrior()).sd * columns) ** 2
-    within = inside(measured, driven, q)
-    notes += [*_outside_note(within, prior), *_unseen_note(unseen, prior)]
+    found = predictor.at(q)
+    notes += _outside_note(found.inside, predictor.prior)
+    notes += _unseen_note(predictor.unseen(q), predictor.prior)
     return Prediction(
-        displacement(tables, q),
-        np.sqrt(variance),
-        within,
-        known,
-        _contained(measured, extra),
-        tuple(notes),
+        found.error, found.u, found.inside, predictor.correlated, predictor.holds, tuple(notes)
     )

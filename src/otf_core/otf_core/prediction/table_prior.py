@@ -36,7 +36,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.model.kinematics import lever, motion_influence, squareness_influence
+from otf_core.model.kinematics import (
+    lever,
+    motion_influence,
+    squareness_influence,
+    turned,
+)
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
 
@@ -179,8 +184,8 @@ def unseen_columns(
         elif (motion := ErrorMotion.of(name)).is_translation:
             continue
         else:
-            unit = np.eye(3)[motion.along]
-            columns = np.cross(unit, _lever_change(tables, motion.axis, q, low, high, offset))
+            change = _lever_change(tables, motion.axis, q, low, high, offset)
+            columns = turned(motion.along, change)
         if np.any(np.abs(columns) > NO_LEVER):
             found[name] = columns
     return found

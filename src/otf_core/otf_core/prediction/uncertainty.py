@@ -29,8 +29,12 @@ def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Arra
         C0Y, B0Z, A0Z, then the nodes of EXX, EYX, ... ECZ.
     """
     columns = [squareness_influence(name, q)[:, :, None] for name in SQUARENESS]
+    hats: list[tuple[Array, Array]] = [(np.zeros(0), q)] * 3
     for name in MOTIONS:
-        hat = hat_matrix(nodes[name], q[:, name.place])
+        known, hat = hats[name.place]
+        if not np.array_equal(known, nodes[name]):  # motions of one axis share their nodes
+            hat = hat_matrix(nodes[name], q[:, name.place])
+            hats[name.place] = nodes[name], hat
         columns.append(motion_influence(machine, name, q)[:, :, None] * hat[:, None, :])
     return np.concatenate(columns, axis=2)
 

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from otf_core.budget.budget import NAMES, Budget
 from otf_core.budget.freedom import COVERAGE_PROBABILITY
+from otf_core.files.csv_points import tidy
 from otf_core.model.evaluation import driven_grid, free_rows
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.prediction.volumetric import table_places
 from otf_core.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -66,12 +68,6 @@ class BudgetLine:
     dof: float
 
 
-def _places(tables: ErrorTables) -> dict[str, slice]:
-    sizes = [1] * len(SQUARENESS) + [len(tables.motions[m].position) for m in MOTIONS]
-    ends = np.concatenate([[0], np.cumsum(sizes)]).tolist()
-    return {n: slice(a, b) for n, a, b in zip(NAMES, ends[:-1], ends[1:], strict=True)}
-
-
 def _line(
     budget: Budget, name: str, unit: str, variances: Array, components: int = 1
 ) -> BudgetLine:
@@ -91,7 +87,7 @@ def budget_lines(tables: ErrorTables, budget: Budget) -> list[BudgetLine]:
         Of the same nodes.
     """
     variances, lines = budget.variances(), []
-    for name, place in _places(tables).items():
+    for name, place in table_places(tables).items():
         if variances[:, place].any():
             unit = 'rad' if name in SQUARENESS else unit_of(name)
             lines.append(_line(budget, name, unit, variances[:, place]))
@@ -146,7 +142,7 @@ def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(u > 1e-6 * u.max(initial=0.0), u, np.inf)
     r = covariance / np.outer(unit, unit)
-    places, found = _places(tables), []
+    places, found = table_places(tables), []
     for one, other in combinations(NAMES, 2):
         part = r[places[one], places[other]]
         at = np.unravel_index(int(np.argmax(np.abs(part))), part.shape)
@@ -159,7 +155,7 @@ def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
 def _at_node(tables: ErrorTables, name: str, node: int) -> str:
     if name in SQUARENESS:
         return name
-    return f'{name} at {tables.motions[name].position[node]:g}'
+    return f'{name} at {tidy(float(tables.motions[name].position[node])):g}'
 
 
 def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> dict[str, Any]:

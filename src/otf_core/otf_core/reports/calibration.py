@@ -3,12 +3,14 @@
 
 ``error_tables.json`` (INTERFACES layout; holds the covariance in full precision, so that a copy
 of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv``
-(the same, forward and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``.
+(the same, forward and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``,
+``report.html`` (all of it for a reader).
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,7 @@ import numpy as np
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
 from otf_core.config import OTF, STANDSTILL
-from otf_core.effects.stated import effects_to_list, format_effects
+from otf_core.effects.stated import effects_to_list
 from otf_core.files.csv_points import tidy
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
@@ -27,34 +29,31 @@ from otf_core.model.tables import tables_to_dict
 from otf_core.noise.fields import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
+from otf_core.prediction.volumetric import volumetric_error
 from otf_core.reports.budget import (
     BudgetLine,
     budget_lines,
     budget_to_dict,
     expanded,
-    format_budget,
 )
-from otf_core.reports.calibration_words import (
-    convention_lines,
-    squareness_words,
-    volumetric_error,
-    volumetric_line,
-)
+from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.calibration_report import calibration_html, calibration_sections
 from otf_core.reports.residuals import write_residuals
-from otf_core.reports.reversal import format_reversal, reversal_csv, reversal_to_dict
+from otf_core.reports.reversal import reversal_csv, reversal_to_dict
+from otf_core.reports.section import sections_to_text
 
-TABLES_FILE = 'error_tables.json'
+TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
 
 
 def result_to_dict(
-    result: CalibrationResult, verb: str = 'calibrate', lines: list[BudgetLine] | None = None
+    result: CalibrationResult, verb: str = 'calibrate', facts: Facts | None = None
 ) -> dict[str, Any]:
     """Return a calibration as plain data in the layout of error_tables.json.
 
-    ``lines`` of its budget are worked out if not given.
+    ``facts`` are worked out if not given.
     """
-    data, pose = tables_to_dict(result.tables), result.T_machine_tracker
-    lines = budget_lines(result.tables, result.budget) if lines is None else lines
+    facts = facts or facts_of(result, verb)
+    data, pose, lines = tables_to_dict(result.tables), result.T_machine_tracker, list(facts.lines)
     for name, wide in expanded(result.tables, lines).items():
         data['squareness' if name in SQUARENESS else 'motions'][name] |= wide
     data |= {
@@ -80,14 +79,10 @@ def result_to_dict(
         'effects': effects_to_list(result.effects),
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
+        **({'verdict': result.verdict.to_dict()} if result.verdict else {}),
         'config': asdict(result.config),
         'volumetric_error': volumetric_error(result.tables),
-        'provenance': provenance(
-            verb,
-            method=STANDSTILL if result.runs[0].pieces.standstill else OTF,
-            runs=result.origin,
-            coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
-        ),
+        'provenance': dict(facts.provenance),
     }
     return data
 
@@ -158,6 +153,7 @@ def write_calibration(
     verb: str = 'calibrate',
     *,
     residuals_csv: bool = False,
+    report: bool = True,
 ) -> list[Path]:
     """Write all files of a calibration; error_tables.json last.
 
@@ -170,6 +166,8 @@ def write_calibration(
         Command that the files come from.
     residuals_csv : bool
         Write the residuals as text too.
+    report : bool
+        Write report.html.
 
     Returns
     -------
@@ -181,95 +179,37 @@ def write_calibration(
         If the folder cannot be written.
     """
     folder = ensure_folder(folder)
-    lines = budget_lines(result.tables, result.budget)
+    facts = facts_of(result, verb)
+    lines = list(facts.lines)
     write_text(folder / 'error_tables.csv', _tidy_rows(result, lines))
     write_text(folder / 'reversal.csv', reversal_csv(result.reversal, result.tables))
     residuals = write_residuals(result.runs, folder, text=residuals_csv)
-    write_text(folder / 'summary.txt', format_result(result, lines) + '\n')
-    data = result_to_dict(result, verb, lines)
+    write_text(folder / 'summary.txt', format_result(result, facts) + '\n')
+    if report:
+        write_text(folder / REPORT_FILE, calibration_html(facts))
+    data = result_to_dict(result, verb, facts)
     write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
-    tables = [folder / name for name in (TABLES_FILE, 'error_tables.csv', 'reversal.csv')]
-    return [*tables, *residuals, folder / 'summary.txt']
+    names = (TABLES_FILE, 'error_tables.csv', 'reversal.csv', *((REPORT_FILE,) if report else ()))
+    return [*(folder / name for name in names), *residuals, folder / 'summary.txt']
 
 
-def format_result(result: CalibrationResult, budget: list[BudgetLine] | None = None) -> str:
+def format_result(result: CalibrationResult, facts: Facts | None = None) -> str:
     """Return the text for a terminal: warnings first, then fit, squareness, tables.
 
-    Lines of the ``budget`` are worked out if not given.
+    ``facts`` are worked out if not given.
     """
-    fit, machine = result.fit, result.tables.machine
-    budget = budget_lines(result.tables, result.budget) if budget is None else budget
-    lines = [f'WARNING {text}' for text in result.warnings]
-    lines += [f'FAILED {text}' for text in result.failed_gates]
-    lines += [
-        f'{machine.name}, chain {machine.chain}, run {result.run_id}',
-        f'samples {fit.samples}, used {fit.used} in {fit.pieces} path pieces; '
-        f'{fit.unknowns} unknowns, rank {fit.rank}; path driven {100 * fit.coverage:.1f} %',
-        f'mean distance from the path {1e6 * fit.path_mae_before:.2f} um, compensated '
-        f'{1e6 * fit.path_mae_after:.2f} um; residual rms {1e6 * fit.residual_rms:.2f} um',
-        volumetric_line(result.tables),
-        *(_run_line(number, run) for number, run in enumerate(result.runs, start=1)),
-        *convention_lines(result),
-        '',
-        format_tables(result),
-        '',
-        *([format_effects(result.effects), ''] if result.effects else []),
-        format_reversal(result.reversal),
-        '',
-        format_budget(result.tables, result.budget, budget),
-    ]
-    return '\n'.join(lines)
+    return sections_to_text(calibration_sections(facts or facts_of(result)))
 
 
-def _run_line(number: int, run: RunResult) -> str:
-    place, offset = (
-        ', '.join(f'{v:.3f}' for v in vector)
-        for vector in (run.T_machine_tracker.translation, run.target_offset)
+def facts_of(
+    result: CalibrationResult, verb: str = 'calibrate', lines: Sequence[BudgetLine] | None = None
+) -> Facts:
+    """What a report is made of; ``lines`` of the budget are worked out if not given."""
+    about = provenance(
+        verb,
+        method=STANDSTILL if result.runs[0].pieces.standstill else OTF,
+        runs=result.origin,
+        coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
     )
-    return (
-        f'run {number}{f" ({run.name})" if run.name else ""}: {run.samples} samples, '
-        f'{100 * run.coverage:.1f} % driven, tracker at ({place}) m, target offset ({offset}) m'
-    )
-
-
-def format_tables(result: CalibrationResult) -> str:
-    """Return the error tables as text: span and standard uncertainty of every motion."""
-    lines = ['squareness  value (urad)  u, k = 1 (urad)']
-    for name in SQUARENESS:
-        entry = result.tables.squareness[name]
-        known = name not in result.not_identifiable
-        lines.append(
-            f'{name:<10}{1e6 * entry.value:>14.2f}{1e6 * entry.u:>17.2f}  '
-            f'{squareness_words(name, entry.value)}'
-            if known
-            else f'{name:<10}  not identifiable in these data'
-        )
-    lines += ['', 'motion  unit  nodes       min       max    mean u, k = 1']
-    for name in MOTIONS:
-        table = result.tables.motions[name]
-        unit = 'um' if unit_of(name) == 'm' else 'urad'
-        row = f'{name:<8}{unit:<6}{len(table.position):>5}'
-        if table.identifiable:
-            row += f'{1e6 * table.value.min():>10.2f}{1e6 * table.value.max():>10.2f}'
-            row += f'{1e6 * table.u.mean():>17.2f}'
-        else:
-            row += '   not identifiable in these data'
-        lines.append(row)
-    lines += ['', f'Gauge: {GAUGE}.', _spacing_in_words(result)]
-    return '\n'.join(lines)
-
-
-def _spacing_in_words(result: CalibrationResult) -> str:
-    wish, taken = result.table_costs[1], result.table_costs[result.fraction]
-    worst = max(wish.motions, key=lambda name: wish.motions[name])
-    unit = 'um' if unit_of(worst) == 'm' else 'urad'
-    costs = (
-        f'straight lines between nodes cost {1e6 * wish.grid:.2f} um on the grid '
-        f'(most in {worst}: {1e6 * wish.motions[worst]:.2f} {unit})'
-    )
-    if result.fraction == 1:
-        return f'Nodes stand table_pitch apart; {costs}.'
-    return (
-        f'Nodes stand at 1/{result.fraction} of table_pitch, where straight lines cost '
-        f'{1e6 * taken.grid:.2f} um on the grid; at table_pitch {costs}.'
-    )
+    found = budget_lines(result.tables, result.budget) if lines is None else lines
+    return Facts(result, tuple(found), about)

@@ -13,9 +13,11 @@ from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.reports.calibration import write_calibration
-from otf_core.reports.gap import write_report
+from otf_core.reports.gap_report import report_html
 
 SCHEMA = 'otf-gap/1'
+REPORT_FILE, BESIDE_TABLES = 'report.html', 'gap_report.html'
+"""Name of the report; beside error_tables.json there is one of the calibration already."""
 
 
 def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -48,38 +50,14 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def format_diagnosis(diagnosis: Diagnosis) -> str:
-    """Return the text for a terminal."""
-    gap = diagnosis.gap
-    lines = [
-        f'verdict: {diagnosis.verdict}',
-        diagnosis.sentence,
-        f'residual {gap.measured_um:.2f} um, simulated {gap.simulated_um:.2f} um; gap '
-        f'{gap.before_um:.2f} um -> {gap.after_um:.2f} um',
-        '',
-    ]
-    for cause in diagnosis.causes:
-        axes = f' ({", ".join(cause.axes)})' if cause.axes else ''
-        lines.append(
-            f'cause {cause.effect}{axes}: gap {cause.before_um:.2f} um -> '
-            f'{cause.after_um:.2f} um, confidence {100 * cause.confidence:.0f} %'
-        )
-        for name, value in cause.parameters.items():
-            u = f' +/- {cause.u[name]:.2g} (k = 1)' if name in cause.u else ''
-            lines.append(f'    {name} = {value:.4g}{u} {cause.units.get(name, "")}'.rstrip())
-        if cause.indistinguishable_from:
-            lines.append(f'    not told from {", ".join(cause.indistinguishable_from)}')
-    lines += ['', diagnosis.where.summary, f'unexplained: {diagnosis.unexplained_where}', '']
-    lines += [f'not visible: {e}; needs {n}' for e, n in diagnosis.not_visible]
-    return '\n'.join(lines)
-
-
 def effects_file(run: int) -> str:
     """File of the effects in one run; further runs have one where theirs differ."""
     return f'effects_run_{run + 1}.yaml' if run else 'effects.yaml'
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
+def write_diagnosis(
+    diagnosis: Diagnosis, folder: str | Path, report: str = REPORT_FILE
+) -> list[Path]:
     """Write gap.json, report.html, and with causes effects.yaml and both calibrations.
 
     Parameters
@@ -87,6 +65,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
     diagnosis : Diagnosis
     folder : str or Path
         Made if missing.
+    report : str
+        Name of the report.
 
     Returns
     -------
@@ -105,7 +85,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
         write_calibration(calibration.plain, folder / 'calibration_plain', 'diagnose')
         write_calibration(calibration.result, folder / 'calibration_with_effects', 'diagnose')
         written.append(folder / 'calibration_with_effects')
-    write_report(diagnosis, folder / 'report.html')
+    write_text(folder / report, report_html(diagnosis))
     content = diagnosis_to_dict(diagnosis)
     write_text(folder / 'gap.json', json.dumps(content, indent=1) + '\n')
-    return [*written, folder / 'report.html', folder / 'gap.json']
+    return [*written, folder / report, folder / 'gap.json']

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words and numbers of the gap report: values with units, confidence, names of effects."""
+"""Words of the gap report: confidence, names of effects, what to measure next."""
 
 from __future__ import annotations
 
-import html
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from otf_core.diagnosis.result import Diagnosis, NamedCause
 from otf_core.effects import REGISTRY
+from otf_core.reports.quantities import listed, quantity
 
 CONFIDENCE = (
     (0.99, 'practically certain'),
@@ -28,23 +28,15 @@ MOST_PARAMETERS = 8
 """Of longer lists the most significant ones are shown."""
 
 
-def text(value: object) -> str:
-    """Escape for HTML, with micrometres as metrologists write them."""
-    plain = re.sub(r'(?<![A-Za-z0-9_])u(m|rad)(?![A-Za-z0-9_])', r'µ\1', str(value))
-    plain = re.sub(r'(?<= )\+/-(?= )', '±', plain)
-    plain = re.sub(r'(?<=\d) (?=%)', '\u00a0', plain)
-    return html.escape(plain, quote=True)
-
-
 def effect_name(effect: str) -> str:
-    """Name of an effect in words, escaped."""
-    return text(effect.replace('_', ' '))
+    """Name of an effect in words."""
+    return effect.replace('_', ' ')
 
 
 def effect_cause(effect: str) -> str:
-    """What causes an effect, escaped; empty for a name that is not in the catalogue."""
+    """What causes an effect; empty for a name that is not in the catalogue."""
     known = REGISTRY.get(effect)
-    return text(known.cause) if known else ''
+    return known.cause if known else ''
 
 
 def confidence_words(confidence: float) -> str:
@@ -52,43 +44,6 @@ def confidence_words(confidence: float) -> str:
     word = next(word for least, word in CONFIDENCE if confidence >= least)
     number = '>\u00a099.9\u00a0%' if confidence > 0.999 else f'{100 * confidence:.3g}\u00a0%'
     return f'{word} ({number})'
-
-
-def _scaled(unit: str, size: float) -> tuple[float, str]:
-    """Factor and unit in which a value is easy to read."""
-    if unit == 'm':
-        return (1e3, 'mm') if size >= 1e-3 else (1e6, 'µm')
-    for plain, short in (('rad', 'µrad'), ('m', 'µm')):
-        if unit == plain or (unit.startswith((plain + '/', plain + ' ')) and unit != 'm/m'):
-            return 1e6, short + unit[len(plain) :]
-    if unit == 'm/m':
-        return 1e6, 'µm/m'
-    if unit == 's' and 0 < size < 1e-2:
-        return 1e3, 'ms'
-    return 1.0, unit
-
-
-def quantity(value: float, u: float | None, unit: str) -> str:
-    """Value with expanded uncertainty (k = 2) and unit, escaped.
-
-    Parameters
-    ----------
-    value : float
-        SI.
-    u : float, optional
-        Standard uncertainty.
-    unit : str
-        SI unit of the value.
-    """
-    factor, name = _scaled(unit, abs(value))
-    spread = 2.0 * factor * u if u is not None else math.nan
-    if math.isfinite(spread) and spread > 0:
-        digits = min(6, max(0, 1 - math.floor(math.log10(spread))))
-        number = f'{factor * value:.{digits}f} ± {spread:.{digits}f}'
-    else:
-        number = f'{factor * value:.4g}'
-    number = re.sub(r'^-', '−', number)
-    return text(f'{number} {name}'.rstrip())
 
 
 def shown_parameters(cause: NamedCause) -> tuple[list[str], int]:
@@ -103,6 +58,16 @@ def shown_parameters(cause: NamedCause) -> tuple[list[str], int]:
 
     kept = set(sorted(names, key=strength, reverse=True)[:MOST_PARAMETERS])
     return [n for n in names if n in kept], len(names) - len(kept)
+
+
+def shape_words(cause: NamedCause) -> str:
+    """Parameters that were chosen, not estimated; empty if there are none."""
+    chosen = [
+        f'{name} {quantity(value, None, cause.units.get(name, ""))}'
+        for name, value in cause.parameters.items()
+        if name not in cause.u
+    ]
+    return f'chosen: {", ".join(chosen)}' if chosen else ''
 
 
 def _needs(effect: str) -> str:
@@ -147,11 +112,7 @@ def _merged(wishes: Iterable[tuple[str, str]], hidden: set[str]) -> list[str]:
         own = [r for r in reasons if r not in hidden]
         unseen = [r for r in reasons if r in hidden]
         if unseen:
-            own.append('to see ' + _listed(unseen))
+            own.append('to see ' + listed(unseen))
         detail = f' ({"; ".join(details)})' if details else ''
         lines.append(f'{head[:1].upper()}{head[1:]}{detail}: {"; ".join(dict.fromkeys(own))}.')
     return lines
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'

@@ -18,6 +18,7 @@ import numpy as np
 
 from otf_core.files.csv_points import tidy, write_csv
 from otf_core.files.writing import write_text
+from otf_core.inputs.plan_json import SCHEMA
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
@@ -26,7 +27,6 @@ from otf_core.planning.forecast import Forecast
 from otf_core.planning.judged import PlanReport
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import program
-from otf_core.planning.plan_json import SCHEMA
 
 
 def _margin(report: PlanReport) -> float:

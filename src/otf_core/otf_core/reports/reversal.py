@@ -73,7 +73,7 @@ def reversal_csv(reversal: Reversal, tables: ErrorTables) -> str:
 
 def _why(reversal: Reversal) -> list[str]:
     evidence = reversal.evidence
-    if 'legs' not in evidence or 'needed' not in evidence:
+    if 'lines' not in evidence or 'needed' not in evidence:
         decided = evidence.get('decided_by')
         return [f'  decided by {decided}'] if decided else []
     lines = []
@@ -81,8 +81,9 @@ def _why(reversal: Reversal) -> list[str]:
         if f'gain_{model}' in evidence:
             gain, scatter = evidence[f'gain_{model}'], evidence[f'scatter_{model}']
             lines.append(
-                f'  {model}: gain over the best simpler model on {evidence["legs"]} held-out legs '
-                f'{gain:.1f} +/- {scatter:.1f}; {evidence["needed"]:g} times the scatter is needed'
+                f'  {model}: gain over the best simpler model on {evidence["lines"]} held-out '
+                f'lines {gain:.1f} +/- {scatter:.1f}; {evidence["needed"]:g} times the scatter is '
+                f'needed'
             )
     if 'rival' in evidence:
         lines.append(

@@ -16,7 +16,11 @@ EFFECTS_FILE = 'effects_taken_off'
 
 
 def write_with_effects(
-    done: EffectsCalibration, folder: str | Path, *, residuals_csv: bool = False
+    done: EffectsCalibration,
+    folder: str | Path,
+    *,
+    residuals_csv: bool = False,
+    report: bool = True,
 ) -> list[Path]:
     """Write the calibration, the effects taken off, and the plain calibration in ``plain/``.
 
@@ -29,8 +33,8 @@ def write_with_effects(
     folder = Path(folder)
     files = []
     if done.applied[0]:
-        files = write_calibration(done.plain, folder / PLAIN_FOLDER)[:1]
-    written = write_calibration(done.result, folder, residuals_csv=residuals_csv)
+        files = write_calibration(done.plain, folder / PLAIN_FOLDER, report=report)[:1]
+    written = write_calibration(done.result, folder, residuals_csv=residuals_csv, report=report)
     machine = done.result.tables.machine
     for number, applied in enumerate(done.applied):
         if applied and (not number or _differs(applied, done.applied[0])):

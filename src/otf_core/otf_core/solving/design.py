@@ -104,6 +104,18 @@ class Design:
     side: Array
     nodal_lever: bool = False
 
+    def at(self, pieces: Index) -> Design:
+        """Return the derivatives of some pieces, by their places."""
+        return replace(
+            self,
+            q=self.q[pieces],
+            points=self.points[pieces],
+            axes=self.axes[:, pieces],
+            shifts=tuple(s if s.ndim == 1 else s[pieces] for s in self.shifts),
+            travel=self.travel[pieces],
+            side=self.side[pieces],
+        )
+
     @cached_property
     def _parts(self) -> list[list[AxisPart]]:
         """The three axes at every shift."""

@@ -22,7 +22,7 @@ from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import blamed
 from otf_core.solving.noise_fit import FittedNoise, fit_noise
-from otf_core.solving.normal import NormalEquations, normal_equations
+from otf_core.solving.normal import NormalEquations, line_equations, normal_equations
 from otf_core.solving.roughness import Roughness, Search
 from otf_core.solving.solution import Solution, identifiable_blocks, solve
 from otf_core.solving.system import System, build_system
@@ -152,9 +152,12 @@ def systems_of(
 def summed(
     systems: Sequence[System], unknowns: Unknowns, whiteners: Sequence[Whitener]
 ) -> NormalEquations:
-    """Sum up the normal equations of all runs."""
+    """Sum up the normal equations of the lines of all runs.
+
+    Rows of two passes over a line are those of the first: good for what is compared or repeated.
+    """
     pairs = zip(systems, whiteners, strict=True)
-    return reduce(add, (normal_equations(s, unknowns, w) for s, w in pairs))
+    return reduce(add, (line_equations(s, unknowns, w) for s, w in pairs))
 
 
 def solve_robustly(
@@ -312,7 +315,7 @@ def solve_jointly(
 
 
 def settled(done: JointSolution, limit: float) -> JointSolution:
-    """Take the covariance at the last positions on the paths instead of the first.
+    """Take the covariance of all passes at the last positions on the paths.
 
     Contributions that are alike for the whole run are so much larger than the noise that they
     would show the difference.
@@ -323,8 +326,8 @@ def settled(done: JointSolution, limit: float) -> JointSolution:
     limit : float
         m and rad; ``unidentifiable_above``.
     """
-    parts = [s.system for s in done.runs], done.unknowns, [s.whitener for s in done.runs]
-    normal, old = summed(*parts), done.solution
+    sums = (normal_equations(s.system, done.unknowns, s.whitener) for s in done.runs)
+    normal, old = reduce(add, sums), done.solution
     last = solve(normal, done.unknowns, limit, old.accepted, done.roughness.precision)
     return replace(done, normal=normal, solution=replace(old, covariance=last.covariance))
 
@@ -343,7 +346,6 @@ def seen_blocks(
     unknowns: Unknowns,
     whiteners: Sequence[Whitener],
     limit: float,
-    laps: Sequence[float] = (),
 ) -> tuple[str, ...]:
     """Blocks of unknowns that the data determine.
 
@@ -354,16 +356,12 @@ def seen_blocks(
     whiteners : sequence of Whitener
     limit : float
         m and rad; ``unidentifiable_above``.
-    laps : sequence of float, optional
-        How often each of the runs was driven.
     """
     judged = [
         build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
         for k, run in enumerate(runs)
     ]
-    parts = zip(judged, whiteners, laps or [1.0] * len(judged), strict=True)
-    total = reduce(add, (normal_equations(s, unknowns, w).repeated(n) for s, w, n in parts))
-    return identifiable_blocks(total, unknowns, limit)
+    return identifiable_blocks(summed(judged, unknowns, whiteners), unknowns, limit)
 
 
 def left_by(systems: Sequence[System], solution: Solution) -> list[Array]:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.solving.repeated import taken_once
 from otf_core.solving.system import System
 from otf_core.solving.unknowns import Unknowns
 from otf_core.solving.whitener import Whitener
@@ -59,12 +60,6 @@ class NormalEquations:
             self.rows + other.rows,
         )
 
-    def repeated(self, times: float) -> NormalEquations:
-        """Return the sums over rows that are there several times."""
-        return NormalEquations(
-            self.matrix * times, self.right * times, self.square * times, round(self.rows * times)
-        )
-
     def less(self, part: NormalEquations) -> NormalEquations:
         """Return the sums over the rows that are not in ``part``."""
         return NormalEquations(
@@ -78,6 +73,13 @@ class NormalEquations:
 def normal_equations(system: System, unknowns: Unknowns, whitener: Whitener) -> NormalEquations:
     """Sum up the whitened rows of all legs for the free unknowns."""
     return sum_groups(system, unknowns, whitener, np.zeros(len(whitener.bounds), dtype=int))[0]
+
+
+def line_equations(system: System, unknowns: Unknowns, whitener: Whitener) -> NormalEquations:
+    """Sum up the rows of every line with the weight of all passes, see ``repeated``."""
+    once = taken_once(system, whitener)
+    found = normal_equations(once.system, unknowns, once.whitener)
+    return replace(found, square=found.square + once.square, rows=once.rows)
 
 
 def sum_groups(

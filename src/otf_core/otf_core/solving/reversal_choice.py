@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which reversal model the data call for: cross-validation on held-out legs.
 
-Noise is correlated within a leg, so whole legs are held out: the legs are dealt to folds, and what
-each model leaves of a fold is judged with the model fitted to all others. With S_j the sum of the
-squared whitened residuals of leg j, the gain of a richer model over a simpler one is
+Noise is correlated within a leg, so whole legs are held out, with all that pass over the same
+line. The lines are dealt to folds, and what each model leaves of a fold is judged with the model
+fitted to all others. With S_j the sum of the squared whitened residuals of line j, the gain of a
+richer model over a simpler one is
 
     D = sum_j ( S_j simple - S_j rich ),    s_D = sqrt(n) * standard deviation of the n differences
 
@@ -28,9 +29,10 @@ from otf_core.config import CalibrationConfig
 from otf_core.effects.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
 from otf_core.pieces.observed import AnyRun, Observed
-from otf_core.solving.folds import FOLDS, fold_of, leg_numbers
-from otf_core.solving.joint import JointSolution, Progress, SolvedRun, solve_robustly, tables_of
+from otf_core.solving.folds import FOLDS, fold_of
+from otf_core.solving.joint import JointSolution, Progress, solve_robustly, tables_of
 from otf_core.solving.normal import sum_groups
+from otf_core.solving.repeated import Once, taken_once
 from otf_core.solving.reversal import MODELS
 from otf_core.solving.roughness import TRACE
 from otf_core.solving.shape_choice import choose_shapes
@@ -46,8 +48,8 @@ CLEAR = 3.0
 """Gain over its own scatter from which a richer model is taken."""
 RIVAL = ServoMismatch()
 """What is taken for a reversal most easily."""
-MIN_LEGS = 16
-"""Fewer legs tell nothing of the scatter: no reversal is modelled then."""
+MIN_LINES = 16
+"""Fewer lines tell nothing of the scatter: no reversal is modelled then."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def choose(runs: Sequence[Observed], done: JointSolution, config: CalibrationCon
     Returns
     -------
     Choice
-        With the evidence: 'legs', 'folds', 'needed' gain over scatter; per model
+        With the evidence: 'lines', 'folds', 'needed' gain over scatter; per model
         'held_out_MODEL', sum of squared whitened residuals; 'gain_MODEL' and 'scatter_MODEL'
         over the best simpler one, for the rival over the model chosen; 'rival', if it was
         better.
@@ -136,11 +138,11 @@ def choose(runs: Sequence[Observed], done: JointSolution, config: CalibrationCon
     given = config.reversal
     if given == 'none':
         return Choice('none', False, {'decided_by': 'configuration'})
-    fold = [fold_of(np.unique(number)) for number in leg_numbers(done)]
-    legs = sum(len(f) for f in fold)
-    if legs < MIN_LEGS and given == 'auto':
-        few = f'too few legs: {legs}, {MIN_LEGS} needed'
-        return Choice('none', False, {'decided_by': few, 'legs': legs})
+    fold = _line_folds(done)
+    lines = sum(len(f) for f in fold)
+    if lines < MIN_LINES and given == 'auto':
+        few = f'too few lines: {lines}, {MIN_LINES} needed'
+        return Choice('none', False, {'decided_by': few, 'lines': lines})
     found: dict[float, Choice] = {}
     for held in (False, True):
         left = _held_out_squares(runs, done, fold, config.unidentifiable_above, held)
@@ -155,12 +157,18 @@ def choose(runs: Sequence[Observed], done: JointSolution, config: CalibrationCon
     return found[min(found)]
 
 
+def _line_folds(done: JointSolution) -> list[Index]:
+    """Fold of every line of every run: passes over one line are held out together."""
+    count = [len(solved.whitener.once.bounds) for solved in done.runs]
+    return np.split(fold_of(np.arange(sum(count))), np.cumsum(count)[:-1])
+
+
 def _chosen(left: dict[str, Array], held: bool) -> Choice:
-    """Choose among the models by the squares (legs,) that each leaves."""
-    legs = len(left['none'])
+    """Choose among the models by the squares (lines,) that each leaves."""
+    lines = len(left['none'])
     evidence: Evidence = {
-        'decided_by': 'held-out legs',
-        'legs': legs,
+        'decided_by': 'held-out lines',
+        'lines': lines,
         'folds': FOLDS,
         'needed': CLEAR,
         **{f'held_out_{model}': float(square.sum()) for model, square in left.items()},
@@ -170,7 +178,7 @@ def _chosen(left: dict[str, Array], held: bool) -> Choice:
         if model == best or (best == 'none' and model == RIVAL.name):
             continue
         difference = left[best] - square
-        gain, scatter = float(difference.sum()), float(np.sqrt(legs) * difference.std(ddof=1))
+        gain, scatter = float(difference.sum()), float(np.sqrt(lines) * difference.std(ddof=1))
         evidence |= {f'gain_{model}': gain, f'scatter_{model}': scatter}
         if gain > CLEAR * scatter:
             best = model
@@ -185,14 +193,14 @@ def _held_out_squares(
     """Squared whitened residual of every leg under every model fitted to the other folds."""
     unknowns = layout(done.unknowns.bases, len(runs), max(MODELS.values()), held=held)
     tables = tables_of(runs[0].machine, done.unknowns, done.solution)
-    systems = [
-        build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
-        for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True))
-    ]
-    rivals = [_rival_columns(run, system) for run, system in zip(runs, systems, strict=True)]
+    lines, rivals = [], []
+    for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+        system = build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
+        lines.append(taken_once(system, solved.whitener))
+        rivals.append(_rival_columns(run, system)[:, lines[k].pieces])
     sums = [
-        sum_groups(system, unknowns, solved.whitener, group, rival, FOLDS)
-        for system, solved, group, rival in zip(systems, done.runs, fold, rivals, strict=True)
+        sum_groups(own.system, unknowns, own.whitener, group, rival, FOLDS)
+        for own, group, rival in zip(lines, fold, rivals, strict=True)
     ]
     parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
     total = reduce(add, parts)
@@ -213,8 +221,8 @@ def _held_out_squares(
     for model, use in columns.items():
         values = [estimated(total.less(part), use, prior) for part in parts]
         squares = [
-            _squares(system, solved, group, rival, unknowns, np.stack(values, axis=1))
-            for system, solved, group, rival in zip(systems, done.runs, fold, rivals, strict=True)
+            _squares(own, group, rival, unknowns, np.stack(values, axis=1))
+            for own, group, rival in zip(lines, fold, rivals, strict=True)
         ]
         left[model] = np.concatenate(squares)
     return left
@@ -231,19 +239,15 @@ def _rival_columns(run: Observed, system: System) -> Array:
     return np.asarray(np.einsum('cij,ijk->cik', system.axes, terms.columns))
 
 
-def _squares(
-    system: System,
-    solved: SolvedRun,
-    fold: Index,
-    rival: Array,
-    unknowns: Unknowns,
-    values: Array,
-) -> Array:
-    """Sum of squares of each leg of a run with the values (columns, folds) of its fold."""
-    size = [high - low for low, high in solved.whitener.bounds]
+def _squares(own: Once, fold: Index, rival: Array, unknowns: Unknowns, values: Array) -> Array:
+    """Sum of squares of each line of a run with the values (columns, folds) of its fold.
+
+    What passes over a line differ among themselves is left out: it is the same for every model.
+    """
+    size = [high - low for low, high in own.whitener.bounds]
     number = np.repeat(np.arange(len(size)), size)
     of_piece = fold[number]
-    predicted = system.rows.times(unknowns.gauge @ values[: unknowns.free], of_piece)
+    predicted = own.system.rows.times(unknowns.gauge @ values[: unknowns.free], of_piece)
     predicted += np.einsum('cpk,kp->cp', rival, values[unknowns.free :][:, of_piece])
-    white = solved.whitener.whiten(system.deviation - predicted)
+    white = own.whitener.whiten(own.system.deviation - predicted)
     return np.asarray(np.bincount(number, (white**2).sum(axis=0), len(size)), dtype=float)

@@ -49,7 +49,6 @@ Bases = dict[str, Basis]
 
 SMOOTH, FINER = 'smooth', 'smooth, twice as fine'
 STRAIGHT = 'straight between nodes'
-FIRST_TRIED = (SMOOTH, STRAIGHT)
 INTERVALS = 20
 """Parts of an axis range: cubic splines then follow eight waves to 1 % of their size."""
 SIGNIFICANT = 4.0
@@ -59,10 +58,6 @@ NOTABLE = 0.05
 FEW = 3000
 """Pieces that the first solution is made of, which finds poses and positions on the paths."""
 GOLDEN = 0.6180339887498949
-LAP = 0.7
-"""Share of a run that the first legs on every line are at most, if it has laps."""
-CLEAR_LEAD = 50.0
-"""Log likelihood by which functions that are worse in one lap are out for all of them."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +74,7 @@ class ShapeChoice(Generic[AnyRun]):
     start : Start
         What that found.
     evidence : mapping of name to float
-        Restricted log likelihood of everything that was tried, less the best; of the first lap
-        where that was clear.
+        Restricted log likelihood of everything that was tried, less the best.
     """
 
     bases: Bases
@@ -132,16 +126,9 @@ def choose_shapes(
     progress : callable(stage, fraction)
     """
     limit = config.unidentifiable_above
-    once = [_every_line_once(run) for run in runs]
-    start, poses = _started(runs, once, nodes, config, progress)
-    moved, few = (
-        [replace(r, pose=p) for r, p in zip(own, poses, strict=True)] for own in (runs, once)
-    )
-    best, scores = _try_all(few, nodes, start, limit, FIRST_TRIED)
-    if any(len(r.pieces) > len(o.pieces) for r, o in zip(runs, once, strict=True)):
-        near = [name for name in scores if scores[name] > -CLEAR_LEAD]
-        best, found = _try_all(moved, nodes, start, limit, near)
-        scores |= found
+    start, poses = _started(runs, nodes, config, progress)
+    moved = [replace(r, pose=p) for r, p in zip(runs, poses, strict=True)]
+    best, scores = _try_all(moved, nodes, start, limit)
     improved = improved_runs(moved, best, config)[0]
     after = Start.after(runs[0].machine, best)
     return ShapeChoice(best.unknowns.bases, moved, improved, after, scores)
@@ -156,21 +143,19 @@ _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
 
 def _started(
     runs: Sequence[AnyRun],
-    once: Sequence[AnyRun],
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
     progress: Progress,
 ) -> tuple[Start, list[RigidTransform]]:
     """Blocks that the data determine, first tables and poses."""
     smooth = layout(smooth_bases(nodes), len(runs))
-    whiteners = whiteners_of(once, systems_of(once, [r.pose for r in once], smooth, None))
-    laps = [len(r.pieces) / len(o.pieces) for r, o in zip(runs, once, strict=True)]
-    seen = seen_blocks(once, smooth, whiteners, config.unidentifiable_above, laps)
+    whiteners = whiteners_of(runs, systems_of(runs, [r.pose for r in runs], smooth, None))
+    seen = seen_blocks(runs, smooth, whiteners, config.unidentifiable_above)
     start = Start({}, seen)
     try:
-        first = solve_jointly(_thinned(once), smooth, config, progress, start)
+        first = solve_jointly(_thinned(runs), smooth, config, progress, start)
     except InputError:  # too few legs
-        first = solve_jointly(once, smooth, config, progress, start)
+        first = solve_jointly(runs, smooth, config, progress, start)
     return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]
 
 
@@ -179,7 +164,6 @@ def _try_all(
     nodes: Mapping[str, Array],
     start: Start,
     limit: float,
-    names: Sequence[str],
 ) -> tuple[JointSolution, dict[str, float]]:
     """Linear solutions with some functions, and with finer ones where the best leaves steps.
 
@@ -191,12 +175,12 @@ def _try_all(
         Log likelihoods, less the best.
     """
     assert start.tables is not None
-    unknowns = layout(_CHOICES[names[0]](nodes), len(runs))
+    unknowns = layout(_CHOICES[SMOOTH](nodes), len(runs))
     systems = systems_of(runs, [r.pose for r in runs], unknowns, start.tables)
     whiteners = whiteners_of(runs, systems)
     found: dict[str, float] = {}
     best: JointSolution | None = None
-    waiting = list(names)
+    waiting = [SMOOTH, STRAIGHT]
     while waiting:
         name = waiting.pop(0)
         done = _tried(runs, _CHOICES[name](nodes), start, whiteners, limit)
@@ -219,15 +203,6 @@ def _without_legs(run: AnyRun, number: Index, kept: Index) -> AnyRun:
 def _leg_number(run: Observed) -> Index:
     """Which leg in driving order a piece belongs to, shape (p,)."""
     return np.asarray(np.cumsum(np.append(0, np.diff(run.pieces.leg) != 0)))
-
-
-def _every_line_once(run: AnyRun) -> AnyRun:
-    """The first leg on every line where laps repeat them, or the run itself."""
-    number = _leg_number(run)
-    first = np.flatnonzero(np.append(1, np.diff(number)))
-    lines = np.hstack([run.pieces.origin[first], run.pieces.direction[first]]).round(6)
-    once = _without_legs(run, number, np.unique(lines, axis=0, return_index=True)[1])
-    return once if len(once.pieces) < LAP * len(run.pieces) else run
 
 
 def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:

@@ -25,6 +25,7 @@ from otf_core.solving.design import Design
 from otf_core.solving.unknowns import Unknowns
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,16 @@ class System:
     deviation: Array
     rows: Design
     shares: Array
+
+    def at(self, pieces: Index) -> System:
+        """Return the rows of some pieces, by their places."""
+        return System(
+            self.q[pieces],
+            self.axes[:, pieces],
+            self.deviation[:, pieces],
+            self.rows.at(pieces),
+            self.shares[:, :, pieces],
+        )
 
     @property
     def design(self) -> sparse.csr_array:

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 NO_MISFIT = Misfit()
+SAME_PLACE = 5e-4
+"""m; half a step between samples at a usual feed: so far pieces of two passes may be apart."""
 MEMORY = 8e6
 """Bytes of covariances that are factored at once."""
 
@@ -70,10 +72,13 @@ class Whitener:
     bounds : sequence of (int, int)
         First piece and one past the last of every leg.
     alike : tuple of Alike
+    first : ndarray of int64, shape (legs,)
+        First leg over the same pieces of a line, by its place in ``bounds``.
     """
 
     bounds: Sequence[tuple[int, int]]
     alike: tuple[Alike, ...]
+    first: Index
 
     @classmethod
     def of(
@@ -109,7 +114,7 @@ class Whitener:
             except np.linalg.LinAlgError:
                 raise _two_passes(pieces, own, covariance) from None
             alike.append(Alike.of(legs, own, np.asarray(factor)))
-        return cls(bounds, tuple(alike))
+        return cls(bounds, tuple(alike), _first_passes(pieces, system.q, bounds))
 
     @classmethod
     def from_factors(
@@ -122,7 +127,7 @@ class Whitener:
             own = np.array([np.arange(*bounds[k]) for k in legs.tolist()])
             stacked = np.stack([np.stack(list(factors[k])) for k in legs.tolist()], axis=1)
             alike.append(Alike.of(legs, own, stacked))
-        return cls(bounds, tuple(alike))
+        return cls(bounds, tuple(alike), np.arange(len(bounds)))
 
     @property
     def factors(self) -> tuple[tuple[Array, ...], ...]:
@@ -133,6 +138,27 @@ class Whitener:
     def inverses(self) -> tuple[tuple[Array, ...], ...]:
         """Their inverses, 1/m."""
         return self._by_leg(lambda alike: alike.inverse)
+
+    @cached_property
+    def once(self) -> Whitener:
+        """For every line once, with the weight of all legs over it; see ``repeated``."""
+        lines, line = np.unique(self.first, return_inverse=True)
+        if len(lines) == len(self.bounds):
+            return self
+        weight: dict[int, Array] = {}
+        for alike in self.alike:
+            of_leg = np.swapaxes(alike.inverse, 0, 1)
+            for k, own in zip(line[alike.legs].tolist(), of_leg, strict=True):
+                weight[k] = weight.get(k, 0.0) + np.swapaxes(own, 1, 2) @ own
+        size = np.array([high - low for low, high in self.bounds])[lines]
+        end = np.cumsum(size)
+        found = []
+        for legs in _alike(size):
+            pieces = (end - size)[legs, None] + np.arange(size[legs[0]])
+            stacked = np.stack([weight[k] for k in legs.tolist()], axis=1)
+            found.append(Alike(legs, pieces, _root(stacked)))
+        bounds = list(zip((end - size).tolist(), end.tolist(), strict=True))
+        return Whitener(bounds, tuple(found), np.arange(len(lines)))
 
     def _by_leg(self, stack: Callable[[Alike], Array]) -> tuple[tuple[Array, ...], ...]:
         found: dict[int, tuple[Array, ...]] = {}
@@ -180,6 +206,11 @@ class Whitener:
         """Multiply values (c, p, ...) by the inverse covariance of the noise."""
         return self.whiten_transposed(self.whiten(values))
 
+    def covaried(self, values: Array) -> Array:
+        """Multiply values (c, p, ...) by the covariance of the noise."""
+        turned = self._applied(lambda alike: np.swapaxes(alike.factor, -1, -2), values)
+        return self.unwhiten(turned)
+
 
 def _alike(size: Index) -> Iterator[Index]:
     """Legs of one size at a time, by the sizes (n,) of all; no more than fit into ``MEMORY``."""
@@ -204,3 +235,40 @@ def _two_passes(pieces: Pieces, own: Index, covariance: Array) -> InputError:
         f'leg {leg} of the path: its samples belong to two passes; '
         f'path and track do not agree there'
     )
+
+
+def _first_passes(pieces: Pieces, q: Array, bounds: Sequence[tuple[int, int]]) -> Index:
+    """Find the legs that repeat others: the same pieces, travel, and side of play.
+
+    Parameters
+    ----------
+    pieces : Pieces
+    q : ndarray, shape (p, 3), m
+        Nominal positions.
+    bounds : sequence of (int, int)
+        First piece and one past the last of every leg.
+
+    Returns
+    -------
+    ndarray of int64, shape (legs,)
+        First leg over the same pieces, by its place in ``bounds``.
+    """
+    lines = np.hstack([pieces.origin, pieces.direction, pieces.side]).round(6)
+    known: dict[tuple[float, ...], list[int]] = {}
+    first = np.arange(len(bounds))
+    for leg, (low, high) in enumerate(bounds):
+        others = known.setdefault((high - low, *lines[low].tolist()), [])
+        for other in others:
+            start = bounds[other][0]
+            if np.abs(q[start : start + high - low] - q[low:high]).max() < SAME_PLACE:
+                first[leg] = other
+                break
+        else:
+            others.append(leg)
+    return first
+
+
+def _root(weight: Array) -> Array:
+    """Lower triangular T of T^T T for positive definite matrices (..., m, m)."""
+    turned = np.linalg.cholesky(weight[..., ::-1, ::-1])
+    return np.ascontiguousarray(np.swapaxes(turned, -1, -2)[..., ::-1, ::-1])

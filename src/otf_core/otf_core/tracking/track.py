@@ -89,6 +89,12 @@ class Track:
         return Track(self.hops, self.points, start, stop, joined)
 
 
+def broken(samples: Samples) -> NDArray[np.bool_]:
+    """True where the stream pauses between a sample and the next one, shape (n - 1,)."""
+    pause = max(1e9 * GAP_TIME, 5.0 * samples.step_ns)
+    return np.asarray(np.diff(samples.stamp_ns) > pause)
+
+
 def _hop_selection(points: Array) -> NDArray[np.int64]:
     """Keep a point whenever it is one hop away from the last one kept."""
     kept = [0]

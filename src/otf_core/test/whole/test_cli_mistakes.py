@@ -109,7 +109,7 @@ def test_monsters_in_a_noise_file(place, capsys, content):
     ('arguments', 'words'),
     [
         (('calibrat', 'bag'), "otf: 'calibrat' is no VERB; did you mean calibrate? Possible: "),
-        (('xyz',), "otf: 'xyz' is no VERB Possible: calibrate, "),
+        (('xyz',), "otf: 'xyz' is no VERB Possible: check, info, "),
         (
             ('calibrate', 'bag', '--machine', 'm', '--out', 'o', '--piece-lenght', '1'),
             'otf calibrate: unknown option --piece-lenght; did you mean --piece-length? '

@@ -12,9 +12,6 @@ from otf_core.files.writing import whole_file
 COLOURS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9')
 """Told apart by colour-blind readers too (Okabe and Ito 2008)."""
 
-BEFORE, AFTER, NOISE = '#d55e00', '#0072b2', '#808080'
-"""Residual without and with the causes, and noise; seen on light and on dark ground."""
-
 
 def new_figure(width: float, height: float) -> Any:
     """Return an empty matplotlib figure, inches, without any display behind it.
@@ -40,12 +37,3 @@ def save_figure(figure: Any, folder: str | Path, name: str) -> Path:
     with matplotlib.rc_context(settings), whole_file(path) as partial:
         figure.savefig(partial, format='svg', metadata={'Date': None})
     return path
-
-
-def quiet(axes: Any, grid: bool = True) -> None:
-    """Leave out the box; a faint grid instead."""
-    axes.spines[['top', 'right']].set_visible(False)
-    axes.tick_params(labelsize=9)
-    if grid:
-        axes.grid(color=NOISE, alpha=0.25, lw=0.6)
-        axes.set_axisbelow(True)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shows the page of the live view to whoever sits at this computer."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import time
+import webbrowser
+
+from otf_bringup.processes import NodeProcess
+
+PATIENCE = 30.0
+"""s until the page has to be there."""
+TO_READ = 1.0
+"""s; so long the end of a run is shown before the nodes end."""
+
+
+def open_page(page: NodeProcess) -> str:
+    """Wait for the page, open it in a browser if there is a screen, and return its address.
+
+    Parameters
+    ----------
+    page : NodeProcess
+        The node that serves it.
+
+    Returns
+    -------
+    str
+        Empty if the node has ended or says nothing.
+    """
+    deadline = time.monotonic() + PATIENCE
+    while page.exit_code is None and time.monotonic() < deadline:
+        found = re.search(r'live view at (http://\S+)', page.last_lines())
+        if found:
+            if _has_screen():
+                webbrowser.open(found[1])
+            return found[1]
+        time.sleep(0.1)
+    return ''
+
+
+def _has_screen() -> bool:
+    """Whether a browser would have a window of its own: a text browser takes the terminal."""
+    named = any(os.environ.get(name) for name in ('DISPLAY', 'WAYLAND_DISPLAY'))
+    return named or sys.platform == 'darwin'

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What arrives: judged, written to the journal, collected; and taken up again after a crash."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_calibrator.collector import Collector
+from otf_calibrator.job import Request
+from otf_calibrator.losses import SequenceWatch
+from otf_core.bags.cdr import DecodedPoints, decode_path
+from otf_core.bags.journal import Journal
+from otf_core.bags.screening import judged
+from otf_core.bags.topics import PATH, POINT, STATUS
+from otf_core.errors import InputError
+from otf_core.model.path import NominalPath
+
+TAKEN_UP = 600.0
+"""s; a run that was written longer ago is not the running measurement."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """What a driver says of its stream."""
+
+    name: str
+    published: int
+    streaming: bool
+    finished: bool
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Samples that arrived together.
+
+    Attributes
+    ----------
+    points : mapping of frame to (stamps, points)
+        ndarray of int64, shape (n,), ns, and ndarray, shape (n, 3), m.
+    sequence : list of int or None
+        Numbers that the publisher gave them, where the transport tells.
+    """
+
+    points: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
+    sequence: list[int | None]
+
+
+class Intake:
+    """Between the topics and the collector.
+
+    Parameters
+    ----------
+    collector : Collector
+    warn : callable
+        Takes messages for the user.
+    """
+
+    def __init__(self, collector: Collector, warn: Callable[[str], None]) -> None:
+        self._collector, self._warn = collector, warn
+        self.journal: Journal | None = None
+        self._sequence = SequenceWatch()
+        self._segment: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
+        self._first = self._at = 0
+
+    def path(self, path: NominalPath, message: bytes) -> bool:
+        """Take a path and its message; False if it is the present one."""
+        new = self._collector.set_path(path)
+        if new and self.journal:
+            self.journal.message(PATH, message)
+        return new
+
+    def status(self, status: Status, message: bytes) -> None:
+        """Take a status of the driver."""
+        now = time.monotonic()
+        self._collector.announce(
+            status.name, status.published, status.streaming, status.finished, now
+        )
+        if self.journal:
+            self.journal.message(STATUS, message)
+
+    def samples(self, batch: Batch) -> None:
+        """Take samples; those of other frames are only counted."""
+        collector = self._collector
+        if collector.publishers == 1:
+            collector.missed += self._sequence.missed(batch.sequence)
+        for frame, (stamp_ns, xyz) in batch.points.items():
+            if frame == POINT.frame:
+                self._take(stamp_ns, xyz)
+            elif not collector.taken:
+                collector.screening.foreign(Counter({frame: len(stamp_ns)}))
+                if self.journal:
+                    self.journal.points(stamp_ns, xyz, frame)
+
+    def set_aside(self, why: str) -> None:
+        """End the run in the journal; the collector calls this before its samples are gone."""
+        collector = self._collector
+        if self._segment:
+            self._write(self._at)
+        state = 'complete' if collector.taken else f'set aside: {why}'
+        folder = self.journal.end(state) if self.journal else None
+        if not collector.taken:
+            place = f'; they are in {folder}' if folder else ''
+            self._warn(f'{len(collector.buffer)} samples set aside, {why}{place}')
+
+    def settle(self, request: Request, results: Path | None) -> None:
+        """Say in the journal that a run was calibrated; one that goes on stays as it is."""
+        if self.journal and request.journal and request.final:
+            self.journal.settle(request.journal, f'calibrated: {results or "no files"}')
+
+    def kept(self) -> str:
+        """Say where the samples of the present run are."""
+        folder = self.journal.folder if self.journal else None
+        return f'; the samples are in {folder}' if folder else ''
+
+    def troubles(self) -> list[str]:
+        """What the user should know of the samples and the journal at present."""
+        said = [self.journal.trouble] if self.journal and self.journal.trouble else []
+        collector = self._collector
+        if collector.missed:
+            said.append(f'{collector.missed} samples were lost on the way')
+        return [*said, *collector.remarks, *collector.screening.remarks()]
+
+    def close(self) -> None:
+        """Write what has come to the journal."""
+        if self.journal:
+            self.journal.close()
+
+    def take_up(self, status: Callable[[bytes], Status]) -> str:
+        """Go on with the run of a calibrator that ended without finishing it; say what was found.
+
+        Parameters
+        ----------
+        status : callable
+            Reads a message of the driver's status.
+        """
+        if self.journal is None:
+            return ''
+        try:
+            recorded, left = self.journal.take_up(TAKEN_UP)
+        except InputError as error:
+            return f'an unfinished run cannot be taken up: {error}'
+        said = [f'{p}: a run without a result; otf calibrate reads it' for p in left]
+        if recorded:
+            journal, self.journal = self.journal, None  # all of it is there already
+            for topic, content in recorded.arrived:
+                if isinstance(content, DecodedPoints):
+                    if content.foreign:
+                        self._collector.screening.foreign(content.foreign)
+                    self._take(content.stamp_ns, content.xyz)
+                elif topic == PATH:
+                    self._collector.set_path(NominalPath(decode_path(content, PATH.frame)))
+                    journal.message(PATH, content)
+                else:
+                    self.status(status(content), content)
+            self.journal = journal
+            count = len(self._collector.buffer)
+            said.append(f'{recorded.run.folder}: goes on with {count} samples of it')
+        return '; '.join(said)
+
+    def _take(self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> None:
+        collector, now = self._collector, time.monotonic()
+        self._segment, self._first = (stamp_ns, xyz), 0
+        wrong = judged(xyz).tolist()
+        rows = zip(stamp_ns.tolist(), xyz.tolist(), wrong, strict=True)
+        for self._at, (stamp, (x, y, z), bad) in enumerate(rows):
+            if not bad:
+                collector.add(stamp, x, y, z, now)
+        self._write(len(stamp_ns))
+        self._segment = None
+
+    def _write(self, stop: int) -> None:
+        """Count and journal the samples of the present run up to ``stop``."""
+        assert self._segment is not None, 'samples are being taken'
+        stamp_ns, xyz = (column[self._first : stop] for column in self._segment)
+        self._first = stop
+        if self._collector.taken or not stop:
+            return
+        self._collector.screening.good(stamp_ns, xyz)
+        if self.journal and len(stamp_ns):
+            self.journal.points(stamp_ns, xyz, POINT.frame)
+
+
+def journal_place(directory: str, output: str, namespace: str) -> Path | None:
+    """Where the journal is kept by the parameters; None if there is to be none."""
+    if directory == 'none':
+        return None
+    given = Path(directory).expanduser().absolute() if directory else None
+    base = Path(output).expanduser().absolute() / 'journal'
+    return given or base.joinpath(*namespace.strip('/').split('/'))

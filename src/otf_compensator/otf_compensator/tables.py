@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Error tables in use: positions in, corrections out; no ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from otf_core.errors import ConfigError
+from otf_core.prediction.predict import check_points
+from otf_core.prediction.predictor import Predictor
+
+Vector: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """What tables say of one position; fields as of otf_msgs/msg/Compensation."""
+
+    wanted: Vector
+    error: Vector
+    uncertainty: Vector
+    corrected: Vector
+    inside: bool
+
+
+class Tables:
+    """Error tables that are asked again and again.
+
+    Parameters
+    ----------
+    file : str
+        error_tables.json.
+
+    Raises
+    ------
+    ConfigError
+        If none is given, or it cannot be read.
+    """
+
+    def __init__(self, file: str) -> None:
+        if not file:
+            raise ConfigError(
+                'parameter tables_file: missing; give the path of an error_tables.json'
+            )
+        self._predictor = Predictor.of(file)
+        machine = self._predictor.tables.machine
+        self.words = f'error tables of {machine.name} from {file}; u holds {self._predictor.holds}'
+
+    def notes(self, wanted: Sequence[Vector]) -> list[str]:
+        """Say which positions lie outside the axis ranges.
+
+        Raises
+        ------
+        ConfigError
+            If one is that of no such machine: not finite, or in mm.
+        """
+        q = np.array(wanted, dtype=float).reshape(-1, 3)
+        if not np.all(np.isfinite(q)):
+            raise ConfigError('wanted: a position is not finite')
+        return check_points(self._predictor.tables, q, 'wanted')
+
+    def ask(self, wanted: Sequence[Vector]) -> Iterator[Corrected]:
+        """Evaluate at positions, m."""
+        q = np.array(wanted, dtype=float).reshape(-1, 3)
+        found, corrected = self._predictor.at(q), self._predictor.corrected(q)
+        columns = (q.tolist(), found.error.tolist(), found.u.tolist(), corrected.tolist())
+        for (w, e, u, c), within in zip(
+            zip(*columns, strict=True), found.inside.tolist(), strict=True
+        ):
+            yield Corrected(tuple(w), tuple(e), tuple(u), tuple(c), within)

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points and paths of one bag as they were recorded, as far as it holds them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.bags.bag_source import locate
+from otf_core.bags.cdr import FORMS, POINT_FORM, decode_path, decode_points, form_of
+from otf_core.bags.column import Column
+from otf_core.bags.mcap_messages import MessageBlock
+from otf_core.bags.sample_order import usable_path
+from otf_core.bags.topics import PATH, POINT, Topic
+from otf_core.errors import InputError
+from otf_core.model.path import NominalPath
+
+
+@dataclass(frozen=True)
+class Received:
+    """Points as they were received.
+
+    Attributes
+    ----------
+    stamp_ns : ndarray of int64, shape (n,), ns
+        As stamped by the tracker.
+    xyz : ndarray, shape (n, 3), m
+    log_time : ndarray of int64, shape (n,), ns
+        When they were recorded; ascending.
+    """
+
+    stamp_ns: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    log_time: NDArray[np.int64]
+
+
+class Reading(Protocol):
+    """Points and paths of a recording as they were received, a bag or not."""
+
+    point: Topic
+    path: Topic | None
+    paths: list[NDArray[np.float64]]
+    foreign: Counter[str]
+
+    def received(self) -> Received:
+        """Return the points in the order of reception; they need not be kept."""
+
+
+class BagReading:
+    """Raw points and paths of one bag, as far as it holds them.
+
+    Parameters
+    ----------
+    source : str or Path
+    point : Topic
+    path : Topic, optional
+    recover : bool
+        See ``read_bag``.
+
+    Attributes
+    ----------
+    topics : dict of topic to message type
+        All that are in the bag.
+    paths : list of ndarray, shape (n, 3), m
+        Different ones.
+    remarks : list of str
+        What was left out.
+    foreign : Counter of str
+        Points left out for their frame, by frame_id.
+    said : list of str
+        How it was read, where that is not as usual.
+    """
+
+    def __init__(
+        self,
+        source: str | Path,
+        point: Topic = POINT,
+        path: Topic | None = PATH,
+        *,
+        recover: bool = False,
+    ) -> None:
+        self._where, self.point, self.path = str(source), point, path
+        self._stamp_ns = Column(np.empty(0, np.int64))
+        self._xyz = Column(np.empty((0, 3)))
+        self._log_time = Column(np.empty(0, np.int64))
+        self._last_path: bytes | None = None
+        self._points = 0
+        self._frame, self._form = point.frame, POINT_FORM
+        self.topics: dict[str, str] = {}
+        self.paths: list[NDArray[np.float64]] = []
+        self.remarks: list[str] = []
+        self.said: list[str] = []
+        self.foreign: Counter[str] = Counter()
+        types: dict[str, tuple[str, ...]] = {point.name: tuple(FORMS)}
+        types |= {} if path is None else {path.name: (path.type,)}
+        messages = locate(source).messages(types, self.topics, self.remarks, recover=recover)
+        for block in messages:
+            try:
+                self._add(block)
+            except InputError as error:
+                raise InputError(f'{self._where}: {block.topic}: {error}') from None
+
+    def require(self, *wanted: Topic) -> None:
+        """Refuse a bag without these topics; InputError names those that it has."""
+        for topic in wanted:
+            if topic.name not in self.topics:
+                listed = ', '.join(f'{n} ({t})' for n, t in sorted(self.topics.items())) or 'none'
+                option = '--topic' if topic is self.point else '--path-topic'
+                advice = f'record it, remap to that name, or name another one ({option})'
+                raise InputError(
+                    f'{self._where}: topic {topic.name} is missing; topics in the bag: {listed}; '
+                    + ('; '.join(self.remarks) or advice)
+                )
+
+    def _add(self, block: MessageBlock) -> None:
+        if block.topic == self.point.name:
+            self._add_points(block)
+            return
+        assert self.path is not None
+        for start, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
+            data = bytes(block.buffer[start : start + size])
+            if data == self._last_path:
+                continue
+            self._last_path = data
+            self.paths = different([*self.paths, decode_path(data, self.path.frame)])
+
+    def _add_points(self, block: MessageBlock) -> None:
+        if not self._points and block.start.size:
+            first = slice(block.start[0], block.start[0] + block.size[0])
+            kind = self.topics[self.point.name]
+            if kind != self.point.type or not self.point.frame:
+                self._form, frame = form_of(kind, bytes(block.buffer[first]))
+                self._frame = self.point.frame or frame
+                self.said.append(f'{self.point.name}: {kind} in frame {self._frame!r}')
+        points = decode_points(
+            block.buffer, block.start, block.size, self._frame, self._points, self._form
+        )
+        self._stamp_ns.add(points.stamp_ns)
+        self._xyz.add(points.xyz)
+        kept = slice(None) if points.kept is None else points.kept
+        self._log_time.add(block.log_time[kept])
+        self.foreign.update(points.foreign)
+        self._points += block.start.size
+
+    def received(self) -> Received:
+        """Return the points in the order of reception; they are not kept."""
+        log_time = self._log_time.joined()
+        as_received = bool(np.all(log_time[1:] >= log_time[:-1]))
+        stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
+        if as_received:
+            return Received(stamp_ns, xyz, log_time)
+        order = np.argsort(log_time, kind='stable')
+        return Received(stamp_ns[order], xyz[order], log_time[order])
+
+
+def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:
+    """Return the path, if it is always the same."""
+    where = f'{where}: {parts[0].path.name if parts[0].path else PATH.name}'
+    paths = different([corners for part in parts for corners in part.paths])
+    if not paths:
+        raise InputError(f'{where}: no path was published while it was recorded')
+    if len(paths) > 1:
+        raise InputError(
+            f'{where}: {len(paths)} different paths were published; record each run in its own bag'
+        )
+    return usable_path(where, paths[0])
+
+
+def different(paths: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+    """Leave out what repeats."""
+    found: list[NDArray[np.float64]] = []
+    for path in paths:
+        if not any(np.array_equal(path, known, equal_nan=True) for known in found):
+            found.append(path)
+    return found

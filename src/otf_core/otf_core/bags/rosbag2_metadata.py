@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""metadata.yaml of a rosbag2 folder, version 9, and what channels say of their publishers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from otf_core.bags.topics import Topic
+
+CREATOR = 'otf_core'
+FOREVER = {'sec': 9223372036, 'nsec': 854775807}
+
+
+@dataclass(frozen=True)
+class Part:
+    """One storage file of a bag: first and last log time in ns, messages of every topic."""
+
+    name: str
+    start: int
+    end: int
+    counts: Mapping[Topic, int]
+
+    def span(self) -> dict[str, Any]:
+        """Return duration, start and number of messages."""
+        return {
+            'duration': {'nanoseconds': self.end - self.start},
+            'starting_time': {'nanoseconds_since_epoch': self.start},
+            'message_count': sum(self.counts.values()),
+        }
+
+
+def _qos(topic: Topic) -> dict[str, Any]:
+    return {
+        'history': 'keep_last',
+        'depth': topic.depth,
+        'reliability': 'reliable',
+        'durability': topic.durability,
+        'deadline': dict(FOREVER),
+        'lifespan': dict(FOREVER),
+        'liveliness': 'automatic',
+        'liveliness_lease_duration': dict(FOREVER),
+        'avoid_ros_namespace_conventions': False,
+    }
+
+
+def channel_metadata(topic: Topic) -> dict[str, str]:
+    """Return what the channel of a topic says of its publisher, so that play latches it."""
+    return {'offered_qos_profiles': yaml.safe_dump([_qos(topic)], sort_keys=False)}
+
+
+def bag_metadata(
+    parts: Sequence[Part], hashes: Mapping[Topic, str], custom: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """Return what metadata.yaml says under ``rosbag2_bagfile_information``.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        In the order of recording; one at least.
+    hashes : mapping of Topic to str
+        Type description hashes of all topics, in the order in which they are listed.
+    custom : mapping of str to str, optional
+        Anything else.
+    """
+    counts: Counter[Topic] = Counter()
+    for part in parts:
+        counts.update(part.counts)
+    start, end = min(p.start for p in parts), max(p.end for p in parts)
+    return {
+        'version': 9,
+        'storage_identifier': 'mcap',
+        **Part('', start, end, counts).span(),
+        'topics_with_message_count': [
+            {
+                'topic_metadata': {
+                    'name': topic.name,
+                    'type': topic.type,
+                    'serialization_format': 'cdr',
+                    'offered_qos_profiles': [_qos(topic)],
+                    'type_description_hash': hashed,
+                },
+                'message_count': counts[topic],
+            }
+            for topic, hashed in hashes.items()
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [part.name for part in parts],
+        'files': [{'path': part.name, **part.span()} for part in parts],
+        'custom_data': dict(custom) if custom else None,
+        'ros_distro': CREATOR,
+    }
+
+
+def metadata_text(metadata: Mapping[str, Any]) -> str:
+    """Return the text of metadata.yaml."""
+    return yaml.safe_dump({'rosbag2_bagfile_information': metadata}, sort_keys=False)

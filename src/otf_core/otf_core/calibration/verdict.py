@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verdict of a calibration by the limits of machine.yaml, with a guard band (ISO 14253-1).
+
+A value y with expanded uncertainty U (95 %) keeps a limit if y + U is at most the limit, breaks
+it if y - U is above; in between lies the zone in which neither is proven. Only kept limits pass.
+``uncertainty`` is itself an expanded uncertainty and is compared as it stands.
+
+References
+----------
+ISO 14253-1:2017, rules for verifying conformity: acceptance zone = limit less guard band; the
+guard band is U here, the careful choice for two-sided 95 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.budget.budget import Budget
+from otf_core.model.limits import KEYS, UNCERTAINTY, VOLUMETRIC
+from otf_core.model.motions import SQUARENESS
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.volumetric import VolumetricError, table_places
+
+Array = NDArray[np.float64]
+
+PASS, FAIL, OPEN, UNKNOWN = 'pass', 'fail', 'not proven', 'not known'
+WHAT = {
+    VOLUMETRIC: 'volumetric error, at the point that decides',
+    UNCERTAINTY: 'expanded uncertainty of the volumetric error, largest',
+}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One limit.
+
+    Attributes
+    ----------
+    name : str
+        Key of ``limits``.
+    unit : str
+    limit, value : float
+    U : float
+        Expanded uncertainty of the value, 95 %; zero for ``uncertainty``.
+    state : str
+        ``PASS``, ``FAIL``, ``OPEN`` within the guard band, ``UNKNOWN`` without a value.
+    """
+
+    name: str
+    unit: str
+    limit: float
+    value: float
+    U: float
+    state: str
+
+    @property
+    def words(self) -> str:
+        """One line."""
+        unit = 'um' if self.unit == 'm' else 'urad'
+        limit = f'limit {1e6 * self.limit:.2f} {unit}: {self.state}'
+        what = WHAT.get(self.name, self.name)
+        if self.state == UNKNOWN:
+            return f'{what}: the data do not show it, {limit}'
+        u = f' +/- {1e6 * self.U:.2f}' if self.U else ''
+        return f'{what} {1e6 * self.value:.2f}{u} {unit}, {limit}'
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """All limits of a machine.
+
+    Attributes
+    ----------
+    judged : tuple of Judged
+    """
+
+    judged: tuple[Judged, ...]
+
+    @property
+    def passed(self) -> bool:
+        """True if every limit is proven to be kept."""
+        return all(one.state == PASS for one in self.judged)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Why it does not pass, a line a limit."""
+        return tuple(f'limits: {one.words}' for one in self.judged if one.state != PASS)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict."""
+        count = len(self.judged)
+        if self.passed:
+            return f'verdict: pass, {count} of {count} limits kept with the guard band U (95 %)'
+        states = [one.state for one in self.judged]
+        parts = [f'{states.count(s)} {s}' for s in (FAIL, OPEN, UNKNOWN, PASS) if s in states]
+        return f'verdict: fail, of {count} limits {", ".join(parts)} (guard band U, 95 %)'
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the verdict as plain data, SI."""
+        return {
+            'passed': self.passed,
+            'rule': 'pass: value + U <= limit; fail: value - U > limit (ISO 14253-1)',
+            'limits': [asdict(one) for one in self.judged],
+        }
+
+
+def _with_guard(value: float, wide: float, limit: float) -> str:
+    if value + wide <= limit:
+        return PASS
+    return FAIL if value - wide > limit else OPEN
+
+
+def judge(
+    tables: ErrorTables, covariance: Array, budget: Budget, hidden: Collection[str]
+) -> Verdict | None:
+    """Compare a calibration with the limits of its machine.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+    covariance : ndarray, shape (m, m), m and rad
+    budget : Budget
+        Of the same nodes: coverage factors.
+    hidden : collection of str
+        Motions and squareness errors that the data cannot see.
+
+    Returns
+    -------
+    Verdict or None
+        None without limits.
+    """
+    limits = tables.machine.limits
+    if limits is None:
+        return None
+    volume = VolumetricError(tables, covariance)
+    judged = []
+    for name, limit in limits.values.items():
+        unit = KEYS[name][0]
+        if name in hidden:
+            judged.append(Judged(name, unit, limit, 0.0, 0.0, UNKNOWN))
+            continue
+        if name == VOLUMETRIC:
+            value, wide = _largest(volume, budget, limit)
+        elif name == UNCERTAINTY:
+            value, wide = _uncertainty(volume, budget), 0.0
+        else:
+            value, wide = _span(name, tables, budget)
+        judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
+    return Verdict(tuple(judged))
+
+
+def _expanded(budget: Budget, rows: Array) -> Array:
+    """Expanded uncertainty of linear combinations (n, m), each with the smallest k of all."""
+    variances = budget.variances(rows)
+    return np.asarray(budget.expansion(variances)[0] * np.sqrt(variances.sum(axis=0)))
+
+
+def _largest(volume: VolumetricError, budget: Budget, limit: float) -> tuple[float, float]:
+    """Length and U of the vector that decides: proven to be too long, else longest with U."""
+    wide = _expanded(budget, volume.length_rows)
+    sure = volume.length - wide
+    at = int(np.argmax(sure if sure.max() > limit else volume.length + wide))
+    return float(volume.length[at]), float(wide[at])
+
+
+def _uncertainty(volume: VolumetricError, budget: Budget) -> float:
+    k, _ = budget.expansion(budget.variances(volume.rows))
+    return k * float(volume.u_size.max())
+
+
+def _span(name: str, tables: ErrorTables, budget: Budget) -> tuple[float, float]:
+    """Size of a squareness error, or largest less smallest value of a motion, and its U."""
+    place = table_places(tables)[name]
+    row = np.zeros((1, len(budget.rows)))
+    if name in SQUARENESS:
+        row[0, place] = 1.0
+        return abs(tables.squareness[name].value), float(_expanded(budget, row)[0])
+    value = tables.motions[name].value
+    high, low = int(value.argmax()), int(value.argmin())
+    row[0, place.start + high] += 1.0
+    row[0, place.start + low] -= 1.0
+    return float(value[high] - value[low]), float(_expanded(budget, row)[0])

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Error tables for controls and other programs: one file per format, one line here each.
+
+Light: the command line loads it for the names. A format says what sign its values have, what it
+cannot hold, and which error a control that reads the file takes off.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from otf_core.exports.base import Format
+
+HOMES = {
+    'linuxcnc': 'linuxcnc',
+    'sinumerik-enc': 'sinumerik_enc',
+    'sinumerik-cec': 'sinumerik_cec',
+    'isg': 'isg',
+    'heidenhain': 'heidenhain',
+    'lattice-csv': 'lattice_csv',
+    'lattice-npz': 'lattice_npz',
+}
+"""Formats by name, and the modules they live in."""
+
+
+def export_format(name: str) -> Format:
+    """Return the format of a name in ``HOMES``."""
+    made: Format = import_module(f'otf_core.exports.{HOMES[name]}').FORMAT
+    return made
+
+
+__all__ = ['HOMES', 'export_format']

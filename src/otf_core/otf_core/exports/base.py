@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an export is: the bytes of its files, and the error that its values hold."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import ConfigError
+from otf_core.model.tables import TablesFile
+
+Array = NDArray[np.float64]
+Field = Callable[[Array], Array]
+"""Errors (n, 3), m, at positions (n, 3), m."""
+
+MARK = 'otf export'
+"""Stands in every file: what does not hold it is somebody else's and never overwritten."""
+NEAR = 4000
+"""Bytes at either end of a file in which the mark stands."""
+ERROR, CORRECTION = 'error', 'correction'
+SIGNS = (ERROR, CORRECTION)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be exported.
+
+    Attributes
+    ----------
+    content : TablesFile
+    name : str
+        Name of the file to write, without folder.
+    sign : str, optional
+        'error' or 'correction': what the control takes the values for, where its manual leaves
+        that open.
+    points : int, optional
+        Points per axis, where a format resamples the tables.
+    """
+
+    content: TablesFile
+    name: str
+    sign: str | None = None
+    points: int | None = None
+
+    @property
+    def factor(self) -> float:
+        """1 where values are errors, -1 where they are corrections."""
+        return -1.0 if self.sign == CORRECTION else 1.0
+
+    def header(self, fmt: Format) -> list[str]:
+        """Lines that say what the file is: machine, run, sign, what it does not hold."""
+        machine = self.content.tables.machine
+        run = self.content.extra.get('run_id', 'unknown')
+        return [
+            f'{MARK} {fmt.name}: machine {machine.name}, chain {machine.chain}, run {run}',
+            f'sign: {fmt.sign_words(self)}',
+            f'not in this file: {fmt.lacks}',
+        ]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """Files of an export.
+
+    Attributes
+    ----------
+    files : mapping of file name to bytes
+        The one that ``--out`` names first.
+    held : callable
+        Error that a control takes off which reads these files, values rounded as written.
+    remarks : tuple of str
+        What the user has to know or do.
+    """
+
+    files: Mapping[str, bytes]
+    held: Field
+    remarks: tuple[str, ...] = ()
+
+
+class Format(ABC):
+    """How one control or program takes error tables.
+
+    Attributes
+    ----------
+    name : str
+        As given on the command line.
+    lacks : str
+        What of the tables the format cannot hold, in words.
+    sign_is_asked : bool
+        True where the manual does not say whether values are errors or corrections.
+    """
+
+    name: str
+    lacks: str
+    sign_is_asked: bool = False
+
+    @abstractmethod
+    def sign_words(self, request: Request) -> str:
+        """Say what the values are, as a sentence."""
+
+    @abstractmethod
+    def export(self, request: Request) -> Exported:
+        """Make the files; ConfigError if the format cannot hold these tables."""
+
+    def check(self, request: Request) -> None:
+        """Refuse a missing or a needless sign.
+
+        Raises
+        ------
+        ConfigError
+            Says what to give.
+        """
+        if self.sign_is_asked and request.sign is None:
+            raise ConfigError(
+                f'--sign: {self.name} needs it: its manual leaves open whether the control takes '
+                f'values as {ERROR} (actual minus nominal) or as {CORRECTION} (what is added to '
+                f'the command); try it with one table of 0.1 mm on your machine, then give '
+                f'--sign {ERROR} or --sign {CORRECTION}'
+            )
+        if not self.sign_is_asked and request.sign is not None:
+            raise ConfigError(f'--sign: the sign of {self.name} is fixed; leave it out')
+
+
+def asked_sign_words(request: Request) -> str:
+    """Say the sign that the user has named."""
+    if request.sign == CORRECTION:
+        return 'values are corrections (nominal minus actual), as named by --sign correction'
+    return 'values are errors (actual minus nominal), as named by --sign error'
+
+
+def is_export(path: Path) -> bool:
+    """Tell whether a file was written by an export."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return False
+    mark = MARK.encode()
+    return mark in content[:NEAR] or mark in content[-NEAR:]

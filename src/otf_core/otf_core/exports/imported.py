@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Error tables from volumetric errors on a lattice: least squares over all 21 functions.
+
+Nodes stand at the planes of the lattice. The rigid-body model is linear in the node values, so
+e = A p; of all p that fit alike (what is squareness, what a slope) the shortest is taken, angles
+in units of the longest travel. What the model cannot follow stays over and is reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import ConfigError
+from otf_core.exports.lattice import Lattice
+from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import ErrorTables, MotionTable, Squareness
+from otf_core.prediction.uncertainty import prediction_rows
+
+Array = NDArray[np.float64]
+
+SMALLEST = 1e-10
+"""Relative size of singular values below which a combination is not determined."""
+EDGE = 1e-3
+"""m; a lattice further outside the axes is not of this machine."""
+
+
+@dataclass(frozen=True)
+class ImportedTables:
+    """Tables and what they leave of the lattice.
+
+    Attributes
+    ----------
+    tables : ErrorTables
+        Without uncertainties.
+    size_rms, left_rms : float
+        m; of the errors on the lattice, and of what the tables do not follow.
+    """
+
+    tables: ErrorTables
+    size_rms: float
+    left_rms: float
+
+
+def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
+    """Fit error tables to a lattice.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    machine : Machine
+        Its chain and target offset say how rotations act.
+
+    Raises
+    ------
+    ConfigError
+        If the lattice reaches beyond the axes of the machine.
+    """
+    q = lattice.points
+    beyond = float(np.maximum(machine.lower - q, q - machine.upper).max())
+    if beyond > EDGE:
+        raise ConfigError(
+            f'lattice: reaches {1e3 * beyond:.4g} mm beyond the axes of {machine.name}; '
+            f'positions are in m'
+        )
+    nodes: dict[str, Array] = {m: lattice.axes[m.place] for m in MOTIONS}
+    matrix = prediction_rows(machine, nodes, q).reshape(3 * len(q), -1)
+    reach = float(np.max(machine.upper - machine.lower))
+    scale = np.concatenate(
+        [[1.0 / reach] * len(SQUARENESS)]
+        + [np.full(len(nodes[m]), 1.0 if m.is_translation else 1.0 / reach) for m in MOTIONS]
+    )
+    scaled, wanted = matrix * scale, lattice.error.reshape(-1)
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    seen = values > SMALLEST * values[-1]
+    basis = vectors[:, seen]
+    solved = scale * (basis @ ((basis.T @ (scaled.T @ wanted)) / values[seen]))
+    left = wanted - matrix @ solved
+    return ImportedTables(_tables(machine, nodes, solved), float(_rms(wanted)), float(_rms(left)))
+
+
+def _rms(values: Array) -> Array:
+    """Root mean square of vectors of three."""
+    return np.asarray(np.sqrt(np.mean(np.sum(values.reshape(-1, 3) ** 2, axis=1))))
+
+
+def _tables(machine: Machine, nodes: dict[str, Array], values: Array) -> ErrorTables:
+    square = {k: Squareness(float(v)) for k, v in zip(SQUARENESS, values[:3], strict=True)}
+    motions: dict[str, MotionTable] = {}
+    start = len(SQUARENESS)
+    for motion in MOTIONS:
+        position = nodes[motion]
+        own = values[start : start + len(position)]
+        motions[motion] = MotionTable(position, own, np.zeros(len(position)))
+        start += len(position)
+    return ErrorTables(machine, motions, square)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tables in one variable can hold of the volumetric error: its course along middle lines.
+
+f_ij(q_j) = e_i along the line of axis j through the middle of the volume, zero at the reference
+position of j. In the rigid-body model of first order e_i depends on q_j through f_ij and through
+products with the levers, which are linear in the other positions and vanish on average over the
+volume: f_ij is the least-squares fit to the whole volume of a function of q_j alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.kinematics import displacement
+from otf_core.model.machine import AXES
+from otf_core.model.motions import MOTIONS
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.driven_volume import table_ranges
+
+Array = NDArray[np.float64]
+Pair = tuple[int, int]
+"""Direction of the error, axis that moves."""
+
+ALL_PAIRS = tuple((i, j) for j in range(3) for i in range(3))
+OWN_PAIRS = tuple((i, i) for i in range(3))
+CROSS_PAIRS = tuple(pair for pair in ALL_PAIRS if pair[0] != pair[1])
+
+
+@dataclass(frozen=True)
+class LineTerm:
+    """Error in one direction as a function of one axis.
+
+    Attributes
+    ----------
+    position : ndarray, shape (k,), m
+    value : ndarray, shape (k,), m
+        Actual minus nominal.
+    """
+
+    position: Array
+    value: Array
+
+
+def axis_positions(tables: ErrorTables, axis: int, points: int | None = None) -> Array:
+    """Positions of an axis at which a table says all that the tables say, m.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+    axis : int
+    points : int, optional
+        Spread this many evenly over the range of the tables, instead of taking their nodes.
+    """
+    low, high = (float(v[axis]) for v in table_ranges(tables))
+    if points is not None:
+        return np.linspace(low, high, points).round(12)
+    nodes = np.concatenate(
+        [tables.motions[m].position for m in MOTIONS if m.place == axis] + [[low, high]]
+    )
+    return np.unique(nodes[(nodes >= low) & (nodes <= high)].round(12))
+
+
+def even_points(tables: ErrorTables, axis: int, most: int) -> int:
+    """Points of an even spacing as fine as the nodes of an axis, at most so many."""
+    nodes = axis_positions(tables, axis)
+    if len(nodes) < 2:
+        return 2
+    wide = np.diff(nodes)
+    typical = float(np.median(wide))
+    return min(most, int(np.ceil(np.ptp(nodes) / typical - 1e-6)) + 1)
+
+
+def reference_position(tables: ErrorTables, axis: int) -> float:
+    """Where tables of an axis are zero: its zero position, else its minimum, m."""
+    low, high = (float(v[axis]) for v in table_ranges(tables))
+    return 0.0 if low <= 0.0 <= high else low
+
+
+def middle_line(tables: ErrorTables, axis: int, position: Array) -> Array:
+    """Points (k, 3), m, along the line of an axis through the middle of the volume."""
+    low, high = table_ranges(tables)
+    q = np.tile(0.5 * (low + high), (len(position), 1))
+    q[:, axis] = position
+    return q
+
+
+def line_terms(
+    tables: ErrorTables, pairs: Collection[Pair], positions: Mapping[int, Array]
+) -> dict[Pair, LineTerm]:
+    """Errors along the middle lines.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+    pairs : collection of pair
+        Direction of the error, axis that moves.
+    positions : mapping of axis to ndarray, m
+
+    Returns
+    -------
+    mapping of pair to LineTerm
+    """
+    terms = {}
+    for i, j in pairs:
+        origin = np.array([reference_position(tables, j)])
+        error, zero = (
+            displacement(tables, middle_line(tables, j, p))[:, i] for p in (positions[j], origin)
+        )
+        terms[i, j] = LineTerm(positions[j], error - zero)
+    return terms
+
+
+def held_by(terms: Mapping[Pair, LineTerm], q: Array) -> Array:
+    """Error (n, 3), m, that terms hold at positions (n, 3), m; constant beyond their ends."""
+    total = np.zeros_like(q)
+    for (i, j), term in terms.items():
+        total[:, i] += np.interp(q[:, j], term.position, term.value)
+    return total
+
+
+def pair_name(pair: Pair) -> str:
+    """Say a pair: 'error along Y with X'."""
+    return f'error along {AXES[pair[0]]} with {AXES[pair[1]]}'

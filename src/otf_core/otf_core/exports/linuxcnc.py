@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LinuxCNC: one compensation file per joint, and the piece of the INI file that names them.
+
+Source: LinuxCNC 2.9, ``docs/src/config/ini-config.adoc`` (COMP_FILE, COMP_FILE_TYPE) and
+``src/emc/usr_intf/usrmotintf.cc``: lines "nominal forward reverse" in machine units, strictly
+ascending, at most 256, straight lines between them and constant outside; reading ends at the
+first line that is not three numbers, so words stand below the numbers. Type 0: the columns are
+actual positions in positive and in negative travel; the control adds nominal minus actual.
+"""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+
+from otf_core.exports.base import Exported, Format, Request
+from otf_core.exports.line_terms import (
+    OWN_PAIRS,
+    LineTerm,
+    axis_positions,
+    held_by,
+    line_terms,
+)
+from otf_core.model.machine import AXES
+
+MOST = 256
+"""Lines that the control reads of a file."""
+DECIMALS = 6
+
+
+class LinuxCnc(Format):
+    """LinuxCNC 2.8 and later, trivial kinematics: joints 0, 1, 2 are X, Y, Z."""
+
+    name = 'linuxcnc'
+    lacks = (
+        'straightness, rotations and squareness (a file per joint corrects its own axis only); '
+        'differences between the directions of travel'
+    )
+
+    def sign_words(self, request: Request) -> str:
+        """Say what the values are."""
+        return (
+            'COMP_FILE_TYPE = 0: columns 2 and 3 are actual positions in mm where the control '
+            'believes to stand at column 1 (actual = nominal + error)'
+        )
+
+    def export(self, request: Request) -> Exported:
+        """Make the INI piece and a file per joint."""
+        self.check(request)
+        tables, stem = request.content.tables, PurePath(request.name).stem
+        positions = {}
+        for k in range(3):
+            nodes = axis_positions(tables, k, request.points)
+            positions[k] = nodes if len(nodes) <= MOST else axis_positions(tables, k, MOST)
+        terms = {}
+        for pair, term in line_terms(tables, OWN_PAIRS, positions).items():
+            nominal = term.position.round(DECIMALS + 3)
+            terms[pair] = LineTerm(nominal, (nominal + term.value).round(DECIMALS + 3) - nominal)
+        words = [f'# {line}' for line in request.header(self)]
+        ini = f'{stem}.ini'
+        files, piece = {ini: b''}, list(words)
+        for k, axis in enumerate(AXES):
+            name = f'{stem}_{axis.lower()}.comp'
+            files[name] = _joint_file(terms[k, k], words)
+            piece += [f'[JOINT_{k}]', f'COMP_FILE = {name}', 'COMP_FILE_TYPE = 0']
+        files[ini] = ('\n'.join(piece) + '\n').encode()
+        return Exported(
+            files,
+            lambda q: held_by(terms, q),
+            (
+                'put the lines of the .ini file into the sections of that name in the INI file of '
+                'the machine (a section that comes twice is read once); BACKLASH of a joint with '
+                'COMP_FILE is ignored',
+            ),
+        )
+
+
+def _joint_file(term: LineTerm, words: list[str]) -> bytes:
+    rows = []
+    for nominal, error in zip(1e3 * term.position, 1e3 * term.value, strict=True):
+        actual = f'{nominal + error:.{DECIMALS}f}'
+        rows.append(f'{nominal:.{DECIMALS}f} {actual} {actual}')
+    return ('\n'.join([*rows, *words]) + '\n').encode()
+
+
+FORMAT = LinuxCnc()

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SINUMERIK 840D sl, sag and angularity compensation (CEC): six tables, base axis to other axis.
+
+Source: Siemens, Function Manual Extended Functions 6FC5397-1BP40, K3 Compensations, 4.4.4:
+$AN_CEC[t,N] at MIN + N STEP of the input axis acts on the output axis, straight lines between.
+The manual does not say in words whether a value is added to or taken off the command: the user
+names the sign.
+"""
+
+from __future__ import annotations
+
+from otf_core.errors import ConfigError
+from otf_core.exports.base import Exported, Format, Request, asked_sign_words
+from otf_core.exports.line_terms import (
+    CROSS_PAIRS,
+    LineTerm,
+    Pair,
+    axis_positions,
+    even_points,
+    held_by,
+    line_terms,
+    pair_name,
+)
+from otf_core.model.machine import AXES
+
+MOST = 200
+"""Points of a table on a SINUMERIK 828D, which cannot be changed."""
+DECIMALS = 6
+
+
+class SinumerikCec(Format):
+    """Sag and angularity compensation, axes named X1, Y1, Z1."""
+
+    name = 'sinumerik-cec'
+    lacks = (
+        'positioning (see sinumerik-enc), rotations with their levers; differences between the '
+        'directions of travel'
+    )
+    sign_is_asked = True
+
+    def sign_words(self, request: Request) -> str:
+        """Say what the values are."""
+        return asked_sign_words(request) + ', mm'
+
+    def export(self, request: Request) -> Exported:
+        """Make the file."""
+        self.check(request)
+        tables = request.content.tables
+        positions = {
+            k: axis_positions(tables, k, request.points or even_points(tables, k, MOST))
+            for k in range(3)
+        }
+        if min(len(p) for p in positions.values()) < 2:
+            raise ConfigError(f'--points: {self.name} needs at least 2')
+        terms = {
+            pair: LineTerm(term.position, term.value.round(DECIMALS + 3))
+            for pair, term in line_terms(tables, CROSS_PAIRS, positions).items()
+        }
+        lines = ['%_N_NC_CEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
+        for number, (pair, term) in enumerate(terms.items()):
+            lines += _table(number, pair, term, request.factor)
+        most = max(len(p) for p in positions.values())
+        return Exported(
+            {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
+            lambda q: held_by(terms, q),
+            (
+                f'needs six tables of at least {most} points (MD18342); load with MD32710 = 0, '
+                f'then MD32710 = 1 for the axes and SD41300 = 1 for the tables',
+            ),
+        )
+
+
+def _table(number: int, pair: Pair, term: LineTerm, factor: float) -> list[str]:
+    low, high = 1e3 * term.position[0], 1e3 * term.position[-1]
+    step = (high - low) / (len(term.position) - 1)
+    return [
+        f'; {pair_name(pair)}',
+        *(
+            f'$AN_CEC[{number},{n}]={factor * 1e3 * value + 0.0:.{DECIMALS}f}'
+            for n, value in enumerate(term.value)
+        ),
+        f'$AN_CEC_INPUT_AXIS[{number}]="{AXES[pair[1]]}1"',
+        f'$AN_CEC_OUTPUT_AXIS[{number}]="{AXES[pair[0]]}1"',
+        f'$AN_CEC_STEP[{number}]={step:.9f}',
+        f'$AN_CEC_MIN[{number}]={low:.6f}',
+        f'$AN_CEC_MAX[{number}]={high:.6f}',
+        f'$AN_CEC_DIRECTION[{number}]=0',
+        f'$AN_CEC_MULT_BY_TABLE[{number}]=0',
+        f'$AN_CEC_IS_MODULO[{number}]=0',
+    ]
+
+
+FORMAT = SinumerikCec()

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SINUMERIK 840D sl, leadscrew and measuring-system error compensation (ENC_COMP).
+
+Source: Siemens, Function Manual Extended Functions 6FC5397-1BP40, K3 Compensations, 4.4.3: one
+table per axis, $AA_ENC_COMP[0,N,AXIS] at MIN + N STEP, straight lines between. A positive value
+moves the axis in the negative direction: the values are errors. The table has to be zero at the
+reference position, and is loaded while MD32700 is 0.
+"""
+
+from __future__ import annotations
+
+from otf_core.errors import ConfigError
+from otf_core.exports.base import Exported, Format, Request
+from otf_core.exports.line_terms import (
+    OWN_PAIRS,
+    LineTerm,
+    axis_positions,
+    even_points,
+    held_by,
+    line_terms,
+)
+from otf_core.model.machine import AXES
+
+MOST = 5000
+DECIMALS = 6
+
+
+class SinumerikEnc(Format):
+    """Measuring-system error compensation, axes named X1, Y1, Z1."""
+
+    name = 'sinumerik-enc'
+    lacks = (
+        'straightness and squareness (see sinumerik-cec), rotations; differences between the '
+        'directions of travel'
+    )
+
+    def sign_words(self, request: Request) -> str:
+        """Say what the values are."""
+        return (
+            'values are errors in mm (actual minus nominal): a positive value moves the axis in '
+            'the negative direction'
+        )
+
+    def export(self, request: Request) -> Exported:
+        """Make the file."""
+        self.check(request)
+        tables = request.content.tables
+        positions = {
+            k: axis_positions(tables, k, request.points or even_points(tables, k, MOST))
+            for k in range(3)
+        }
+        if min(len(p) for p in positions.values()) < 2:
+            raise ConfigError(f'--points: {self.name} needs at least 2')
+        terms = {
+            pair: LineTerm(term.position, term.value.round(DECIMALS + 3))
+            for pair, term in line_terms(tables, OWN_PAIRS, positions).items()
+        }
+        lines = ['%_N_AX_EEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
+        for k, axis in enumerate(AXES):
+            lines += _table(terms[k, k], f'{axis}1')
+        counts = ', '.join(f'{a}1 {len(positions[k])}' for k, a in enumerate(AXES))
+        return Exported(
+            {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
+            lambda q: held_by(terms, q),
+            (
+                f'needs MD38000 of at least {counts}; load with MD32700 = 0, then set it to 1 '
+                f'and reference; axis names are those of the manual (X1, Y1, Z1)',
+            ),
+        )
+
+
+def _table(term: LineTerm, axis: str) -> list[str]:
+    low, high = 1e3 * term.position[0], 1e3 * term.position[-1]
+    step = (high - low) / (len(term.position) - 1)
+    return [
+        *(
+            f'$AA_ENC_COMP[0,{n},{axis}]={1e3 * value:.{DECIMALS}f}'
+            for n, value in enumerate(term.value)
+        ),
+        f'$AA_ENC_COMP_STEP[0,{axis}]={step:.9f}',
+        f'$AA_ENC_COMP_MIN[0,{axis}]={low:.6f}',
+        f'$AA_ENC_COMP_MAX[0,{axis}]={high:.6f}',
+        f'$AA_ENC_COMP_IS_MODULO[0,{axis}]=0',
+    ]
+
+
+FORMAT = SinumerikEnc()

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Result files in JSON, told apart by their schema."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from otf_core.errors import ConfigError
+from otf_core.files.json_file import read_json
+from otf_core.info.kind import Explained, Kind, begins
+
+Data = Mapping[str, Any]
+Rows = list[tuple[str, str]]
+
+
+def _about(data: Data) -> Rows:
+    """What the block provenance says."""
+    block = data.get('provenance') or {}
+    software = block.get('software') or {}
+    rows = []
+    if block:
+        method = f', method {block["method"]}' if block.get('method') else ''
+        rows.append((
+            'written', f'{block.get("written")} by {software.get("name")} '
+            f'{software.get("version")}, otf {block.get("verb")}{method}',
+        ))  # fmt: skip
+    measured = block.get('measured') or {}
+    if measured.get('first'):
+        rows.append(('measured', f'{measured["first"]} to {measured["last"]}'))
+    runs = block.get('runs') or []
+    if runs:
+        rows.append(('runs', ', '.join(f'{r["name"]} ({r["samples"]} samples)' for r in runs)))
+    return rows
+
+
+def _tables(data: Data) -> Explained:
+    fit, machine = data.get('fit') or {}, data['machine']
+    rows: Rows = [('machine', f'{machine.get("name")}, chain {machine.get("chain")}')]
+    if 'path_mae_before' in fit:
+        rows.append((
+            'path', f'{1e6 * fit["path_mae_before"]:.2f} um off it on average, compensated '
+            f'{1e6 * fit["path_mae_after"]:.2f} um',
+        ))  # fmt: skip
+    volume = data.get('volumetric_error') or {}
+    if volume:
+        rows.append((
+            'volume', f'errors of {1e6 * volume["mean"]:.2f} um on average, at most '
+            f'{1e6 * volume["max"]:.2f} um, at {volume["points"]} points',
+        ))  # fmt: skip
+    unseen = data.get('not_identifiable')
+    if unseen is None:
+        unseen = [m for m, table in data['motions'].items() if not table['identifiable']]
+    rows.append(('not seen', ', '.join(unseen) or 'none'))
+    rows += [('WARNING', text) for text in data.get('warnings') or ()]
+    rows += [('GATE FAILED', text) for text in data.get('failed_gates') or ()]
+    facts = {'machine': machine, 'fit': fit, 'volumetric_error': volume, 'not_seen': unseen}
+    return Explained(tuple(rows), facts)
+
+
+def _gap(data: Data) -> Explained:
+    gap = data['gap']
+    rows: Rows = [('verdict', f'{data["verdict"]}: {data.get("sentence", "")}')]
+    rows.append((
+        'gap', f'{gap["before_um"]:.2f} um, with the causes taken off {gap["after_um"]:.2f} um',
+    ))  # fmt: skip
+    rows += [
+        (
+            'cause',
+            f'{c["effect"]} ({", ".join(c["axes"]) or "no axis"}), '
+            f'{100 * c["confidence"]:.0f} % sure, shrinks the gap by {c["shrink_percent"]:.0f} %',
+        )
+        for c in data['causes']
+    ]
+    rows += [('not visible', f'{n["effect"]}: needs {n["needs"]}') for n in data['not_visible']]
+    keys = ('verdict', 'gap', 'causes', 'unexplained', 'not_visible')
+    return Explained(tuple(rows), {key: data[key] for key in keys})
+
+
+def _plan(data: Data) -> Explained:
+    forecast = data.get('forecast') or {}
+    rows: Rows = [(
+        'path', f'{len(data["path"])} corner points, {data.get("length", 0.0):.2f} m, '
+        f'{data.get("duration", 0.0):.0f} s',
+    )]  # fmt: skip
+    if 'mean_grid_u' in forecast:
+        u = f'{1e6 * forecast["mean_grid_u"]:.3f} um on average in the volume'
+        rows.append(('forecast', f'{u} (k = 1, noise alone)'))
+    facts = {
+        'points': len(data['path']),
+        'length': data.get('length'),
+        'duration': data.get('duration'),
+        'mean_grid_u': forecast.get('mean_grid_u'),
+        'tracker_place': (data.get('assumed') or {}).get('tracker_place'),
+    }
+    return Explained(tuple(rows), facts)
+
+
+def _noise(data: Data) -> Explained:
+    angle = ' and '.join(f'{1e6 * v:.3f}' for v in data['u_angle'])
+    rows = (
+        ('noise', f'{1e6 * data["u_range"]:.3f} um along the beam, {angle} urad across (k = 1)'),
+        ('from', f'{data["standstills"]} standstills, {data["samples"]} samples'),
+    )
+    keys = ('u_range', 'u_angle', 'correlation_time', 'standstills', 'samples')
+    return Explained(rows, {key: data[key] for key in keys})
+
+
+def _comparison(data: Data) -> Explained:
+    volume = data['volume']
+    rows = (
+        ('of', f'{data["a"]} and {data["b"]}'),
+        ('volume', f'differ by {1e6 * volume["mae_difference"]:.2f} um on average'),
+        ('within', f'{100 * (volume["within"] or 0.0):.0f} % of normalised errors at most 1'),
+    )
+    return Explained(rows, {'a': data['a'], 'b': data['b'], 'volume': volume})
+
+
+def _validation(data: Data) -> Explained:
+    failed = [r['quantity'] for r in data['rows'] if r.get('passed') is False]
+    rows = (
+        ('cells', ', '.join(map(str, data['cells']))),
+        ('failed', ', '.join(failed) or 'nothing'),
+    )
+    return Explained(rows, {'cells': data['cells'], 'failed': failed})
+
+
+def _simulation(data: Data) -> Explained:
+    effects = [e['effect'] for e in data['effects']]
+    rows = (('seed', str(data['seed'])), ('effects', ', '.join(effects) or 'none'))
+    return Explained(rows, {'seed': data['seed'], 'effects': effects})
+
+
+def _manifest(data: Data) -> Explained:
+    files = list(data['sha256'])
+    rows = (('by', f'otf {data["verb"]} {data["version"]}'), ('files', ', '.join(files)))
+    return Explained(rows, {'by': data['verb'], 'files': files})
+
+
+def _schema(path: Path) -> str:
+    data = read_json(path)
+    return str(data.get('schema', '')) if isinstance(data, dict) else ''
+
+
+def _kind(schema: str, name: str, explain: Callable[[Data], Explained], what: str) -> Kind:
+    def is_one(path: Path) -> bool:
+        return begins(path, '{') and _schema(path) == schema
+
+    def of(path: Path) -> Explained:
+        data = read_json(path)
+        try:
+            found = explain(data)
+            return Explained((*found.rows, *_about(data)), {'schema': schema, **found.facts})
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            detail = f'{type(error).__name__}: {error}'
+            raise ConfigError(f"{path}: is no whole '{schema}' ({detail})") from None
+
+    return Kind(name, what, is_one, of)
+
+
+JSON_KINDS: tuple[Kind, ...] = (
+    _kind(
+        'otf-error-tables/1',
+        'error tables',
+        _tables,
+        'errors of the motions of a machine; otf predict, compare and simulate read it',
+    ),
+    _kind('otf-gap/1', 'diagnosis', _gap, 'where and why a run departs from its simulation'),
+    _kind(
+        'otf-plan/1',
+        'plan',
+        _plan,
+        'path, feeds and dwells; otf simulate and the path planner drive it',
+    ),
+    _kind(
+        'otf-noise/1', 'noise', _noise, 'what a tracker shows at rest; otf plan --noise reads it'
+    ),
+    _kind(
+        'otf-comparison/1', 'comparison', _comparison, 'two sources of errors, motion by motion'
+    ),
+    _kind(
+        'otf-validation/1',
+        'validation',
+        _validation,
+        "the paper's comparisons on simulated cells",
+    ),
+    _kind(
+        'otf-simulation/1',
+        'truth of a simulation',
+        _simulation,
+        'what lies beside a simulated bag',
+    ),
+    _kind(
+        'otf-manifest/1',
+        'manifest',
+        _manifest,
+        'which files otf wrote into this folder, by their hash',
+    ),
+)

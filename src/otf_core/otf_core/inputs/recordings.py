@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of any form, with a path from them or beside them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from otf_core.bags.bag import BagContent, samples_of
+from otf_core.bags.bag_reading import BagReading, path_of
+from otf_core.bags.topics import PATH, POINT, called
+from otf_core.errors import ConfigError
+from otf_core.inputs.path_file import read_path
+from otf_core.inputs.text_points import TextReading, is_text
+from otf_core.model.machine import Machine, load_machine
+from otf_core.model.observation import Samples
+from otf_core.pieces.runs import Recording
+
+_log = logging.getLogger(__name__)
+
+AnyReading = BagReading | TextReading
+
+
+@dataclass(frozen=True)
+class Given:
+    """How a recording is to be read, where it does not say so itself.
+
+    Attributes
+    ----------
+    path : str or Path, optional
+        A plan.json or a CSV of corner points; takes the place of a path in the recording.
+    topic, path_topic : str, optional
+        Other names of the two topics of a bag.
+    columns : str, optional
+        What stands in the columns of a text, e.g. ``time_s,x_mm,y_mm,z_mm``.
+    rate : float, optional
+        Hz; of samples in a text without times.
+    recover : bool
+        Leave out damaged chunks of a bag.
+    """
+
+    path: str | Path | None = None
+    topic: str | None = None
+    path_topic: str | None = None
+    columns: str | None = None
+    rate: float | None = None
+    recover: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse a rate that is none."""
+        if self.rate is not None and not 0.0 < self.rate <= 1e5:
+            raise ConfigError(f'--rate: {self.rate:g} is out of range (0, 100000] Hz')
+
+
+AS_IT_IS = Given()
+
+
+def open_reading(source: str | Path, given: Given = AS_IT_IS) -> AnyReading:
+    """Read what a recording holds.
+
+    Raises
+    ------
+    ConfigError
+        If there is no recording, or what is given does not suit it.
+    InputError
+        If it is damaged; says what, where, and what to do.
+    """
+    if is_text(source):
+        named = given.topic or given.path_topic
+        if named:
+            raise ConfigError(f'--topic: {source} is a text and has no topics')
+        reading: AnyReading = TextReading(source, given.columns, given.rate)
+    else:
+        for option, value in (('--columns', given.columns), ('--rate', given.rate)):
+            if value is not None and Path(source).exists():
+                raise ConfigError(f'{option}: {source} is a bag; this is for texts')
+        path = None if given.path is not None else called(PATH, given.path_topic)
+        reading = BagReading(source, called(POINT, given.topic), path, recover=given.recover)
+    if given.path is not None:
+        reading.paths = [read_path(given.path)]
+    return reading
+
+
+def read_content(sources: Sequence[str | Path], given: Given = AS_IT_IS) -> BagContent:
+    """Read samples and path of a run; the log says what was left out or taken for what.
+
+    Parameters
+    ----------
+    sources : sequence of str or Path
+        One recording, or several that are parts of the run, in any order: every part has samples,
+        one of them at least the path, which is the same in all that have it.
+    given : Given
+    """
+    parts = [open_reading(source, given) for source in sources]
+    for part in parts:
+        part.require(part.point)
+        if part.path is not None and len(parts) == 1:
+            part.require(part.path)
+    where = str(sources[0]) if len(sources) == 1 else f'{sources[0]} and {len(sources) - 1} more'
+    remarks = [text for part in parts for text in part.remarks]
+    samples = samples_of(where, parts, remarks)
+    _tell(where, parts, remarks)
+    return BagContent(samples, path_of(str(given.path or where), parts), tuple(remarks))
+
+
+def read_samples(source: str | Path, given: Given = AS_IT_IS) -> Samples:
+    """Read the samples of a recording that may lack a path."""
+    reading = open_reading(source, given)
+    reading.require(reading.point)
+    remarks = list(reading.remarks)
+    samples = samples_of(str(source), [reading], remarks)
+    _tell(source, [reading], remarks)
+    return samples
+
+
+def _tell(source: str | Path, parts: Sequence[AnyReading], remarks: Sequence[str]) -> None:
+    for text in (said for part in parts for said in part.said):
+        _log.info('%s: %s', source, text)
+    for text in remarks:
+        _log.warning('%s: %s', source, text)
+
+
+def read_recording(
+    sources: Sequence[str | Path], machine: Machine | str | Path, given: Given = AS_IT_IS
+) -> Recording:
+    """Read a recorded run of a machine, see ``read_content``.
+
+    Raises
+    ------
+    ConfigError
+        If there is no recording, or machine.yaml is wrong.
+    InputError
+        If it cannot be used.
+    """
+    content = read_content(sources, given)
+    used = machine if isinstance(machine, Machine) else load_machine(machine)
+    return Recording(content.samples, content.path, used, str(sources[0]), content.remarks)

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a picture of a run consists of: named layers of points and lines in the machine frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.live.scale import enlargement
+from otf_core.live.track import Track
+from otf_core.model.frames import RigidTransform
+from otf_core.model.path import NominalPath
+from otf_core.model.volume import VolumeErrors
+
+Array = NDArray[np.float64]
+Colour = tuple[float, float, float, float]
+
+STRIP, LINES, POINTS, TEXT = KINDS = ('strip', 'lines', 'points', 'text')
+"""Connected points; a line from every first to every second point; dots; words at a point."""
+GREY: Colour = (0.5, 0.5, 0.5, 0.7)
+BLUE: Colour = (0.0, 0.447, 0.698, 1.0)
+VERMILION: Colour = (0.835, 0.369, 0.0, 1.0)
+GREEN: Colour = (0.0, 0.62, 0.451, 1.0)
+PURPLE: Colour = (0.8, 0.475, 0.655, 1.0)
+"""Told apart by colour-blind readers too (Okabe and Ito 2008), on light and on dark ground."""
+MOST = 5000
+"""Points of a path that are drawn; of longer ones every second, third ... is."""
+LINE = 0.002
+"""Width of a line as a share of the size of the scene."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A layer of a picture.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        One of KINDS.
+    points : ndarray, shape (n, 3), m
+        In the machine frame.
+    colour : tuple
+        Red, green, blue, opacity, 0 to 1.
+    width : float
+        m; of lines and dots, height of words.
+    text : str
+    """
+
+    name: str
+    kind: str
+    points: Array
+    colour: Colour
+    width: float
+    text: str = ''
+
+
+def size_of(path: NominalPath) -> float:
+    """Diagonal of the box around a path, m."""
+    return float(np.linalg.norm(np.ptp(path.points, axis=0)))
+
+
+def driven_part(path: NominalPath, travelled: float) -> Array:
+    """Corner points of the path up to a travelled length, shape (n, 3), m."""
+    reach = np.concatenate([[0.0], np.cumsum(path.leg_lengths)])
+    last = int(np.searchsorted(reach, travelled, side='right'))
+    if last > len(path.leg_lengths):
+        return path.points
+    end = path.points[last - 1] + (travelled - reach[last - 1]) * path.directions[last - 1]
+    return np.vstack([path.points[:last], end])
+
+
+def thinned(points: Array, most: int = MOST) -> Array:
+    """Leave out points evenly so that about ``most`` are left, the last among them."""
+    step = -(-len(points) // most)
+    return points if step == 1 else np.vstack([points[::step], points[-1]])
+
+
+def scene(path: NominalPath, volume: VolumeErrors | None) -> list[Layer]:
+    """Layers that stay: the path, and the errors that tables predict."""
+    size = size_of(path)
+    layers = [Layer('path', STRIP, thinned(path.points), GREY, LINE * size)]
+    if volume is None or not len(volume.points):
+        return layers
+    factor = enlargement(volume.errors, size)
+    tips = volume.points + factor * volume.errors
+    arrows = np.stack([volume.points, tips], axis=1).reshape(-1, 3)
+    place = np.vstack([volume.points, path.points]).max(axis=0) + 0.1 * size
+    words = f'errors{" so far" if volume.provisional else ""} {_times(factor)}\n'
+    words += 'blue: standard uncertainty, about what compensation leaves'
+    return [
+        *layers,
+        Layer('errors', LINES, arrows, VERMILION, LINE * size),
+        Layer('error_tips', POINTS, tips, VERMILION, 4 * LINE * size),
+        Layer('uncertainty', LINES, _crosses(tips, factor * volume.u), BLUE, LINE * size),
+        Layer('error_legend', TEXT, place[None], VERMILION, 12 * LINE * size, words),
+    ]
+
+
+def moving(
+    path: NominalPath, travelled: float, track: Track, pose: RigidTransform | None, scale: float
+) -> list[Layer]:
+    """Layers that change as the machine drives.
+
+    Parameters
+    ----------
+    path : NominalPath
+    travelled : float
+        m, so far.
+    track : Track
+    pose : RigidTransform, optional
+        Of the tracker in the machine frame, once it is known.
+    scale : float
+        Deviations are enlarged so many times; 0: so that they are seen.
+    """
+    size = size_of(path)
+    layers = [Layer('driven', STRIP, thinned(driven_part(path, travelled)), BLUE, 2 * LINE * size)]
+    if pose is None:
+        return layers
+    tracker = pose.translation
+    layers += [
+        Layer('tracker', POINTS, tracker[None], PURPLE, 20 * LINE * size),
+        Layer('tracker_name', TEXT, tracker[None], PURPLE, 12 * LINE * size, 'tracker'),
+    ]
+    target = track.position
+    if target is not None:
+        beam = np.vstack([tracker, target])
+        layers += [
+            Layer('beam', LINES, beam, PURPLE, LINE * size),
+            Layer('target', POINTS, target[None], GREEN, 10 * LINE * size),
+        ]
+    return [*layers, *_deviations(track, size, scale, path.points.min(axis=0))]
+
+
+def _deviations(track: Track, size: float, scale: float, corner: Array) -> list[Layer]:
+    places, deviations = track.deviations()
+    if not len(places):
+        return []
+    factor = scale or enlargement(deviations, size)
+    arrows = np.stack([places, places + factor * deviations], axis=1).reshape(-1, 3)
+    words = f'deviation from the path {_times(factor)}'
+    return [
+        Layer('deviations', LINES, arrows, GREEN, LINE * size),
+        Layer('deviation_legend', TEXT, corner[None] - 0.1 * size, GREEN, 12 * LINE * size, words),
+    ]
+
+
+def _times(factor: float) -> str:
+    return f'x {factor:,.0f}: 10 mm stand for {1e4 / factor:.3g} um'
+
+
+def _crosses(centres: Array, half: Array) -> Array:
+    """Lines of plus and minus ``half`` (n, 3) along each axis at the centres, shape (6 n, 3)."""
+    arms = half[:, :, None] * np.eye(3)
+    ends = np.stack([centres[:, None] - arms, centres[:, None] + arms], axis=2)
+    return np.asarray(ends.reshape(-1, 3))

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run under way as its viewers know it: what was driven, what is known so far, how it goes."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from otf_core.live.track import Track
+from otf_core.model.frames import RigidTransform
+from otf_core.model.path import NominalPath
+from otf_core.model.volume import VolumeErrors
+
+RATE_OVER = 2.0
+"""s; over so long the rate of samples is the mean."""
+DRIVING = 'BUFFERING'
+"""State of the calibrator while it collects samples."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far the calibrator is; as ``calibrator/state`` says it."""
+
+    state: str = ''
+    stage: str = ''
+    fraction: float = 0.0
+    time_left: float = math.nan
+    samples: int = 0
+    lost: int = 0
+    travelled: float = 0.0
+    message: str = ''
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What samples say of machine and set-up.
+
+    Attributes
+    ----------
+    provisional : bool
+        From a part of the run.
+    ok : bool
+        Solved, and no quality gate failed.
+    message : str
+    mae_before, mae_after, residual_rms : float
+        m; distance from the path.
+    motions : mapping of EXX ... ECZ to (largest absolute error, largest u of a node), m or rad
+        u is NaN where the samples do not determine the motion.
+    squareness : mapping of C0Y, B0Z, A0Z to (value, u), rad
+    warnings : tuple of str
+    """
+
+    provisional: bool
+    ok: bool
+    message: str
+    mae_before: float = 0.0
+    mae_after: float = 0.0
+    residual_rms: float = 0.0
+    motions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    squareness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+class LiveRun:
+    """Takes what the nodes say, in any order.
+
+    Attributes
+    ----------
+    path : NominalPath or None
+    pose : RigidTransform or None
+        Of the tracker in the machine frame, as this run shows it.
+    track : Track
+    progress : Progress
+    solved : Solved or None
+    volume : VolumeErrors or None
+    rate : float
+        Samples per second as they arrive, Hz; NaN as long as it is not known.
+    """
+
+    def __init__(self) -> None:
+        self.path: NominalPath | None = None
+        self.pose: RigidTransform | None = None
+        self.track = Track()
+        self.progress = Progress()
+        self.solved: Solved | None = None
+        self.volume: VolumeErrors | None = None
+        self.rate = math.nan
+        self._counted: deque[tuple[float, int]] = deque()
+
+    @property
+    def collecting(self) -> bool:
+        """Whether samples are being taken."""
+        return self.progress.state == DRIVING and self.progress.samples > 0
+
+    def set_path(self, path: NominalPath) -> None:
+        """Take the nominal path."""
+        self.path = path
+        self.track.set_path(path)
+
+    def set_progress(self, progress: Progress, now: float) -> None:
+        """Take the state of the calibrator, at a time in s; fewer samples are another run's."""
+        if progress.samples < self.progress.samples:
+            self._begin()
+        self.progress = progress
+        self._counted.append((now, progress.samples))
+        while len(self._counted) > 2 and now - self._counted[1][0] >= RATE_OVER:
+            self._counted.popleft()
+        began, count = self._counted[0]
+        if now > began:
+            self.rate = (progress.samples - count) / (now - began)
+
+    def set_solved(self, solved: Solved, pose: RigidTransform | None) -> None:
+        """Take what was solved, and the place of the tracker unless that failed."""
+        self.solved = solved
+        if pose is not None:
+            self.pose = pose
+            self.track.set_pose(pose)
+
+    def _begin(self) -> None:
+        self.track.clear()
+        self.track.set_pose(None)
+        self._counted.clear()
+        self.pose, self.solved, self.rate = None, None, math.nan

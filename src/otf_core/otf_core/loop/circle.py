@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole circle: drive, measure, calibrate, compensate, drive again on other lines, prove it.
+
+LinuxCNC drives programs with its own acceleration and its own clock; the simulated machine goes
+where its motors are; the simulated tracker measures with another clock. Tables come from the
+fitted path alone; what is judged are lines drawn anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.result import CalibrationResult
+from otf_core.config import SimulationConfig
+from otf_core.errors import InputError
+from otf_core.exports import export_format
+from otf_core.exports.base import Field, Request
+from otf_core.loop.check_lines import check_plan
+from otf_core.loop.control import Driven, Program, drive
+from otf_core.loop.control_files import (
+    LATTICE,
+    ini_text,
+    with_piece,
+    written_files,
+)
+from otf_core.loop.corrected import corrected, corrected_program, in_parts
+from otf_core.loop.judged import OnPath, on_path, seen_from_lines, start_row, volumetric
+from otf_core.model.frames import RigidTransform
+from otf_core.model.kinematics import displacement, exact_position
+from otf_core.model.machine import Machine
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan
+from otf_core.model.tables import ErrorTables, TablesFile
+from otf_core.pieces.runs import Recording
+from otf_core.planning.drive_time import drive_times
+from otf_core.planning.nc import DIALECTS
+from otf_core.planning.nc.programs import on_increment, program
+from otf_core.prediction.covariance import pack_covariance
+from otf_core.prediction.predict import predict
+from otf_core.sim.cell import random_tables
+from otf_core.sim.tracker import place_tracker
+from otf_core.sim.watched import watched
+
+Array = NDArray[np.float64]
+
+AXES_WAY, VOLUME, PROGRAM = 'axes', 'volume', 'program'
+WAYS = (AXES_WAY, VOLUME, PROGRAM)
+FIT, CHECK, PROOF = 'fit.ngc', 'check.ngc', 'proof.ngc'
+SPARE, APPROACH = 3.0, 20.0
+"""A program counts as stuck after so many times the time it takes, and s for what lies before."""
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What a compensation did on lines that were not fitted.
+
+    Attributes
+    ----------
+    before, after : float
+        m; mean volumetric error, true, best rigid motion taken out.
+    forecast : float
+        m; what the export forecast to remain on these lines, u of the tables in it.
+    seen_before, seen_after : float
+        m; mean distance of the tracker's samples from the lines.
+    lag_mean, lag_max : float
+        m; external offsets: motor correction minus what the tables ask for at that moment.
+    lost : int
+        Servo periods that were not sampled.
+    """
+
+    before: float
+    after: float
+    forecast: float
+    seen_before: float
+    seen_after: float
+    lag_mean: float
+    lag_max: float
+    lost: int
+
+
+@dataclass(frozen=True)
+class Circle:
+    """Everything that a round gave.
+
+    Attributes
+    ----------
+    way : str
+        'axes', 'volume' or 'program'.
+    proof : Proof
+    result : CalibrationResult
+    truth : ErrorTables
+    recordings : mapping of name to Recording
+        'fit', 'check', 'proof'.
+    files : mapping of file name to bytes
+        Programs, configuration of the control, compensation.
+    """
+
+    way: str
+    proof: Proof
+    result: CalibrationResult
+    truth: ErrorTables
+    recordings: Mapping[str, Recording]
+    files: Mapping[str, bytes]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A simulated machine on the control, with a simulated tracker in front of it."""
+
+    machine: Machine
+    truth: ErrorTables
+    pose: RigidTransform
+    config: SimulationConfig
+
+    @classmethod
+    def drawn(cls, machine: Machine, config: SimulationConfig) -> Cell:
+        """Draw errors of the machine and place of the tracker from the seed."""
+        rngs = [np.random.default_rng([config.seed, part]) for part in range(2)]
+        rotation, place = place_tracker(machine, rngs[1])
+        truth = random_tables(machine, config.error_size, rngs[0])
+        return cls(machine, truth, RigidTransform(rotation.T, place), config)
+
+    def actual(self, driven: Driven) -> Array:
+        """Where the target really is, a row per servo period, m."""
+        return exact_position(self.truth, driven.motor)
+
+    def recording(self, name: str, driven: Driven, start: Array, path: NominalPath) -> Recording:
+        """What the tracker records of a drive, from the standstill at the start on."""
+        first = start_row(driven, start)
+        number = (FIT, CHECK, PROOF).index(name)
+        rng = np.random.default_rng([self.config.seed, 10 + number])
+        samples = watched(
+            driven.time[first:], self.actual(driven)[first:], self.pose, self.machine,
+            self.config, rng,
+        )  # fmt: skip
+        return Recording(samples, path, self.machine, name.partition('.')[0])
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """What is loaded into the control.
+
+    Attributes
+    ----------
+    held : callable
+        Error that it takes off.
+    files : mapping of file name to bytes
+    ini_piece : str
+        Lines for the INI file.
+    """
+
+    held: Field
+    files: Mapping[str, bytes]
+    ini_piece: str = ''
+
+
+def compensation(way: str, content: TablesFile) -> Compensation:
+    """Make the files of one way of compensating from error tables."""
+    if way == AXES_WAY:
+        made = export_format('linuxcnc').export(Request(content, 'compensation.ini'))
+        files = dict(made.files)
+        return Compensation(made.held, files, files.pop('compensation.ini').decode())
+    made = export_format('lattice-csv').export(Request(content, LATTICE))
+    return Compensation(made.held, made.files)
+
+
+def _program(name: str, plan: Plan, text: str, acceleration: float) -> Program:
+    expected = drive_times(plan, acceleration).duration
+    return Program(name, text, SPARE * expected + APPROACH)
+
+
+def _nc(plan: Plan, what: str) -> str:
+    return program(DIALECTS['linuxcnc'], plan, [what])
+
+
+def go_round(
+    machine: Machine,
+    plan: Plan,
+    way: str,
+    config: SimulationConfig,
+    progress: Progress,
+) -> Circle:
+    """Go round once.
+
+    Parameters
+    ----------
+    machine : Machine
+    plan : Plan
+        What is fitted.
+    way : str
+        One of ``WAYS``.
+    config : SimulationConfig
+        Its acceleration is that of the control's axes.
+    progress : callable(str)
+
+    Raises
+    ------
+    ControlMissing
+        If LinuxCNC is not installed.
+    InputError
+        If it did not do what was asked, or the calibration is not possible.
+    """
+    cell, feed = Cell.drawn(machine, config), float(plan.feed.max())
+    plan = on_increment(plan, machine.lower, machine.upper)
+    rng = np.random.default_rng([config.seed, 2])
+    check = on_increment(check_plan(machine, feed, rng), machine.lower, machine.upper)
+    rate = config.acceleration
+    texts = {FIT: _nc(plan, 'FITTED PATH'), CHECK: _nc(check, 'LINES NOT FITTED')}
+    jobs = [_program(n, p, texts[n], rate) for n, p in ((FIT, plan), (CHECK, check))]
+    ini = ini_text(machine, rate, feed)
+    progress(f'LinuxCNC drives the path and the check, {_seconds(jobs):.0f} s')
+    fit, before = drive(written_files(ini, {}, {}, False), jobs)
+    recordings = {
+        'fit': cell.recording(FIT, fit, plan.path.points[0], plan.path),
+        'check': cell.recording(CHECK, before, check.path.points[0], check.path),
+    }
+    progress('calibrates')
+    result = calibrate_runs([recordings['fit']])
+    content = TablesFile(result.tables, {'run_id': result.run_id})
+    loaded = compensation(way, content)
+    proof_plan, nominal = check, None
+    texts[PROOF] = texts[CHECK]
+    if way == PROGRAM:
+        parts = in_parts(check)
+        proof_plan, nominal = corrected(parts, loaded.held), parts.path
+        texts[PROOF] = corrected_program(proof_plan, ['LINES NOT FITTED, CORRECTED'])
+    files = written_files(
+        with_piece(ini, loaded.ini_piece), {}, loaded.files, volume=way == VOLUME
+    )
+    job = _program(PROOF, check, texts[PROOF], rate)
+    progress(f'LinuxCNC drives the check compensated by {way}, {_seconds([job]):.0f} s')
+    (after,) = drive(files, [job])
+    recordings['proof'] = cell.recording(PROOF, after, proof_plan.path.points[0], check.path)
+    at = (on_path(before, check.path), on_path(after, proof_plan.path, nominal))
+    proof = _proof(cell, (before, after), at, result, loaded.held, recordings, way)
+    texts_as_bytes = {name: text.encode() for name, text in texts.items()}
+    return Circle(way, proof, result, cell.truth, recordings, {**files, **texts_as_bytes})
+
+
+def _seconds(jobs: list[Program]) -> float:
+    """Time that programs are expected to take, s."""
+    return sum((job.seconds - APPROACH) / SPARE for job in jobs)
+
+
+def _proof(
+    cell: Cell,
+    driven: tuple[Driven, Driven],
+    at: tuple[OnPath, OnPath],
+    result: CalibrationResult,
+    held: Field,
+    recordings: Mapping[str, Recording],
+    way: str,
+) -> Proof:
+    sizes = [
+        volumetric(cell.actual(d)[p.row] - p.nominal, p.nominal)
+        for d, p in zip(driven, at, strict=True)
+    ]
+    q = at[0].nominal
+    tables = result.tables
+    unheld = volumetric(displacement(tables, q) - held(q), q)
+    known = {'covariance': pack_covariance(result.covariance)}
+    u = predict(TablesFile(tables, known), q).u
+    forecast = float(np.hypot(unheld, np.mean(np.linalg.norm(u, axis=1))))
+    lag = _lag(driven[1], at[1], held) if way == VOLUME else np.zeros(1)
+    return Proof(
+        sizes[0], sizes[1], forecast,
+        seen_from_lines(recordings['check']), seen_from_lines(recordings['proof']),
+        float(lag.mean()), float(lag.max()), max(d.lost for d in driven),
+    )  # fmt: skip
+
+
+def _lag(driven: Driven, at: OnPath, held: Field) -> Array:
+    """Length of what external offsets lack of the correction wanted, shape (n,), m."""
+    believed = driven.believed[at.row]
+    lacking = (driven.motor - driven.believed)[at.row] + held(believed)
+    if not np.any(driven.offset):
+        raise InputError('LinuxCNC: external offsets never moved an axis')
+    lacking -= np.median(lacking, axis=0)  # offsets count from where they were switched on
+    return np.asarray(np.linalg.norm(lacking, axis=1))

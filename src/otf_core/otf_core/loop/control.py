@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs LinuxCNC for a few programs and returns the motor positions of every servo period.
+
+It refuses to run as root: then it runs as the user nobody, in a folder of its own that is gone
+afterwards. Two at a time on one computer would end each other: the second is refused.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pwd
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import ConfigError, InputError
+from otf_core.loop.control_files import (
+    HAL,
+    INI,
+    OPERATOR,
+    SAMPLER_DEPTH,
+    SERVO_PERIOD,
+    VOLUME,
+    believed_positions,
+)
+
+Array = NDArray[np.float64]
+
+COMMAND = 'linuxcnc'
+LOCK = Path('/tmp/linuxcnc.lock')
+OTHER_USER = 'nobody'
+SHEBANG = b'#!/usr/bin/python3\n'
+"""Python of the system, where the modules of LinuxCNC are."""
+START_TIME, END_TIME = 40.0, 30.0
+"""s; start and end of LinuxCNC on a busy computer."""
+COLUMNS = 9
+
+
+class ControlMissing(ConfigError):
+    """LinuxCNC is not installed."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """A program to drive: file name, text, and the longest time it may take, s."""
+
+    name: str
+    text: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What the control did in one program, a row per servo period.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n,), s
+        In servo periods of the control; no other clock knows it.
+    motor : ndarray, shape (n, 3), m
+        Positions of the motors, compensation in them.
+    believed : ndarray, shape (n, 3), m
+        Where the control believes the target to be.
+    offset : ndarray, shape (n, 3), m
+        External offsets in the motor positions.
+    lost : int
+        Servo periods that the sampler lost.
+    """
+
+    time: Array
+    motor: Array
+    believed: Array
+    offset: Array
+    lost: int
+
+
+def find_control() -> str:
+    """Return the path of LinuxCNC.
+
+    Raises
+    ------
+    ControlMissing
+        Says how to get it.
+    """
+    found = shutil.which(COMMAND)
+    if found is None or shutil.which('halsampler') is None:
+        raise ControlMissing(
+            'LinuxCNC is not installed; on Debian 12 or later: sudo apt-get update && '
+            'sudo apt-get install -y --no-install-recommends linuxcnc-uspace '
+            '(other systems: linuxcnc.org/downloads), then run this again'
+        )
+    if LOCK.exists():
+        raise ConfigError(
+            f'{LOCK}: LinuxCNC runs on this computer already, and two would end each other; end '
+            f'it, or remove the file if nothing runs'
+        )
+    return found
+
+
+@contextmanager
+def _workplace() -> Iterator[tuple[Path, str | None]]:
+    """A folder that the user of LinuxCNC owns, and that user if it is another one."""
+    other = OTHER_USER if os.geteuid() == 0 else None
+    with tempfile.TemporaryDirectory(prefix='otf-loop-') as name:
+        folder = Path(name)
+        if other is not None:
+            user = pwd.getpwnam(other)
+            os.chown(folder, user.pw_uid, user.pw_gid)
+        yield folder, other
+
+
+def _place_files(folder: Path, files: Mapping[str, bytes], user: str | None) -> None:
+    here = Path(__file__).parent
+    scripts = {name: SHEBANG + (here / name).read_bytes() for name in (OPERATOR, VOLUME)}
+    for name, content in {**files, **scripts}.items():
+        path = folder / name
+        path.write_bytes(content)
+        path.chmod(0o755 if name in scripts else 0o644)
+        if user is not None:
+            entry = pwd.getpwnam(user)
+            os.chown(path, entry.pw_uid, entry.pw_gid)
+
+
+def drive(files: Mapping[str, bytes], programs: Sequence[Program]) -> list[Driven]:
+    """Start LinuxCNC, drive programs one after the other, end it.
+
+    Parameters
+    ----------
+    files : mapping of file name to bytes
+        INI, HAL and what they name.
+    programs : sequence of Program
+
+    Returns
+    -------
+    list of Driven
+
+    Raises
+    ------
+    ControlMissing
+        If LinuxCNC is not installed.
+    InputError
+        If it did not do what was asked; holds what it said.
+    """
+    command = find_control()
+    order = [
+        {'program': p.name, 'samples': f'{Path(p.name).stem}.txt', 'seconds': p.seconds}
+        for p in programs
+    ]
+    with _workplace() as (folder, user):
+        content = {p.name: p.text.encode() for p in programs}
+        content['order.json'] = json.dumps(order).encode()
+        _place_files(folder, {**files, **content}, user)
+        assert INI in files and HAL in files
+        limit = START_TIME + END_TIME + sum(p.seconds for p in programs)
+        said = _run([command, str(folder / INI)], folder, user, limit)
+        _check(folder, said)
+        return [_read_samples(folder / str(item['samples'])) for item in order]
+
+
+def _run(command: list[str], folder: Path, user: str | None, limit: float) -> str:
+    """Run LinuxCNC to its end in a process group of its own; return what it printed."""
+    kept = {k: v for k, v in os.environ.items() if k in ('PATH', 'LANG', 'LC_ALL')}
+    log = folder / 'linuxcnc.log'
+    with open(log, 'wb') as out:
+        process = subprocess.Popen(
+            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=out, stderr=out,
+            env={**kept, 'HOME': str(folder)}, user=user,
+            group=None if user is None else pwd.getpwnam(user).pw_gid,
+            extra_groups=None if user is None else [], start_new_session=True,
+        )  # fmt: skip
+        try:
+            process.wait(limit)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            _end(process)
+    return log.read_text(errors='replace')
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End LinuxCNC by its own clean-up; by force if that takes too long."""
+    if process.poll() is not None:
+        return
+    os.killpg(process.pid, signal.SIGTERM)
+    try:
+        process.wait(END_TIME)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        LOCK.unlink(missing_ok=True)
+
+
+def _check(folder: Path, said: str) -> None:
+    """InputError if the operator did not come to a good end."""
+    told = folder / 'told.json'
+    problem = 'did not start or did not end in time'
+    if told.exists():
+        problem = json.loads(told.read_text())['error']
+    if problem:
+        last = ' | '.join(line for line in said.splitlines() if line.strip())[-1500:]
+        raise InputError(f'LinuxCNC: {problem}; its last words: {last}')
+
+
+def _read_samples(path: Path) -> Driven:
+    """Read what halsampler printed: number of the sample and nine values, mm."""
+    lines = [line.split() for line in path.read_text().splitlines()]
+    table = np.array([words for words in lines if len(words) == COLUMNS + 1], dtype=float)
+    if len(table) < 2:
+        raise InputError('LinuxCNC: the sampler gave nothing')
+    gaps = np.flatnonzero(np.diff(table[:, 0]) != 1)
+    if len(gaps) and gaps[0] <= SAMPLER_DEPTH:
+        table = table[gaps[0] + 1 :]  # what stood in the queue since before the program
+    number = table[:, 0] - table[0, 0]
+    motor, believed, offset = believed_positions(table[:, 1:])
+    return Driven(
+        SERVO_PERIOD * number, motor, believed, offset, int(number[-1]) + 1 - len(number)
+    )

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Operator of LinuxCNC without a screen: homes, drives the named programs, samples, ends.
+
+Runs under the Python of the system, where the module ``linuxcnc`` is; started by LinuxCNC as its
+display. ``order.json``: programs and their time limits; ``told.json``: what happened.
+"""
+
+import json
+import subprocess
+import time
+from collections.abc import Callable
+from typing import Any
+
+import linuxcnc  # type: ignore[import-not-found]
+
+STEP = 0.02
+"""s between two looks at the control."""
+
+
+class Failed(Exception):
+    """The control did not do what was asked."""
+
+
+def until(stat: Any, reached: Callable[[Any], bool], seconds: float, what: str) -> None:
+    """Wait until the control tells something."""
+    end = time.monotonic() + seconds
+    while True:
+        stat.poll()
+        if reached(stat):
+            return
+        if time.monotonic() > end:
+            raise Failed(f'{what} not within {seconds:.0f} s')
+        time.sleep(STEP)
+
+
+def switched_on(command: Any, stat: Any) -> None:
+    """Release the stop, switch on, home all joints."""
+    command.state(linuxcnc.STATE_ESTOP_RESET)
+    command.wait_complete()
+    command.state(linuxcnc.STATE_ON)
+    command.wait_complete()
+    until(stat, lambda s: s.task_state == linuxcnc.STATE_ON, 10, 'machine on')
+    command.mode(linuxcnc.MODE_MANUAL)
+    command.wait_complete()
+    for joint in range(3):
+        command.home(joint)
+    until(stat, lambda s: all(s.homed[:3]), 20, 'homing')
+
+
+def driven(command: Any, stat: Any, errors: Any, name: str, samples: str, seconds: float) -> None:
+    """Drive one program and sample every servo period."""
+    command.mode(linuxcnc.MODE_AUTO)
+    command.wait_complete()
+    command.program_open(name)
+    command.wait_complete()
+    sampler = subprocess.Popen(['halsampler', '-t', samples], stdin=subprocess.DEVNULL)
+    try:
+        time.sleep(0.3)
+        command.auto(linuxcnc.AUTO_RUN, 0)
+        until(stat, lambda s: s.interp_state != linuxcnc.INTERP_IDLE, 10, f'{name}: start')
+        end = time.monotonic() + seconds
+        while stat.interp_state != linuxcnc.INTERP_IDLE:
+            told = errors.poll()
+            if told:
+                raise Failed(f'{name}: {told[1]}')
+            if stat.interp_state == linuxcnc.INTERP_PAUSED:
+                command.auto(linuxcnc.AUTO_RESUME)  # the program waits for the recording
+            if time.monotonic() > end:
+                raise Failed(f'{name}: not done within {seconds:.0f} s')
+            time.sleep(STEP)
+            stat.poll()
+        time.sleep(0.3)
+    finally:
+        sampler.terminate()
+        sampler.wait()
+
+
+def main() -> None:
+    """Do what order.json asks; tell it in told.json."""
+    with open('order.json', encoding='utf-8') as file:
+        order = json.load(file)
+    told: dict[str, Any] = {'done': [], 'error': None}
+    command, stat, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
+    try:
+        switched_on(command, stat)
+        for item in order:
+            driven(command, stat, errors, item['program'], item['samples'], item['seconds'])
+            told['done'].append(item['program'])
+    except (Failed, linuxcnc.error) as error:
+        told['error'] = str(error)
+    with open('told.json', 'w', encoding='utf-8') as file:
+        json.dump(told, file)
+
+
+if __name__ == '__main__':
+    main()

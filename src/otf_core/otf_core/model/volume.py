@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predicted errors on a grid with their uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import ShapeError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VolumeErrors:
+    """Predicted errors on a grid.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 3), m
+        Programmed axis positions.
+    errors, u : ndarray, shape (n, 3), m
+        Error in the gauge of the tables, and its standard uncertainty (k = 1).
+    provisional : bool
+        From a part of the run.
+
+    Raises
+    ------
+    ShapeError
+        If the arrays differ in shape.
+    """
+
+    points: Array
+    errors: Array
+    u: Array
+    provisional: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the shapes."""
+        shapes = [field.shape for field in (self.points, self.errors, self.u)]
+        if len(set(shapes)) > 1 or shapes[0][1:] != (3,):
+            raise ShapeError(f'points, errors and u need one shape (n, 3), got {shapes}')
+
+    @property
+    def mean(self) -> tuple[float, float]:
+        """Mean length of the errors and of their uncertainties, m; zero for none."""
+        if not len(self.points):
+            return 0.0, 0.0
+        error, u = (float(np.linalg.norm(v, axis=1).mean()) for v in (self.errors, self.u))
+        return error, u

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Volumetric error on a regular grid: vectors, their uncertainty, what each motion adds.
+
+The best-fitting rigid motion of the grid is taken out of all of it: it belongs to the choice of
+the machine frame, and no calibration can know it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.evaluation import free_rows, lattice, without_rigid_motion
+from otf_core.model.kinematics import displacement
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.threads import one_thread
+
+Array = NDArray[np.float64]
+
+
+def table_places(tables: ErrorTables) -> dict[str, slice]:
+    """Places of squareness errors and motions in a covariance of tables."""
+    sizes = [1] * len(SQUARENESS) + [len(tables.motions[m].position) for m in MOTIONS]
+    ends = np.concatenate([[0], np.cumsum(sizes)]).tolist()
+    names = (*SQUARENESS, *MOTIONS)
+    return {n: slice(a, b) for n, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
+
+
+def table_values(tables: ErrorTables) -> Array:
+    """Values of squareness errors and nodes in the order of a covariance, shape (m,)."""
+    squareness = [tables.squareness[n].value for n in SQUARENESS]
+    return np.concatenate([squareness, *(tables.motions[m].value for m in MOTIONS)])
+
+
+def table_rows(tables: ErrorTables, q: Array) -> Array:
+    """Derivatives of the volumetric error at q (n, 3) by all of these, shape (n, 3, m)."""
+    nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
+    return prediction_rows(tables.machine, nodes, q)
+
+
+def volumetric_error(tables: ErrorTables) -> dict[str, float | int | str]:
+    """Size of the error vectors that tables predict, m.
+
+    Returns
+    -------
+    dict
+        ``mean``, ``p95`` and ``max`` over a regular grid of ``points`` in the whole volume, its
+        best rigid motion taken out.
+    """
+    grid = lattice(tables.machine)
+    error = without_rigid_motion(displacement(tables, grid), grid)
+    return {
+        'points': len(grid),
+        **_sizes(np.linalg.norm(error, axis=1)),
+        'rigid_motion': 'taken out',
+    }
+
+
+def _sizes(length: Array) -> dict[str, float]:
+    """Mean, 95 % quantile and largest of lengths (n,)."""
+    return {
+        'mean': float(length.mean()),
+        'p95': float(np.quantile(length, 0.95)),
+        'max': float(length.max()),
+    }
+
+
+@dataclass(frozen=True)
+class VolumetricError:
+    """Errors of a machine on a regular grid over its whole volume.
+
+    Attributes
+    ----------
+    tables : ErrorTables
+    covariance : ndarray, shape (m, m), m and rad
+        Of squareness and nodes.
+    """
+
+    tables: ErrorTables
+    covariance: Array
+
+    @cached_property
+    def grid(self) -> Array:
+        """Points, shape (n, 3), m."""
+        return lattice(self.tables.machine)
+
+    @cached_property
+    def error(self) -> Array:
+        """Actual minus nominal, shape (n, 3), m."""
+        return without_rigid_motion(displacement(self.tables, self.grid), self.grid)
+
+    @cached_property
+    def length(self) -> Array:
+        """Lengths of the error vectors, shape (n,), m."""
+        return np.asarray(np.linalg.norm(self.error, axis=1))
+
+    @cached_property
+    def rows(self) -> Array:
+        """Derivatives of the components by squareness and nodes, shape (3 n, m)."""
+        rows = table_rows(self.tables, self.grid)
+        return free_rows(rows.reshape(-1, rows.shape[2]), self.grid)
+
+    @cached_property
+    def _spread(self) -> Array:
+        """Rows times covariance, shape (3 n, m)."""
+        with one_thread():
+            return np.asarray(self.rows @ self.covariance)
+
+    @cached_property
+    def u(self) -> Array:
+        """Standard uncertainty of the components, shape (n, 3), m."""
+        variance = np.einsum('ij,ij->i', self._spread, self.rows)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
+
+    @cached_property
+    def u_size(self) -> Array:
+        """Standard uncertainty of the error vectors, root of the sum over components, (n,), m."""
+        return np.asarray(np.linalg.norm(self.u, axis=1))
+
+    @cached_property
+    def length_rows(self) -> Array:
+        """Derivatives of the lengths: along each error vector, shape (n, m)."""
+        unit = self.error / np.maximum(self.length, 1e-300)[:, None]
+        return np.asarray(np.einsum('nk,nkm->nm', unit, self.rows.reshape(*unit.shape, -1)))
+
+    @cached_property
+    def u_length(self) -> Array:
+        """Standard uncertainty of the lengths, shape (n,), m."""
+        rows = self.length_rows
+        with one_thread():
+            variance = np.einsum('nm,nm->n', rows @ self.covariance, rows)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def part(self, name: str) -> Array:
+        """Errors that one motion or squareness error makes alone, shape (n, 3), m."""
+        place = table_places(self.tables)[name]
+        return (self.rows[:, place] @ table_values(self.tables)[place]).reshape(-1, 3)
+
+    def sizes(self) -> dict[str, float]:
+        """Mean, 95 % quantile and largest length, m."""
+        return _sizes(self.length)
+
+    def u_sizes(self) -> dict[str, float]:
+        """The same of the standard uncertainties of the vectors, m."""
+        return _sizes(self.u_size)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the sections of a calibration's report share: the result, and what is computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.budget.typical import TypicalSystematic
+from otf_core.calibration.result import CalibrationResult
+from otf_core.model.machine import Machine
+from otf_core.model.tables import ErrorTables
+from otf_core.prediction.volumetric import VolumetricError
+from otf_core.reports.budget import GRID, BudgetLine
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """A calibration, its budget and where it comes from.
+
+    Attributes
+    ----------
+    result : CalibrationResult
+    lines : tuple of BudgetLine
+    provenance : mapping
+        Block of that name in error_tables.json.
+    """
+
+    result: CalibrationResult
+    lines: tuple[BudgetLine, ...]
+    provenance: Mapping[str, Any]
+
+    @property
+    def tables(self) -> ErrorTables:
+        """Error tables."""
+        return self.result.tables
+
+    @property
+    def machine(self) -> Machine:
+        """The machine as set up in the first run."""
+        return self.result.tables.machine
+
+    @property
+    def typical(self) -> TypicalSystematic | None:
+        """What typical systematic contributions would add; None if all are declared."""
+        return self.result.typical
+
+    @cached_property
+    def by_name(self) -> dict[str, BudgetLine]:
+        """Lines of the budget by name."""
+        return {line.name: line for line in self.lines}
+
+    @cached_property
+    def volume(self) -> VolumetricError:
+        """Errors on a grid over the whole volume."""
+        return VolumetricError(self.result.tables, self.result.covariance)
+
+    @property
+    def k_volume(self) -> float:
+        """Coverage factor for 95 % of errors in the volume."""
+        return self.by_name[GRID].k
+
+    @property
+    def both_ways(self) -> bool:
+        """True if forward and backward travel differ in this calibration."""
+        return any(t.identifiable for t in self.result.reversal.motions.values())

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conventions and gauge in words: signs, reference points, what u and U are."""
+
+from __future__ import annotations
+
+from otf_core.calibration.result import GAUGE
+from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.calibration_sections.conditions import measured
+from otf_core.reports.section import Section
+from otf_core.version import __version__
+
+CONVENTION = (
+    'error = actual minus nominal, of the target relative to the table, in machine '
+    'coordinates; u standard uncertainty (k = 1), U = k u (95 %)'
+)
+FILES = (
+    'files: position in m; value, u and U in m for EX, EY, EZ, in rad for EA, EB, EC and '
+    'squareness'
+)
+
+
+def section(facts: Facts) -> Section:
+    """Return the section."""
+    machine, origin = facts.machine, facts.result.origin
+    carried = {
+        'table': ', '.join(machine.chain.table_side) or 'none',
+        'target': ', '.join(machine.chain.target_side) or 'none',
+    }
+    offset = ', '.join(f'{v:.3f}' for v in machine.target_offset)
+    k, dof = facts.by_name['grid'].k, facts.by_name['grid'].dof
+    words = (
+        'Names are those of ISO 230-1: E, the direction of the error, the axis that moves; EXX is '
+        'the positioning error of X, EYX its straightness in Y, EAX its rotation about X.',
+        'Sign: an error is actual minus nominal position of the target relative to the table, in '
+        'the right-handed machine frame; rotations are right-handed. A correction has the '
+        'opposite sign.',
+        f'Kinematic chain {machine.chain}, from workpiece to tool: axes that carry the table: '
+        f'{carried["table"]}; axes that carry the target: {carried["target"]}. Reference point of '
+        f'the angular errors is the target, offset ({offset}) m from the last axis frame.',
+        f'Gauge: {GAUGE}. At these reference positions U is zero by definition: U is that of a '
+        f'difference to the reference.',
+        'The volumetric error is stated without the best-fitting rigid motion of the whole '
+        'volume, which belongs to the choice of the machine frame.',
+        'Results hold at the temperature of the measurement; they are not reduced to 20 °C.',
+        f'U is the expanded uncertainty for a coverage of about 95 %, U = k u by JCGM 100 (GUM); '
+        f'k = {k:.2f} for the volume (effective degrees of freedom '
+        f'{dof_words(dof)}), and for each motion as stated below; bands are pointwise. '
+        f'The full covariance stands in error_tables.json (JCGM 102).',
+    )
+    date = f'measured {measured(origin)}, ' if measured(origin) else ''
+    text = (CONVENTION, FILES, f'{date}calibrated by otf_core {__version__}', '')
+    return Section('conventions', 'Conventions and gauge', words, {'gauge': GAUGE}, text=text)
+
+
+def dof_words(dof: float) -> str:
+    """Degrees of freedom in words."""
+    return f'{dof:.0f}' if dof < 1e6 else 'infinite'

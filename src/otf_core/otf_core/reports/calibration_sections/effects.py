@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects that were taken off before the tables were solved for."""
+
+from __future__ import annotations
+
+from otf_core.effects.stated import FOUND, effects_to_list, format_effects
+from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.section import Section, Table
+
+
+def section(facts: Facts) -> Section | None:
+    """Return the section; None without effects."""
+    stated = facts.result.effects
+    if not stated:
+        return None
+    rows = []
+    for one in stated:
+        how = 'found by a diagnosis' if one.how == FOUND else 'named in a file'
+        for name, value in one.parameters.items():
+            u = one.u.get(name)
+            known = 'as given' if u is None else f'{u:.3g}'
+            unit = one.units.get(name, '')
+            rows.append((one.effect.replace('_', ' '), how, name, f'{value:.5g}', known, unit))
+    words = (
+        'These effects were taken off the runs first, so the tables do not hold them. Without '
+        'them the tables are in the folder plain beside this report.',
+    )
+    head = ('Effect', 'How', 'Parameter', 'Value', 'u, k = 1', 'Unit (SI)')
+    table = Table(head, tuple(rows), numbers=(3, 4))
+    data = {'effects': effects_to_list(stated)}
+    return Section('effects', 'Effects taken off', words, data, (table,),
+                   (format_effects(stated), ''))  # fmt: skip

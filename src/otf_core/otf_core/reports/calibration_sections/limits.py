@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verdict by the limits of machine.yaml, limit by limit."""
+
+from __future__ import annotations
+
+from otf_core.calibration.verdict import UNKNOWN, WHAT, Judged
+from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.quantities import listed, micro, micro_unit
+from otf_core.reports.section import Section, Table
+
+
+def section(facts: Facts) -> Section:
+    """Return the section."""
+    verdict, typical = facts.result.verdict, facts.typical
+    rule = (
+        'Decision rule (ISO 14253-1): a limit is kept if value + U is at most the limit, broken '
+        'if value - U is above it; in between neither is proven, which does not pass.'
+    )
+    if verdict is None:
+        lead = 'No verdict: machine.yaml states no limits (section limits).'
+        return Section('limits', 'Verdict', (lead, rule))
+    words = [f'{verdict.sentence[:1].upper()}{verdict.sentence[1:]}.', rule]
+    if typical:
+        words.append(f'U does not hold what nobody declared: {listed(typical.missing)}.')
+    rows = tuple(_row(one) for one in verdict.judged)
+    head = ('Quantity', 'Value', 'U (95 %)', 'Limit', 'Unit', 'State')
+    table = Table(head, rows, numbers=(1, 2, 3))
+    return Section('limits', 'Verdict', tuple(words), verdict.to_dict(), (table,))
+
+
+def _row(one: Judged) -> tuple[str, ...]:
+    what = WHAT.get(one.name, f'{one.name}')
+    unit = micro_unit(one.unit)
+    value = '' if one.state == UNKNOWN else micro(one.value)
+    wide = micro(one.U) if one.U else ''
+    return what, value, wide, micro(one.limit), unit, one.state

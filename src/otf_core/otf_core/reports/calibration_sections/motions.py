@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All 18 error motions: pictures with bands, and one line of numbers each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from otf_core.calibration.result import GAUGE, CalibrationResult
+from otf_core.model.machine import AXES
+from otf_core.model.motions import DIRECTIONS, MOTIONS, ErrorMotion
+from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.drawing.panel import Panel, words
+from otf_core.reports.drawing.scale import Scale, around
+from otf_core.reports.quantities import micro, micro_unit
+from otf_core.reports.section import Picture, Section, Table
+
+ROLES = {True: 'positioning', False: 'straightness'}
+
+
+def role(motion: ErrorMotion) -> str:
+    """What a motion is called."""
+    if motion.is_translation:
+        return ROLES[motion.is_positioning]
+    return 'roll' if motion.along == motion.place else f'rotation about {AXES[motion.along]}'
+
+
+def section(facts: Facts) -> Section:
+    """Return the section."""
+    rows = tuple(_row(facts, name) for name in MOTIONS)
+    head = ('Motion', 'Is', 'Unit', 'Nodes', 'Smallest', 'Largest', 'Span', 'Mean u, k = 1',
+            'Largest U, 95 %', 'k', 'dof')  # fmt: skip
+    table = Table(head, rows, numbers=tuple(range(3, 11)))
+    words_ = (
+        'Each picture shows one error motion over the position of its axis: line and nodes, and '
+        'the band of the expanded uncertainty (k = 2). Scales differ from picture to picture.',
+    )
+    text = ('motion  unit  nodes       min       max    mean u, k = 1',
+            *(_text(facts, name) for name in MOTIONS),
+            '', f'Gauge: {GAUGE}.', spacing_words(facts.result), '')  # fmt: skip
+    return Section('motions', 'Error motions', words_, _data(facts), (table,), text,
+                   draw=lambda: _pictures(facts))  # fmt: skip
+
+
+def _data(facts: Facts) -> dict[str, object]:
+    return {
+        name: {'min': float(t.value.min()), 'max': float(t.value.max()), 'unit': name.unit,
+               'mean_u': float(t.u.mean()), 'identifiable': t.identifiable}
+        for name in MOTIONS
+        for t in [facts.tables.motions[name]]
+    }  # fmt: skip
+
+
+def _row(facts: Facts, name: ErrorMotion) -> tuple[str, ...]:
+    table, line = facts.tables.motions[name], facts.by_name.get(name)
+    start = (str(name), role(name), micro_unit(name.unit), str(len(table.position)))
+    if not table.identifiable:
+        return (*start, 'not known', *[''] * 6)
+    low, high = float(table.value.min()), float(table.value.max())
+    k = line.k if line else 0.0
+    dof = '' if line is None else f'{line.dof:.0f}' if line.dof < 1e6 else 'infinite'
+    return (*start, micro(low), micro(high), micro(high - low), micro(float(table.u.mean())),
+            micro(k * float(table.u.max())), f'{k:.2f}', dof)  # fmt: skip
+
+
+def _text(facts: Facts, name: ErrorMotion) -> str:
+    table = facts.tables.motions[name]
+    row = f'{name:<8}{micro_unit(name.unit):<6}{len(table.position):>5}'
+    if not table.identifiable:
+        return row + '   not identifiable in these data'
+    row += f'{1e6 * table.value.min():>10.2f}{1e6 * table.value.max():>10.2f}'
+    return row + f'{1e6 * table.u.mean():>17.2f}'
+
+
+def spacing_words(result: CalibrationResult) -> str:
+    """What straight lines between the nodes cost."""
+    wish, taken = result.table_costs[1], result.table_costs[result.fraction]
+    worst = max(wish.motions, key=lambda name: wish.motions[name])
+    unit = micro_unit(ErrorMotion.of(worst).unit)
+    costs = (
+        f'straight lines between nodes cost {1e6 * wish.grid:.2f} um on the grid '
+        f'(most in {worst}: {1e6 * wish.motions[worst]:.2f} {unit})'
+    )
+    if result.fraction == 1:
+        return f'Nodes stand table_pitch apart; {costs}.'
+    return (
+        f'Nodes stand at 1/{result.fraction} of table_pitch, where straight lines cost '
+        f'{1e6 * taken.grid:.2f} um on the grid; at table_pitch {costs}.'
+    )
+
+
+def _pictures(facts: Facts) -> Sequence[Picture]:
+    panels = tuple(
+        _panel(facts, ErrorMotion(direction, axis)) for direction in DIRECTIONS for axis in AXES
+    )
+    both = (
+        'Forward (dashed) and backward (dotted) travel where they differ. '
+        if facts.both_ways
+        else ''
+    )
+    caption = (
+        f'Error motions, from left to right of X, Y and Z. Line with nodes: mean of both senses '
+        f'of travel; band: U = 2 u, pointwise. {both}Rings: nodes that the data do not determine, '
+        f'continued smoothly.'
+    )
+    return [Picture(panels, caption, columns=3)]
+
+
+def _panel(facts: Facts, name: ErrorMotion) -> str:
+    table = facts.tables.motions[name]
+    unit = 'µm' if name.is_translation else 'µrad'
+    x, y, u = table.position, 1e6 * table.value, 2e6 * table.u
+    heading = f'{name} {role(name)}'
+    along = Scale(*_ends(x), f'{name.axis} (m)')
+    if not table.identifiable:
+        panel = Panel(along, Scale(-1.0, 1.0, f'{name} ({unit})', marks=1))
+        marks = [words(190.0, 100.0, 'not identifiable in these data', 'middle soft')]
+        return panel.draw(marks, f'{name}: not identifiable', heading)
+    reversal = facts.result.reversal.motions.get(name)
+    half = 0.5e6 * reversal.value if reversal is not None and reversal.identifiable else None
+    sides = [y] if half is None else [y, y + half, y - half]
+    scale = around(np.concatenate([*sides, y - u, y + u]), f'{name} ({unit})')
+    panel = Panel(along, scale)
+    marks = [panel.band(x, y - u, y + u, 'after band')]
+    if scale.low < 0 < scale.high:
+        marks.append(panel.level(0.0, 'soft'))
+    if half is not None:
+        marks.append(panel.line(x, y + half, 'before dash'))
+        marks.append(panel.line(x, y - half, 'before dot'))
+    marks += [panel.line(x, y, 'after'), panel.dots(x, y, 'after node')]
+    known = table.node_identifiable
+    if known is not None and not known.all():
+        marks.append(panel.rings(x[~known], y[~known]))
+    return panel.draw(marks, f'{name} over {name.axis}, with uncertainty', heading)
+
+
+def _ends(position: np.typing.NDArray[np.float64]) -> tuple[float, float]:
+    low, high = float(position[0]), float(position[-1])
+    return (low, high) if high > low else (low - 0.5, high + 0.5)

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fleet side by side: text, fleet.json, fleet.html."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from otf_core.files.manifest import MANIFEST, write_manifest, written_files
+from otf_core.files.writing import write_text
+from otf_core.fleet.fleet import FILE, PAGE, fleet_to_dict, results
+from otf_core.fleet.job import Outcome
+from otf_core.model.motions import SQUARENESS
+from otf_core.reports.style import STYLE
+
+Row = list[str]
+
+TABLE_COLUMNS = (
+    'run', 'machine', 'volumetric error (um)', 'largest (um)', 'residual (um)',
+    *(f'{name} (urad)' for name in SQUARENESS), 'remark',
+)  # fmt: skip
+GAP_COLUMNS = ('run', 'machine', 'verdict', 'measured (um)', 'simulated (um)', 'causes', 'remark')
+
+
+def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
+    error, square = data['volumetric_error'], data['squareness']
+    sizes = (error['mean'], error['max'], data['fit']['residual_rms'])
+    return [
+        name, str(data['machine']['name']), *(f'{1e6 * v:.2f}' for v in sizes),
+        *(f'{1e6 * square[k]["value"]:.1f}' for k in SQUARENESS), remark,
+    ]  # fmt: skip
+
+
+def _diagnosed(name: str, data: Mapping[str, Any], remark: str) -> Row:
+    gap = data['gap']
+    machines = data.get('provenance', {}).get('machines', [{}])
+    return [
+        name, str(machines[0].get('name', '')), str(data['verdict']),
+        f'{gap["measured_um"]:.2f}', f'{gap["simulated_um"]:.2f}',
+        ', '.join(cause_names(data)) or '-', remark,
+    ]  # fmt: skip
+
+
+def cause_names(data: Mapping[str, Any]) -> list[str]:
+    """Causes of a gap.json with their axes."""
+    return [
+        f'{cause["effect"]} {" ".join(cause.get("axes") or [])}'.strip()
+        for cause in data['causes']
+    ]
+
+
+def fleet_rows(
+    verb: str, folder: Path, outcomes: Mapping[str, Outcome]
+) -> tuple[tuple[str, ...], list[Row], list[str]]:
+    """Columns, a row per run that is done, and what many runs share.
+
+    Parameters
+    ----------
+    verb : str
+        'calibrate' or 'diagnose'.
+    folder : Path
+    outcomes : mapping of run to Outcome
+    """
+    done = list(results(verb, folder, outcomes))
+    if verb == 'calibrate':
+        rows = [_calibrated(name, data, outcomes[name].message) for name, data in done]
+        return TABLE_COLUMNS, rows, []
+    rows = [_diagnosed(name, data, outcomes[name].message) for name, data in done]
+    counts = Counter(cause for _, data in done for cause in set(cause_names(data)))
+    shared = [
+        f'{cause}: {count} of {len(done)} runs'
+        for cause, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+        if count > 1
+    ]
+    return GAP_COLUMNS, rows, shared
+
+
+def format_fleet(verb: str, outcomes: Mapping[str, Outcome]) -> str:
+    """Return the text for a terminal: counts, and every run that failed."""
+    data = fleet_to_dict(verb, outcomes)
+    lines = [f'{data["done"]} of {len(outcomes)} runs done, {data["failed"]} failed']
+    lines += [f'  {n}: exit {o.exit}: {o.message}' for n, o in outcomes.items() if not o.done]
+    gates = [n for n, o in outcomes.items() if o.done and o.exit]
+    if gates:
+        lines.append(f'  quality gate failed: {", ".join(gates)}')
+    return '\n'.join(lines)
+
+
+def _table(columns: tuple[str, ...], rows: list[Row]) -> str:
+    head = ''.join(f'<th>{escape(c)}</th>' for c in columns)
+    body = '\n'.join(
+        '<tr>'
+        + ''.join(
+            f'<td class="{"number" if "(u" in column else "words"}">{escape(cell)}</td>'
+            for column, cell in zip(columns, row, strict=True)
+        )
+        + '</tr>'
+        for row in rows
+    )
+    return f'<table><tr>{head}</tr>\n{body}</table>'
+
+
+def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> str:
+    """Return the page of machines side by side: self-contained HTML."""
+    columns, rows, shared = fleet_rows(verb, folder, outcomes)
+    failed = [[n, str(o.exit), o.message] for n, o in outcomes.items() if not o.done]
+    parts = [
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
+        f'<title>Fleet: {escape(verb)}</title><style>{STYLE}</style></head><body>',
+        f'<h1>Fleet: otf {escape(verb)}</h1>',
+        f'<p class="verdict">{len(rows)} of {len(outcomes)} runs done, {len(failed)} failed</p>',
+    ]
+    if shared:
+        items = ''.join(f'<li>{escape(text)}</li>' for text in shared)
+        parts.append(f'<h2>Causes that several runs share</h2><ul>{items}</ul>')
+    if failed:
+        parts.append('<h2>Failed</h2>' + _table(('run', 'exit', 'message'), failed))
+    parts.append('<h2>Side by side</h2>' + _table(columns, rows))
+    return '\n'.join([*parts, '</body></html>']) + '\n'
+
+
+def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> list[Path]:
+    """Write fleet.json and fleet.html into the folder of a fleet.
+
+    Returns
+    -------
+    list of Path
+    """
+    data = fleet_to_dict(verb, outcomes)
+    write_text(folder / PAGE, fleet_page(verb, folder, outcomes))
+    write_text(folder / FILE, json.dumps(data, indent=1) + '\n')
+    write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
+    return [folder / FILE, folder / PAGE]

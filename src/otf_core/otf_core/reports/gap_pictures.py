@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pictures of the gap report share: states of the residual, bars of groups, keys."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.place.groupings import Grouping
+from otf_core.diagnosis.place.groups import partition
+from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.result import Diagnosis
+from otf_core.reports.drawing.bars import Bar, bars
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """Residuals of all runs without or with the causes, and the class they are drawn in."""
+
+    label: str
+    kind: str
+    residuals: list[Array]
+
+
+def states(diagnosis: Diagnosis) -> list[State]:
+    """Without and, if there are causes, with them."""
+    views, causes = diagnosis.shown.views, bool(diagnosis.causes)
+    label = 'without the causes' if causes else 'residual'
+    found = [State(label, 'before', [v.residual_before for v in views])]
+    if causes:
+        found.append(State('with the causes', 'after', [v.residual_after for v in views]))
+    return found
+
+
+def key(diagnosis: Diagnosis) -> str:
+    """Key of the states and of the noise, as markup."""
+    names = [(s.kind, s.label) for s in states(diagnosis)] + [('noise', 'noise expected')]
+    spans = ''.join(
+        f'<span><span class="key" style="background:var(--{kind})"></span>{label}</span>'
+        for kind, label in names
+    )
+    return f'<p class="soft keys">{spans}</p>'
+
+
+def group_bars(diagnosis: Diagnosis, parts: Sequence[Grouping], title: str) -> str:
+    """Bars of groups: without the causes, below it with them; strokes for the noise expected."""
+    views: Sequence[RunView] = diagnosis.shown.views
+    drawn = [
+        [g for p in parts for g in partition(views, p.indices, p.labels, p.kind, state.residuals)]
+        for state in states(diagnosis)
+    ]
+    rows = []
+    for same in zip(*drawn, strict=True):
+        for state, group in zip(states(diagnosis), same, strict=True):
+            name = group.label if state.kind == 'before' else ''
+            size = 1e6 * group.rms
+            rows.append(Bar(name, ((size, state.kind),), f'{size:.2f} µm', 1e6 * group.expected))
+    return bars(rows, title, names=190.0, width=480.0)

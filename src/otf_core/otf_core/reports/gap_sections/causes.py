@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The causes that were found, ranked, with their parameters."""
+
+from __future__ import annotations
+
+from otf_core.diagnosis.result import Diagnosis, NamedCause
+from otf_core.reports.gap_words import (
+    confidence_words,
+    effect_cause,
+    effect_name,
+    shape_words,
+    shown_parameters,
+)
+from otf_core.reports.quantities import quantity
+from otf_core.reports.section import Cell, Section, Table
+
+
+def section(diagnosis: Diagnosis) -> Section:
+    """Return the section."""
+    text = (*(line for cause in diagnosis.causes for line in _text(cause)), '')
+    if not diagnosis.causes:
+        reason = {
+            'none': 'None: the run shows no more than its simulation.',
+            'unknown': 'None named: no effect of the catalogue explains the gap. '
+            f'Its structure: {diagnosis.unexplained_where}.',
+        }.get(diagnosis.verdict, 'None found.')
+        return Section('causes', 'Causes', (reason,), text=text)
+    words: tuple[str, ...] = ()
+    if diagnosis.table_change_um > 0:
+        words = (
+            f'With the causes in the calibration the error tables change the predicted volumetric '
+            f'error by {diagnosis.table_change_um:.2f} um on average over the volume.',
+        )
+    rows = tuple(_row(k, c) for k, c in enumerate(diagnosis.causes, start=1))
+    head = ('', 'Cause', 'Axes', 'Parameters (+/- U, k = 2)', 'Gap (um)', 'Confidence')
+    table = Table(head, rows, numbers=(4,))
+    return Section('causes', 'Causes', words, tables=(table,), text=text)
+
+
+def _row(rank: int, cause: NamedCause) -> tuple[Cell, ...]:
+    about = effect_cause(cause.effect)
+    rivals = ' or '.join(effect_name(r) for r in cause.indistinguishable_from)
+    named = [effect_name(cause.effect), *([about] if about else [])]
+    sure = [confidence_words(cause.confidence)]
+    if rivals:
+        named.append(f'In these data not told from: {rivals}')
+        sure.append('that it is one of these')
+    names, more = shown_parameters(cause)
+    parameters = [
+        f'{n} {_unbroken(quantity(cause.parameters[n], cause.u[n], cause.units.get(n, "")))}'
+        for n in names
+        if n in cause.u
+    ]
+    shape = shape_words(cause)
+    rest = [f'and {more} more in gap.json'] if more else []
+    return (
+        str(rank),
+        tuple(named),
+        ', '.join(cause.axes) or '–',
+        ('', *parameters, *rest, *([shape] if shape else [])),
+        (f'{cause.before_um:.2f} → {cause.after_um:.2f}',
+         f'shrinks by {cause.shrink_percent:.0f} %'),
+        tuple(sure) if rivals else sure[0],
+    )  # fmt: skip
+
+
+def _unbroken(words: str) -> str:
+    return words.replace(' +/- ', '\u00a0±\u00a0').replace(' ', '\u00a0')
+
+
+def _text(cause: NamedCause) -> list[str]:
+    axes = f' ({", ".join(cause.axes)})' if cause.axes else ''
+    lines = [
+        f'cause {cause.effect}{axes}: gap {cause.before_um:.2f} um -> {cause.after_um:.2f} um, '
+        f'confidence {100 * cause.confidence:.0f} %'
+    ]
+    for name, value in cause.parameters.items():
+        shown = quantity(value, cause.u.get(name), cause.units.get(name, ''))
+        k = ' (k = 2)' if name in cause.u else ''
+        lines.append(f'    {name} = {shown}{k}')
+    if cause.indistinguishable_from:
+        lines.append(f'    not told from {", ".join(cause.indistinguishable_from)}')
+    return lines

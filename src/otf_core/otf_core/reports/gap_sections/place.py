@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Residual in the volume: three views, colour for its size, arrows for its mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.result import Diagnosis
+from otf_core.model.machine import AXES
+from otf_core.reports.drawing.heat import heat_classes, heat_key, heat_step
+from otf_core.reports.drawing.panel import Panel
+from otf_core.reports.drawing.scale import Scale
+from otf_core.reports.gap_pictures import State, states
+from otf_core.reports.section import Picture, Section
+
+Array = NDArray[np.float64]
+
+CELLS = 8
+"""Along the longest axis."""
+PLANES = ((0, 1), (0, 2), (1, 2))
+ARROW = 0.9
+"""Length of the longest arrow, cells."""
+FEWEST = 5
+"""Pieces in a cell from which it is drawn."""
+WIDE, HIGH = 278.0, 228.0
+"""px; room for the cells."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Square cells of a view.
+
+    Attributes
+    ----------
+    low : ndarray, shape (n, 2), m
+        Lower corners.
+    size : float, m
+    rms : ndarray, shape (n,), um
+    mean : ndarray, shape (n, 2), um
+    """
+
+    low: Array
+    size: float
+    rms: Array
+    mean: Array
+
+
+def section(diagnosis: Diagnosis) -> Section:
+    """Return the section."""
+    return Section('place', 'In the volume', draw=lambda: _pictures(diagnosis))
+
+
+def cells(views: Sequence[RunView], vectors: Array, plane: tuple[int, int]) -> Cells:
+    """Cells of the views of all runs for vectors (p, 3), m; of the longest axis there are 8."""
+    q = np.concatenate([v.q for v in views])
+    size = max(float(np.ptp(q, axis=0).max()) / CELLS, 1e-6)
+    q = q[:, plane]
+    low = q.min(axis=0)
+    count = np.maximum(np.ceil(np.ptp(q, axis=0) / size - 1e-9).astype(int), 1)
+    index = np.minimum(np.floor((q - low) / size + 1e-9).astype(int), count - 1)
+    enough = np.bincount(index @ [count[1], 1])[index @ [count[1], 1]] >= FEWEST
+    keys, cell = np.unique(index[enough], axis=0, return_inverse=True)
+    cell, vectors = cell.reshape(-1), vectors[enough]
+    number = np.bincount(cell)
+    rms = 1e6 * np.sqrt(np.bincount(cell, (vectors**2).sum(axis=1)) / number)
+    mean = [1e6 * np.bincount(cell, vectors[:, k]) / number for k in plane]
+    return Cells(low + keys * size, size, rms, np.stack(mean, axis=1))
+
+
+def _pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
+    views = diagnosis.shown.views
+    drawn = [(state, [_cells_of(views, state, plane) for plane in PLANES])
+             for state in states(diagnosis)]  # fmt: skip
+    every = [c for _, row in drawn for c in row]
+    top = max((float(c.rms.max(initial=0.0)) for c in every), default=0.0)
+    longest = max(float(np.linalg.norm(c.mean, axis=1).max(initial=0.0)) for c in every)
+    step = heat_step(np.array([top]))
+    parts = tuple(
+        _panel(views, c, plane, step, longest, state.label)
+        for state, row in drawn
+        for plane, c in zip(PLANES, row, strict=True)
+    )
+    caption = (
+        'The volume seen along Z, Y and X: colour is the root mean square of the residual in '
+        f'cells of the view, arrows its mean; the longest arrow of all is {longest:.2g} um.'
+    )
+    return [Picture(parts, caption, columns=3, key=heat_key(step, top, 'µm'))]
+
+
+def _cells_of(views: Sequence[RunView], state: State, plane: tuple[int, int]) -> Cells:
+    pairs = zip(views, state.residuals, strict=True)
+    return cells(views, np.concatenate([v.vectors(r) for v, r in pairs]), plane)
+
+
+def _panel(
+    views: Sequence[RunView],
+    found: Cells,
+    plane: tuple[int, int],
+    step: float,
+    longest: float,
+    label: str,
+) -> str:
+    q = np.concatenate([v.q[:, plane] for v in views])
+    middle, span = 0.5 * (q.min(axis=0) + q.max(axis=0)), np.ptp(q, axis=0)
+    metre = max(float(span[0]) / WIDE, float(span[1]) / HIGH, 1e-9) * 1.08
+    half = 0.5 * metre * np.array([WIDE, HIGH])
+    low, high = middle - half, middle + half
+    panel = Panel(
+        Scale(float(low[0]), float(high[0]), f'{AXES[plane[0]]} (m)'),
+        Scale(float(low[1]), float(high[1]), f'{AXES[plane[1]]} (m)'),
+        height=HIGH + 62.0,
+    )
+    marks = []
+    corners = panel.points(found.low[:, 0], found.low[:, 1] + found.size)
+    side = found.size / metre
+    for (x, y), level in zip(corners, heat_classes(found.rms, step), strict=True):
+        marks.append(
+            f'<rect class="area heat h{level}" x="{x:.1f}" y="{y:.1f}" width="{side:.1f}" '
+            f'height="{side:.1f}"/>'
+        )
+    centre = found.low + 0.5 * found.size
+    reach = 0.5 * ARROW * found.size / max(longest, 1e-9) * found.mean
+    marks.append(panel.arrows(centre - reach, centre + reach, 'ink thin'))
+    names = ' and '.join(AXES[k] for k in plane)
+    return panel.draw(marks, f'residual over {names}, {label}', label)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sections to one HTML page that needs nothing else: no network, no fonts, no files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from otf_core.reports.drawing.typography import text
+from otf_core.reports.section import Cell, Picture, Section, Table
+from otf_core.reports.style import STYLE
+
+COLUMNS = {1: '', 2: ' two', 3: ' three'}
+
+
+@dataclass(frozen=True)
+class Heading:
+    """Top of a page.
+
+    Attributes
+    ----------
+    title : str
+        What the page is, and of what.
+    badge : str
+        The verdict in a word or two.
+    mood : str
+        Class of the badge: 'good', 'bad', 'open' or none.
+    sentence : str
+        The verdict.
+    tiles : tuple of (what, value, remark)
+        The numbers that count.
+    """
+
+    title: str
+    badge: str
+    sentence: str
+    mood: str = ''
+    tiles: tuple[tuple[str, str, str], ...] = ()
+
+
+def _cell(cell: Cell, number: bool) -> str:
+    kind = ' class="number"' if number else ''
+    if isinstance(cell, str):
+        return f'<td{kind}>{text(cell)}</td>'
+    first, *rest = cell
+    more = ''.join(f'<div class="soft">{text(line)}</div>' for line in rest)
+    return f'<td{kind}><b>{text(first)}</b>{more}</td>'
+
+
+def _table(table: Table) -> str:
+    right = set(table.numbers)
+    head = ''.join(
+        f'<th class="number">{text(h)}</th>' if k in right else f'<th>{text(h)}</th>'
+        for k, h in enumerate(table.head)
+    )
+    rows = ''.join(
+        f'<tr>{"".join(_cell(c, k in right) for k, c in enumerate(row))}</tr>'
+        for row in table.rows
+    )
+    title = f'<caption>{text(table.title)}</caption>' if table.title else ''
+    thead = f'<thead><tr>{head}</tr></thead>' if any(table.head) else ''
+    body = f'<div class="scroll"><table>{title}{thead}<tbody>{rows}</tbody></table></div>'
+    if table.folded:
+        return f'<details><summary>{text(table.folded)}</summary>{body}</details>'
+    return body
+
+
+def _picture(picture: Picture) -> str:
+    title = f'<h3>{text(picture.title)}</h3>' if picture.title else ''
+    kind = COLUMNS[picture.columns]
+    caption = f'<figcaption>{text(picture.caption)}</figcaption>' if picture.caption else ''
+    parts = ''.join(f'<div>{part}</div>' for part in picture.parts)
+    return (
+        f'<figure>{title}{picture.key}<div class="pictures{kind}">{parts}</div>{caption}</figure>'
+    )
+
+
+def _section(section: Section) -> str:
+    title = f'<h2>{text(section.title)}</h2>' if section.title else ''
+    words = ''.join(f'<p>{text(line)}</p>' for line in section.words)
+    pictures = ''.join(map(_picture, section.draw()))
+    tables = ''.join(map(_table, section.tables))
+    return f'<section id="{text(section.name)}">{title}{words}{pictures}{tables}</section>'
+
+
+def page_html(heading: Heading, sections: Sequence[Section]) -> str:
+    """Return the whole page."""
+    named = ''.join(f'<a href="#{text(s.name)}">{text(s.title)}</a>' for s in sections if s.title)
+    first, rest = sections[:1], sections[1:]
+    scripts = ''.join(f'<script>{s.script}</script>' for s in sections if s.script)
+    tiles = ''.join(
+        f'<div class="tile"><span>{text(a)}</span><b>{text(b)}</b><span>{text(c)}</span></div>'
+        for a, b, c in heading.tiles
+    )
+    mood = f' {heading.mood}' if heading.mood else ''
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<title>{text(heading.title)}</title><style>{STYLE}</style></head><body>\n'
+        f'<h1>{text(heading.title)}<span class="badge{mood}">{text(heading.badge)}</span></h1>'
+        f'<p class="verdict">{text(heading.sentence)}</p>\n'
+        f'<div class="tiles">{tiles}</div>\n'
+        + '\n'.join(map(_section, first))
+        + f'\n<nav>{named}</nav>\n'
+        + '\n'.join(map(_section, rest))
+        + f'\n{scripts}</body></html>\n'
+    )

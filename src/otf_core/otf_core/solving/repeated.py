@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines that laps repeat, taken once with the weight of all passes.
+
+Rows of a line are the same in every lap, but for where in a piece its samples happen to lie (half
+a step between samples at most). Were they the same, nothing would be lost of l passes with
+deviations y_l and inverse covariances W_l in
+
+    W = sum_l W_l,    y = W^-1 sum_l W_l y_l,
+    sum_l (y_l - v)^T W_l (y_l - v) = (y - v)^T W (y - v) + sum_l y_l^T W_l y_l - y^T W y
+
+and sums over rows would grow with the path, not with the time that it is driven. What is compared,
+or repeated until nothing changes, may do with that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.solving.system import System
+from otf_core.solving.whitener import Whitener
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Once:
+    """Rows of lines with the weight of all passes.
+
+    Attributes
+    ----------
+    system : System
+        Of the first pass over every line, with deviations y.
+    whitener : Whitener
+        For W.
+    pieces : ndarray of int64
+        Their places among all pieces.
+    square : float
+        What the passes differ, weighted sum of squares.
+    rows : int
+        Of all passes.
+    """
+
+    system: System
+    whitener: Whitener
+    pieces: Index
+    square: float
+    rows: int
+
+
+def taken_once(system: System, whitener: Whitener) -> Once:
+    """Take every line once with the weight of all passes over it."""
+    rows, once = system.deviation.size, whitener.once
+    if once is whitener:
+        return Once(system, whitener, np.arange(len(system.q)), 0.0, rows)
+    lines, line = np.unique(whitener.first, return_inverse=True)
+    first = [whitener.bounds[leg] for leg in lines.tolist()]
+    pieces = np.concatenate([np.arange(*bounds) for bounds in first])
+    places = [np.arange(*once.bounds[k]) for k in line.tolist()]
+    pulled = whitener.weighted(system.deviation)
+    place = np.concatenate(places)
+    pull = np.array([np.bincount(place, own) for own in pulled], dtype=float)
+    mean = once.covaried(pull)
+    square = float(np.sum(system.deviation * pulled) - np.sum(mean * pull))
+    return Once(replace(system.at(pieces), deviation=mean), once, pieces, square, rows)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every verb: examples that parse, one JSON object on stdout, silence on demand."""
+
+import json
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_cells import run, write_points
+
+from otf_core.cli import _parser
+from otf_core.cli.completion import script
+from otf_core.cli.verbs import EXAMPLES, VERBS
+
+ROOM = Path(__file__).resolve().parents[3] / 'bags/y-carries-the-table'
+STOPS = ROOM.parent / 'x-and-y-carry-the-table/bag'
+VERB_NAMES = tuple(_parser().verbs)
+
+
+def test_what_the_launcher_lists_are_the_verbs():
+    assert set(VERBS) == set(EXAMPLES) == set(VERB_NAMES)
+
+
+@pytest.mark.parametrize('verb', VERB_NAMES)
+def test_examples_of_the_help_are_command_lines(verb):
+    parser = _parser()
+    assert all(line in parser.verbs[verb].format_help() for line in EXAMPLES[verb])
+    for line in EXAMPLES[verb]:
+        program, *words = shlex.split(line.partition(' > ')[0])
+        assert program == 'otf' and parser.parse_args(words).verb == verb
+
+
+def completed(*words):
+    """What bash offers for the last word of a command line."""
+    line = ' '.join(shlex.quote(w) for w in words)
+    code = (
+        f'{script(_parser())}\nCOMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _otf; '
+        'echo "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(['bash', '-c', code], capture_output=True, text=True, check=True)
+    assert not done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(shutil.which('bash') is None, reason='there is no bash')
+def test_the_shell_completes_verbs_options_and_choices():
+    assert completed('otf', 'c') == ['check', 'completion', 'calibrate', 'compare']
+    assert completed('./otf', 'calibrate', '--rev') == ['--reversal']
+    assert completed('otf', 'calibrate', 'run', '--method', '') == ['otf', 'standstill']
+    assert completed('otf', 'completion', 'z') == ['zsh']
+    assert completed('otf', 'calibrate', 'ru') == []  # files, by the shell itself
+
+
+@pytest.fixture
+def asked(tmp_path, capsys):
+    """Exit code, object and messages of a verb with --json, and its --out."""
+
+    def of(verb, *words, out='out'):
+        code = run(verb, *words, '--out', tmp_path / out, '--json')
+        shown = capsys.readouterr()
+        return code, json.loads(shown.out), shown.err
+
+    return of
+
+
+def test_the_object_of_a_calibration_is_its_file_and_comes_as_checked(asked, tmp_path, capsys):
+    assert run('check', ROOM / 'bag', '--machine', ROOM / 'machine.yaml', '--json') == 0
+    expected = json.loads(capsys.readouterr().out)
+    code, answer, words = asked('calibrate', ROOM / 'bag', '--machine', ROOM / 'machine.yaml')
+    assert code == 0 and 'mean u, k = 1' in words
+    (line,) = (line for line in words.splitlines() if line.startswith('grid  um'))
+    found = float(line.split('dof')[1].split()[2])
+    assert 0.5 < expected['forecast']['mean_grid_u_um'] / found < 2.0
+    assert expected['coverage'] == pytest.approx(answer['fit']['coverage'], abs=0.01)
+    written = json.loads((tmp_path / 'out/error_tables.json').read_text())
+    assert answer['motions'] == written['motions'] and answer['verb'] == 'calibrate'
+    assert sorted(answer['files']) == sorted(
+        p.name for p in (tmp_path / 'out').iterdir() if p.name != 'manifest.json'
+    )
+    points = write_points(tmp_path / 'points.csv', [[0.1, 0.1, -0.1], [0.2, 0.0, -0.2]])
+    tables = ('--tables', tmp_path / 'out/error_tables.json', '--points', points)
+    code, answer, _ = asked('predict', *tables, out='errors.csv')
+    rows = np.genfromtxt(tmp_path / 'errors.csv', delimiter=',', names=True)
+    assert [p['dx'] for p in answer['points']] == rows['dx'].tolist()
+
+
+def test_objects_of_the_other_quick_verbs(asked, tmp_path, capsys):
+    machine = ROOM / 'machine.yaml'
+    code, answer, _ = asked('noise', STOPS, out='noise')
+    assert code == 0 and answer == {
+        'verb': 'noise',
+        **json.loads((tmp_path / 'noise/noise.json').read_text()),
+        'out': str(tmp_path / 'noise'),
+        'files': answer['files'],
+    }
+    path = write_points(tmp_path / 'path.csv', [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, -0.1]])
+    code, answer, words = asked('simulate', '--machine', machine, '--path', path, '--rate', '50')
+    assert code == 0 and f'{answer["samples"]} samples' in words
+    assert (
+        run('simulate', '--machine', machine, '--path', path, '--out', tmp_path / 'b', '--quiet')
+        == 0
+    )
+    shown = capsys.readouterr()
+    assert shown.out == shown.err == '' and (tmp_path / 'b/metadata.yaml').exists()
+    code, answer, words = asked('plan', '--machine', machine, '--path', path, out='plan')
+    assert code == 0 and answer['schema'] == 'otf-plan/1' and 'no NC program' in words

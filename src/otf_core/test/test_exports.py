@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exports, read back by readers written from the descriptions of the formats alone."""
+
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+import yaml
+from cli_cells import run
+from core_cells import error_of, some_machine
+
+from otf_core.errors import ConfigError
+from otf_core.exports import HOMES, export_format
+from otf_core.exports.base import Request
+from otf_core.exports.remaining import remaining_error
+from otf_core.model.evaluation import mean_length, without_rigid_motion
+from otf_core.model.tables import TablesFile, load_tables, tables_to_dict
+from otf_core.sim.cell import random_tables
+
+FULL = ('isg', 'heidenhain', 'lattice-csv', 'lattice-npz')
+PARTS = ('linuxcnc', 'sinumerik-enc', 'sinumerik-cec')
+ASKED = ('sinumerik-cec', 'isg', 'heidenhain')
+NAMES = tuple(HOMES)
+
+
+@pytest.fixture(scope='module')
+def tables():
+    return random_tables(some_machine(pitch=0.04), 5e-5, np.random.default_rng(11))
+
+
+@pytest.fixture(scope='module')
+def places(tables):
+    """Positions in the volume, no nodes among them."""
+    machine = tables.machine
+    return np.random.default_rng(2).uniform(machine.lower, machine.upper, (200, 3))
+
+
+def numbers(text, comment):
+    """Rows of text that are no comments and no blanks."""
+    return [line for line in text.splitlines() if line.strip() and not line.startswith(comment)]
+
+
+def read_linuxcnc(files, q, sign):
+    """Correction in m: the control adds nominal minus actual, columns in mm."""
+    change = np.zeros_like(q)
+    ini = files['cell.ini'].decode()
+    for joint in range(3):
+        part = ini.split(f'[JOINT_{joint}]')[1].split('[JOINT')[0]
+        name = re.search(r'COMP_FILE = (\S+)', part).group(1)
+        assert 'COMP_FILE_TYPE = 0' in part
+        rows = []
+        for line in files[name].decode().splitlines():
+            try:
+                nominal, forward, reverse = map(float, line.split())
+            except ValueError:
+                break  # the control stops here too
+            rows.append((nominal, nominal - forward))
+            assert forward == reverse
+        nominal, correction = np.array(rows).T
+        assert np.all(np.diff(nominal) > 0) and len(nominal) <= 256
+        change[:, joint] = 1e-3 * np.interp(1e3 * q[:, joint], nominal, correction)
+    return change
+
+
+def sinumerik_values(text, name):
+    """Values by table or axis and number, other variables by table or axis."""
+    values, other = {}, {}
+    pattern = rf'\${name}(_\w+)?\[([^\]]+)\]=(\S+)'
+    for kind, index, value in re.findall(pattern, text):
+        if kind:
+            other[kind, index.split(',')[-1]] = value.strip('"')
+        else:
+            values[tuple(index.split(','))] = float(value)
+    return values, other
+
+
+def evenly(points, low, high, step, at):
+    assert low + step * (len(points) - 1) == pytest.approx(high, abs=1e-5)
+    return np.interp(at, low + step * np.arange(len(points)), points)
+
+
+def read_sinumerik_enc(files, q, sign):
+    """A positive value moves the axis in the negative direction."""
+    (text,) = (f.decode() for f in files.values())
+    assert text.startswith('%_N_AX_EEC_INI') and text.endswith('M17\n')
+    values, other = sinumerik_values(text, 'AA_ENC_COMP')
+    change = np.zeros_like(q)
+    for k, axis in enumerate(('X1', 'Y1', 'Z1')):
+        points = [values[key] for key in sorted(
+            (key for key in values if key[2] == axis), key=lambda key: int(key[1])
+        )]  # fmt: skip
+        low, high, step = (float(other[f'_{w}', axis]) for w in ('MIN', 'MAX', 'STEP'))
+        change[:, k] = -1e-3 * evenly(points, low, high, step, 1e3 * q[:, k])
+    return change
+
+
+def read_sinumerik_cec(files, q, sign):
+    """Tables that act on the output axis by the position of the input axis."""
+    (text,) = (f.decode() for f in files.values())
+    values, other = sinumerik_values(text, 'AN_CEC')
+    change = np.zeros_like(q)
+    for table in '012345':
+        points = [values[key] for key in sorted(
+            (key for key in values if key[0] == table), key=lambda key: int(key[1])
+        )]  # fmt: skip
+        low, high, step = (float(other[f'_{w}', table]) for w in ('MIN', 'MAX', 'STEP'))
+        base, moved = ('XYZ'.index(other[w, table][0]) for w in ('_INPUT_AXIS', '_OUTPUT_AXIS'))
+        at = evenly(points, low, high, step, 1e3 * q[:, base])
+        change[:, moved] += 1e-3 * at * (1 if sign == 'correction' else -1)
+    return change
+
+
+def by_iso_names(columns, square, q, sign):
+    """Sum of the contract over columns of mm and rad: (axis, direction) to positions, values."""
+    truth = random_tables(some_machine(pitch=0.04), 5e-5, np.random.default_rng(11))
+    factor = 1 if sign == 'error' else -1
+    data = tables_to_dict(truth)
+    for name, motion in data['motions'].items():
+        position, value = columns[name]
+        scale = 1e-3 if motion['unit'] == 'm' else 1.0
+        motion['position'] = [1e-3 * p for p in position]
+        motion['value'] = [factor * scale * v for v in value]
+        motion['u'] = [0.0] * len(position)
+    for name, value in square.items():
+        data['squareness'][name]['value'] = factor * value
+    from otf_core.model.tables import tables_from_dict
+
+    return -error_of(tables_from_dict(data, 'read').tables, q)
+
+
+def read_isg(files, q, sign):
+    (text,) = (f.decode() for f in files.values())
+    blocks = [numbers(b, '//') for b in text.split('\n#\n')]
+    square = dict(zip(blocks[0][0].split(), map(float, blocks[0][1].split()), strict=True))
+    columns = {}
+    for block in blocks[1:]:
+        header, rows = block[0].split('\t'), np.array([r.split('\t') for r in block[1:]], float)
+        for k, name in enumerate(header[1:], start=1):
+            columns[name] = rows[:, 0], rows[:, k]
+    return by_iso_names(columns, square, q, sign)
+
+
+def read_heidenhain(files, q, sign):
+    (text,) = (f.decode() for f in files.values())
+    said = re.search(r'C0Y (\S+), B0Z (\S+), A0Z (\S+)', text).groups()
+    square = dict(zip(('C0Y', 'B0Z', 'A0Z'), map(float, said), strict=True))
+    header, *rows = [line.split(',') for line in numbers(text, '#')]
+    assert header == ['AXIS', 'AXISPOS', 'C1', 'C2', 'C3', 'C4', 'C5', 'C6']
+    columns = {}
+    for axis in 'XYZ':
+        own = np.array([row[1:] for row in rows if row[0] == axis], float)
+        for k, direction in enumerate('XYZABC', start=1):
+            columns[f'E{direction}{axis}'] = own[:, 0], own[:, k]
+    return by_iso_names(columns, square, q, sign)
+
+
+def trilinear(axes, error, q):
+    from scipy.interpolate import RegularGridInterpolator
+
+    return -RegularGridInterpolator(axes, error)(q)
+
+
+def read_lattice_csv(files, q, sign):
+    (text,) = (f.decode() for f in files.values())
+    header, *rows = numbers(text, '#')
+    assert header.startswith('x,y,z,dx,dy,dz')
+    values = np.array([row.split(',') for row in rows], float)
+    axes = [np.unique(values[:, k]) for k in range(3)]
+    return trilinear(axes, values[:, 3:6].reshape(*map(len, axes), 3), q)
+
+
+def read_lattice_npz(files, q, sign):
+    (data,) = files.values()
+    with np.load(io.BytesIO(data)) as held:
+        axes = [held[a] for a in 'xyz']
+        return trilinear(axes, held['error'], q)
+
+
+def exported(name, tables, sign='error', points=None):
+    sign = sign if name in ASKED else None
+    return export_format(name).export(Request(TablesFile(tables), 'cell.txt', sign, points))
+
+
+READERS = {name: globals()['read_' + name.replace('-', '_')] for name in NAMES}
+every_format = pytest.mark.parametrize('name', NAMES)
+
+
+@every_format
+def test_an_independent_reader_of_the_format_takes_error_off(name, tables, places):
+    before = mean_length(without_rigid_motion(error_of(tables, places), places))
+    change = READERS[name](exported(name, tables).files, places, 'error')
+    after = mean_length(without_rigid_motion(error_of(tables, places) + change, places))
+    wrong = mean_length(without_rigid_motion(error_of(tables, places) - change, places))
+    assert after < (1e-3 if name in FULL else 0.95) * before < wrong
+
+
+@every_format
+def test_the_forecast_is_of_what_the_reader_takes_off(name, tables, places):
+    made = exported(name, tables)
+    change = READERS[name](made.files, places, 'error')
+    np.testing.assert_allclose(made.held(places), -change, atol=5e-9)  # m; six decimals of a mm
+    left = remaining_error(tables, made.held)
+    assert left.after_mean < left.before_mean
+
+
+@pytest.mark.parametrize('name', ASKED)
+def test_the_sign_that_the_user_names_turns_the_values(name, tables, places):
+    files = exported(name, tables, sign='correction').files
+    as_error = READERS[name](exported(name, tables).files, places, 'error')
+    np.testing.assert_allclose(READERS[name](files, places, 'correction'), as_error, atol=1e-12)
+    with pytest.raises(ConfigError, match=r'--sign: .* needs it'):
+        export_format(name).export(Request(TablesFile(tables), 'a.txt'))
+
+
+def test_the_tables_of_sinumerik_together_hold_what_functions_of_one_axis_can(tables, places):
+    made = [exported(name, tables) for name in ('sinumerik-enc', 'sinumerik-cec')]
+    together = remaining_error(tables, lambda q: sum(m.held(q) for m in made))
+    assert together.after_mean < min(remaining_error(tables, m.held).after_mean for m in made)
+
+
+@every_format
+def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
+    for content in exported(name, tables).files.values():
+        assert b'sign: ' in content and b'not in this file: ' in content
+
+
+def test_the_covariance_of_a_lattice_is_that_of_its_errors(tables):
+    data = tables_to_dict(tables)
+    for name in ('EXX', 'EAX'):
+        data['motions'][name]['u'] = [1e-6] * len(data['motions'][name]['u'])
+    from otf_core.model.tables import tables_from_dict
+
+    content = tables_from_dict(data, 'tables')
+    made = export_format('lattice-npz').export(Request(content, 'a.npz', points=3))
+    with np.load(io.BytesIO(made.files['a.npz'])) as held:
+        covariance, q = held['covariance'], [held[a] for a in 'xyz']
+    # at a node of X, EXX moves along X alone and EAX turns (y, z) with the lever (some_machine)
+    points = np.stack(np.meshgrid(*q, indexing='ij'), axis=-1).reshape(-1, 3)
+    first = points[0]
+    lever = tables.machine.target_offset + np.array([0, first[1], first[2]])
+    u = np.sqrt(np.diag(covariance)[:3])
+    np.testing.assert_allclose(u, 1e-6 * np.abs([1.0, lever[2], lever[1]]), rtol=1e-9)
+
+
+def test_export_and_import_on_the_command_line(tables, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'done').mkdir()
+    (tmp_path / 'done/error_tables.json').write_text(json.dumps(tables_to_dict(tables)))
+    (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(tables.machine.to_dict()))
+    assert run('export', 'done', '--format', 'lattice-csv', '--out', 'l.csv', '--json') == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown['remaining']['after_mean_um'] < 1e-3 < shown['remaining']['before_mean_um']
+    assert run('import', 'l.csv', '--machine', 'machine.yaml', '--out', 'back') == 0
+    back = load_tables('back/error_tables.json').tables
+    q = np.random.default_rng(5).uniform(tables.machine.lower, tables.machine.upper, (50, 3))
+    np.testing.assert_allclose(error_of(back, q), error_of(tables, q), atol=1e-10)
+    assert run('export', 'done', '--format', 'linuxcnc', '--out', 'cell.ini') == 0
+    assert sorted(p.name for p in tmp_path.glob('cell*')) == [
+        'cell.ini', 'cell_x.comp', 'cell_y.comp', 'cell_z.comp'
+    ]  # fmt: skip
+    capsys.readouterr()
+    assert run('export', 'done', '--format', 'linuxcnc', '--out', 'cell.ini') == 2
+    assert '--overwrite' in capsys.readouterr().err
+    (tmp_path / 'mine.txt').write_text('mine\n')
+    sign = ('--sign', 'error', '--overwrite')
+    assert run('export', 'done', '--format', 'isg', '--out', 'mine.txt', *sign) == 2
+    assert 'never overwritten' in capsys.readouterr().err
+    assert run('export', 'done', '--format', 'isg', '--out', 'new.txt') == 2
+    assert '--sign error or --sign correction' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('text', 'said'),
+    [
+        ('x,y,z\n0,0,0\n', 'expected the header'),
+        ('x,y,z,dx,dy,dz\n0,0,0,a,0,0\n', 'line 2'),
+        ('x,y,z,dx,dy,dz\n0,0,-.1,0,0,0\n0.1,0.1,-.2,0,0,0\n', 'no point at'),
+        ('# ' + '\nx,y,z,dx,dy,dz\n', 'holds no points'),
+    ],
+)
+def test_a_lattice_that_is_none_is_refused_with_its_place(text, said, place, capsys):
+    (place / 'l.csv').write_text(text)
+    assert run('import', 'l.csv', '--machine', 'machine.yaml', '--out', 'back') == 2
+    assert said in capsys.readouterr().err
+    assert not (place / 'back').exists()

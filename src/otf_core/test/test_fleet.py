@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many runs at once: order, restart, broken bags, killed workers, the same bits always."""
+
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+from bag_cells import CONTENT
+from cli_cells import run
+
+from otf_core.bags.bag import BagContent, write_bag
+from otf_core.errors import ConfigError
+from otf_core.fleet import job
+from otf_core.fleet.run_list import read_list
+from otf_core.model.tables import load_tables
+
+STUB = """
+import json, os, pathlib, sys
+verb, bag, out = sys.argv[1], sys.argv[2], pathlib.Path(sys.argv[6])
+with open(os.environ['CALLS'], 'a') as calls:
+    calls.write(f'{out.name}\\n')
+if 'broken' in pathlib.Path(bag).name:
+    sys.exit('otf calibrate: broken: no bag')
+out.mkdir(exist_ok=True)
+data = {'volumetric_error': {'mean': 1e-5, 'max': 2e-5}, 'fit': {'residual_rms': 1e-6},
+        'machine': {'name': 'm'}, 'when': os.environ['SOURCE_DATE_EPOCH'], 'bag': bag,
+        'squareness': {k: {'value': 1e-6} for k in ('C0Y', 'B0Z', 'A0Z')}}
+(out / 'error_tables.json').write_text(json.dumps(data))
+sys.exit(4 if 'gate' in pathlib.Path(bag).name else 0)
+"""
+
+
+@pytest.fixture
+def plant(tmp_path, monkeypatch):
+    """Six listed runs, two of them broken, done by a stand-in for the command."""
+    (tmp_path / 'stub.py').write_text(STUB)
+    monkeypatch.setattr(job, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
+    monkeypatch.setenv('CALLS', str(tmp_path / 'calls'))
+    monkeypatch.chdir(tmp_path)
+    rows = ['name,bag,machine']
+    for name in ('a', 'b', 'c', 'd', 'broken-1', 'broken-2'):
+        (tmp_path / f'{name}.mcap').write_text(name)
+        rows.append(f'{name},{name}.mcap,machine.yaml')
+    (tmp_path / 'machine.yaml').write_text('name: m\n')
+    (tmp_path / 'runs.csv').write_text('\n'.join(rows) + '\n')
+    return tmp_path
+
+
+def fleet(out, workers=2):
+    return run('fleet', 'calibrate', '--list', 'runs.csv', '--out', out, '--workers', workers)
+
+
+def told(folder):
+    return json.loads((folder / 'fleet.json').read_text())
+
+
+def test_broken_bags_end_nothing_but_themselves_and_workers_change_no_bit(plant, capsys):
+    assert [fleet('one', 1), fleet('three', 3)] == [4, 4]
+    assert (plant / 'one/fleet.json').read_bytes() == (plant / 'three/fleet.json').read_bytes()
+    data = told(plant / 'one')
+    assert (data['done'], data['failed']) == (4, 2)
+    assert list(data['runs']) == ['a', 'b', 'c', 'd', 'broken-1', 'broken-2']
+    result = (plant / 'three/c/error_tables.json').read_bytes()
+    assert data['runs']['c']['sha256'] == hashlib.sha256(result).hexdigest()
+    assert data['runs']['broken-1'] == {
+        'exit': 1, 'message': 'otf calibrate: broken: no bag', 'sha256': None
+    }  # fmt: skip
+    page = (plant / 'one/fleet.html').read_text()
+    assert 'broken-2' in page and '://' not in page
+    assert '4 of 6 runs done, 2 failed' in capsys.readouterr().out
+
+
+def test_a_fleet_goes_on_where_it_stopped_and_sees_changed_inputs(plant):
+    fleet('out')
+    before = (plant / 'calls').read_text().count('\n')
+    (plant / 'b.mcap').write_text('another bag')
+    (plant / 'out/c/error_tables.json').unlink()
+    fleet('out')
+    again = (plant / 'calls').read_text().splitlines()[before:]
+    assert sorted(again) == ['b', 'broken-1', 'broken-2', 'c']
+    assert told(plant / 'out')['done'] == 4
+
+
+def test_the_run_of_a_killed_worker_is_done_again(plant, monkeypatch):
+    fleet('whole')
+    killed = []
+
+    class Killing(subprocess.Popen):
+        def __init__(self, command, **options):
+            super().__init__(command, **options)
+            if 'b.mcap' in command[3] and not killed:
+                killed.append(self.pid)
+                self.send_signal(signal.SIGKILL)
+
+    monkeypatch.setattr(job.subprocess, 'Popen', Killing)
+    fleet('out')
+    assert killed
+    assert told(plant / 'out') == told(plant / 'whole')
+
+
+def test_a_run_that_is_killed_each_time_fails_alone(plant, monkeypatch):
+    class Killing(subprocess.Popen):
+        def __init__(self, command, **options):
+            super().__init__(command, **options)
+            if 'b.mcap' in command[3]:
+                self.send_signal(signal.SIGKILL)
+
+    monkeypatch.setattr(job.subprocess, 'Popen', Killing)
+    fleet('out')
+    data = told(plant / 'out')
+    assert data['done'] == 3
+    assert 'killed by signal 9 in 3 tries' in data['runs']['b']['message']
+
+
+def test_a_run_whose_quality_gate_failed_is_done_and_shows_in_the_exit_code(plant):
+    (plant / 'gate.mcap').write_text('')
+    (plant / 'runs.csv').write_text('name,bag,machine\ng,gate.mcap,machine.yaml\n')
+    assert fleet('out') == 4
+    assert told(plant / 'out')['done'] == 1
+
+
+def test_folders_of_others_and_fleets_of_other_verbs_are_left_alone(plant, capsys):
+    (plant / 'mine').mkdir()
+    (plant / 'mine/file').write_text('mine')
+    assert fleet('mine') == 2
+    fleet('out')
+    assert run('fleet', 'diagnose', '--list', 'runs.csv', '--out', 'out') == 2
+    assert 'holds a fleet of calibrate' in capsys.readouterr().err
+    assert (plant / 'mine/file').read_text() == 'mine'
+
+
+@pytest.mark.parametrize(
+    ('text', 'said'),
+    [
+        ('bag,machine\n', 'line 1: expected the header name,bag,machine'),
+        ('name,bag,machine\n', 'lists no runs'),
+        ('name,bag,machine\na,b\n', 'line 2: expected name,bag,machine'),
+        ('name,bag,machine\n../a,b,m\n', 'no name of a folder'),
+        ('name,bag,machine\na,b,m\na,c,m\n', 'line 3: the name a appears twice'),
+    ],
+)
+def test_a_wrong_list_is_refused_with_its_line(tmp_path, text, said):
+    (tmp_path / 'runs.csv').write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        read_list(tmp_path / 'runs.csv')
+
+
+def test_a_scheduler_needs_dask(plant, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, 'distributed', None)
+    arguments = ('--list', 'runs.csv', '--out', 'out', '--scheduler', 'tcp://localhost:1')
+    assert run('fleet', 'calibrate', *arguments) == 2
+    assert 'pip install distributed' in capsys.readouterr().err
+
+
+def test_real_bags_give_what_calibrating_gives(cell, calibrated, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(cell.machine.to_dict()))
+    write_bag(tmp_path / 'good', BagContent(cell.recording.measured(cell.truth), cell.path))
+    write_bag(tmp_path / 'short', CONTENT)
+    rows = ['name,bag,machine', 'g,good,machine.yaml', 's,short,machine.yaml']
+    (tmp_path / 'runs.csv').write_text('\n'.join(rows) + '\n')
+    assert fleet('out') == 4
+    data = told(tmp_path / 'out')
+    assert data['runs']['g']['exit'] == 0
+    assert data['runs']['s']['exit'] == 3
+    tables = load_tables(tmp_path / 'out/g/error_tables.json').tables
+    for name, table in calibrated.tables.motions.items():
+        np.testing.assert_array_equal(tables.motions[name].value, table.value)

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings as people have them: texts of many forms, other topics and types, paths beside."""
+
+import json
+
+import numpy as np
+import pytest
+from bag_cells import (
+    CONTENT,
+    CORNERS,
+    PATH_TYPE,
+    START,
+    STORE,
+    header,
+    path_cdr,
+    point_messages,
+    write_mcap,
+)
+from cli_cells import run, write_points
+
+from otf_core.errors import ConfigError, InputError
+from otf_core.inputs.path_file import read_path
+from otf_core.inputs.recordings import Given, read_content, read_samples
+from otf_core.inputs.text_points import TextReading
+
+STAMPS = START + 2_000_000 * np.arange(50)
+XYZ = np.random.default_rng(5).normal([1.5, -2.0, 0.5], size=(50, 3)).round(7)
+SECONDS = [f'{t // 10**9}.{t % 10**9:09d}' for t in STAMPS.tolist()]
+SINCE = STAMPS - STAMPS[0]
+
+
+def lines(form, head='', tail=''):
+    """A text of the samples; ``form`` takes stamp text, ns since start, x, y, z in m."""
+    rows = zip(SECONDS, SINCE.tolist(), XYZ.tolist(), strict=True)
+    return head + '\n'.join(form(s, t, *p) for s, t, p in rows) + '\n' + tail
+
+
+def mm(*values):
+    return [f'{1e3 * v:.4f}' for v in values]
+
+
+def comma(text):
+    return text.replace('.', ',')
+
+
+TEXTS = {
+    'plain': lines(lambda s, t, *p: ','.join([s, *map(repr, p)]), 'time_s,x_m,y_m,z_m\n'),
+    'upper case, columns moved': lines(
+        lambda s, t, x, y, z: f'{z};{y};{x};7;{s}', 'Z [m];Y [m];X [m];Quality;TIME [s]\n'
+    ),
+    'German': lines(
+        lambda s, t, *p: comma(';'.join([f'{t / 1e6:.6f}', *mm(*p)])) + ';gut;',
+        '# Bericht\n# Maschine 7\nZeit [ms];X [mm];Y [mm];Z [mm];Güte\n',
+    ),
+    'tabs, no names': lines(lambda s, t, *p: '\t'.join([s, *mm(*p)])),
+    'spaces, a comment in the middle': lines(
+        lambda s, t, *p: f'  {s}   {"  ".join(mm(*p))}' + ('\n# pause' if t == 20_000_000 else ''),
+        '# t x y z\n',
+    ),
+    'labels between': lines(
+        lambda s, t, x, y, z: f'X,{x},Y,{y},Z,{z},Rx,1.0,Ry,2.0,Rz,3.0,Time(sec),{s}'
+    ),
+    'names in a comment, group and point, time of day': lines(
+        lambda s, t, *p: f'A p{t} {" ".join(mm(*p))} 0.1 23:59:59.{t + 5:09d}',
+        '// SpatialAnalyzer SA\n// AXES = CARTESIAN: X Y Z (mm)\n'
+        '// Group Point X Y Z [U-x] [Timestamp]\n',
+    ),
+    'seconds and nanoseconds of a recorded topic': lines(
+        lambda s, t, *p: f'{t},0,{s.split(".")[0]},{int(s.split(".")[1])},tracker,'
+        + ','.join(map(repr, p)),
+        '%time,field.header.seq,field.header.stamp.secs,field.header.stamp.nsecs,'
+        'field.header.frame_id,field.point.x,field.point.y,field.point.z\n',
+    ),
+    'dates': lines(
+        lambda s, t, *p: f'2026-11-22T10:11:12.{t + 5:09d}Z,' + ','.join(map(repr, p)),
+        'timestamp,x,y,z\n',
+    ),
+}  # fmt: skip
+
+
+def reading(tmp_path, text, encoding='utf-8', **options):
+    (tmp_path / 'run.csv').write_bytes(text.encode(encoding))
+    return TextReading(tmp_path / 'run.csv', **options)
+
+
+@pytest.mark.parametrize('text', TEXTS.values(), ids=TEXTS)
+def test_texts_hold_the_same_samples(tmp_path, text):
+    got = reading(tmp_path, text)
+    raw = got.received()
+    np.testing.assert_allclose(raw.xyz, XYZ, atol=6e-8)
+    np.testing.assert_array_equal(raw.stamp_ns - raw.stamp_ns[0], SINCE)
+    assert not got.remarks
+
+
+@pytest.mark.parametrize('encoding', ['utf-8-sig', 'cp1252', 'utf-16'])
+def test_encodings(tmp_path, encoding):
+    raw = reading(tmp_path, TEXTS['German'].replace('\n', '\r\n'), encoding).received()
+    np.testing.assert_allclose(raw.xyz, XYZ, atol=6e-8)
+
+
+def test_nanoseconds_since_1970_are_kept(tmp_path):
+    raw = reading(tmp_path, TEXTS['plain']).received()
+    np.testing.assert_array_equal(raw.stamp_ns, STAMPS)
+
+
+@pytest.mark.parametrize(('unit', 'factor'), [('s', 1e-9), ('ms', 1e-6), ('us', 1e-3), ('ns', 1)])
+def test_a_unit_of_time_that_is_not_stated_follows_from_the_speed(tmp_path, unit, factor):
+    path = np.linspace([1.0, 0.0, 0.0], [1.0, 0.15, 0.0], 501)  # 0.15 m/s at 500 Hz
+    rows = [f'{t * factor:.9g},{p[0]},{p[1]},{p[2]}' for t, p in
+            zip((2_000_000 * np.arange(501)).tolist(), path.tolist(), strict=True)]  # fmt: skip
+    got = reading(tmp_path, '\n'.join(['t,x,y,z', *rows]))
+    assert f'time from t in {unit} (not stated' in got.said[0]
+    assert np.ptp(got.received().stamp_ns) == pytest.approx(1e9)
+
+
+def test_columns_and_rate_on_request(tmp_path):
+    text = lines(lambda s, t, *p: ' '.join([s, s.split('.')[0], str(t // 1000), *mm(*p)]))
+    with pytest.raises(InputError, match=r'line 1 has 6 columns.*--columns'):
+        reading(tmp_path, text)
+    raw = reading(tmp_path, text, columns='-,-,time_us,x_mm,y_mm,z_mm').received()
+    np.testing.assert_allclose(raw.xyz, XYZ, atol=6e-8)
+    np.testing.assert_array_equal(raw.stamp_ns, SINCE)
+    text = lines(lambda s, t, *p: ' '.join(mm(*p)))
+    with pytest.raises(InputError, match='no column of times'):
+        reading(tmp_path, text)
+    np.testing.assert_array_equal(reading(tmp_path, text, rate=500.0).received().stamp_ns, SINCE)
+    for columns, words in (
+        ('a,b,c', "'a' is unknown"),
+        ('x,y', 'does not name'),
+        ('-,' * 9, '10'),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            reading(tmp_path, text, columns=columns, rate=1.0)
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('', 'holds no lines of at least 3 numbers'),
+        ('Dear all,\nthe data follow.\n', 'the first line is .Dear all,'),
+        (TEXTS['plain'].replace(SECONDS[3], 'n/a'), ''),
+        (lines(lambda s, t, *p: f'{s},1,2,3', 'time,a,b,c\n'), r'the head names no x'),
+        (lines(lambda s, t, *p: f'{s},1,2,3', 't [s],x [mm],y [m],z [m]\n'), 'different units'),
+        (TEXTS['plain'] + 'a,b\n' * 20, 'line 52 is no line of 4 fields'),
+    ],
+)
+def test_what_is_wrong_with_a_text_is_said_with_its_line(tmp_path, text, words):
+    if words:
+        with pytest.raises(InputError, match=words):
+            reading(tmp_path, text)
+    else:
+        assert reading(tmp_path, text).remarks == [
+            'skipped 1 lines that are no samples, the first is line 5'
+        ]
+
+
+def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
+    file, corners = tmp_path / 'run.txt', tmp_path / 'path.csv'
+    file.write_text(TEXTS['plain'])
+    with pytest.raises(InputError, match='give the path beside it'):
+        read_content([file])
+    write_points(corners, CORNERS)
+    content = read_content([file], Given(path=corners))
+    np.testing.assert_array_equal(content.path.points, CORNERS)
+    np.testing.assert_array_equal(content.samples.xyz, XYZ)
+    assert run('check', file, '--path', corners, '--json') == 3  # these samples follow no path
+    shown = capsys.readouterr()
+    assert (
+        json.loads(shown.out)['samples'] == 50 and 'x, y, z from x_m, y_m, z_m in m' in shown.err
+    )
+    with pytest.raises(ConfigError, match='is a text and has no topics'):
+        read_content([file], Given(path=corners, topic='/point'))
+    assert run('check', file, '--rate', '-5') == 2
+
+
+def test_paths_are_plans_or_corner_points_in_m_or_mm(tmp_path):
+    plan = {'schema': 'otf-plan/1', 'path': CORNERS.tolist(), 'feed': [0.1] * 3, 'dwell': [0] * 4}
+    (tmp_path / 'plan.json').write_text(json.dumps(plan))
+    np.testing.assert_array_equal(read_path(tmp_path / 'plan.json'), CORNERS)
+    rows = '\n'.join(comma(';'.join(mm(*p))) for p in CORNERS.tolist())
+    (tmp_path / 'path.csv').write_text(f'X [mm];Y [mm];Z [mm]\n{rows}\n')
+    np.testing.assert_allclose(read_path(tmp_path / 'path.csv'), CORNERS, atol=1e-12)
+
+
+def stamped(kind, stamp, xyz, frame, child='target'):
+    """A message that holds a point, as the reference library encodes it."""
+    kinds = STORE.types
+    x, y, z = map(float, xyz)
+    point, turn = (
+        kinds['geometry_msgs/msg/Point'](x, y, z),
+        kinds['geometry_msgs/msg/Quaternion'](0.5, 0.5, 0.5, 0.5),
+    )
+    pose = kinds['geometry_msgs/msg/Pose'](point, turn)
+    at, covariance = header(stamp, frame), np.zeros(36)
+    vector = kinds['geometry_msgs/msg/Vector3']
+    twist = kinds['geometry_msgs/msg/TwistWithCovariance'](
+        kinds['geometry_msgs/msg/Twist'](vector(1.0, 2.0, 3.0), vector(4.0, 5.0, 6.0)), covariance
+    )
+    with_covariance = kinds['geometry_msgs/msg/PoseWithCovariance'](pose, covariance)
+    content = {
+        'geometry_msgs/msg/PoseStamped': (at, pose),
+        'geometry_msgs/msg/PoseWithCovarianceStamped': (at, with_covariance),
+        'geometry_msgs/msg/TransformStamped': (
+            at, child, kinds['geometry_msgs/msg/Transform'](vector(x, y, z), turn)
+        ),
+        'nav_msgs/msg/Odometry': (at, child, with_covariance, twist),
+    }  # fmt: skip
+    return bytes(STORE.serialize_cdr(kinds[kind](*content[kind]), kind))
+
+
+TYPES = [
+    'geometry_msgs/msg/PoseStamped',
+    'geometry_msgs/msg/PoseWithCovarianceStamped',
+    'geometry_msgs/msg/TransformStamped',
+    'nav_msgs/msg/Odometry',
+]
+
+
+@pytest.mark.parametrize('frame', ['leica', 't', 'a_longer_name'])
+@pytest.mark.parametrize('kind', TYPES)
+def test_types_that_hold_a_point_in_any_frame_of_a_topic_that_is_named(tmp_path, kind, frame):
+    messages = [
+        ('/leica/target', kind, int(t), stamped(kind, t, p, frame))
+        for t, p in zip(STAMPS, XYZ, strict=True)
+    ]
+    messages.append(('/cell/path', PATH_TYPE, START, path_cdr(frame='base')))
+    bag = write_mcap(tmp_path / 'run.mcap', messages)
+    content = read_content([bag], Given(topic='leica/target', path_topic='/cell/path'))
+    np.testing.assert_array_equal(content.samples.xyz, XYZ)
+    np.testing.assert_array_equal(content.samples.stamp_ns, STAMPS)
+    np.testing.assert_array_equal(content.path.points, CORNERS)
+    with pytest.raises(InputError, match=r'topic /tracker/point is missing.*--topic'):
+        read_content([bag])
+
+
+def test_samples_of_another_child_are_left_out(tmp_path):
+    kind = 'geometry_msgs/msg/TransformStamped'
+    messages = [
+        ('/tf_point', kind, int(t), stamped(kind, t, p, 'tracker', 'probe' if k == 7 else 'smr'))
+        for k, (t, p) in enumerate(zip(STAMPS, XYZ, strict=True))
+    ]
+    bag = write_mcap(tmp_path / 'run.mcap', messages)
+    samples = read_samples(bag, Given(topic='/tf_point'))
+    np.testing.assert_array_equal(samples.xyz, np.delete(XYZ, 7, axis=0))
+
+
+def test_a_path_that_is_given_takes_the_place_of_that_of_a_bag(tmp_path):
+    bag = write_mcap(tmp_path / 'run.mcap', point_messages())
+    with pytest.raises(InputError, match='/planner/path is missing'):
+        read_content([bag])
+    write_points(tmp_path / 'path.csv', 0.5 * CORNERS)
+    content = read_content([bag], Given(path=tmp_path / 'path.csv'))
+    np.testing.assert_array_equal(content.path.points, 0.5 * CORNERS)
+    np.testing.assert_array_equal(content.samples.xyz, CONTENT.samples.xyz)
+    with pytest.raises(ConfigError, match='--columns'):
+        read_content([bag], Given(columns='x,y,z'))

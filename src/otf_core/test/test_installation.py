@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the doctor says of installations that something is wrong with."""
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cli_cells import run
+
+from otf_core.installation import graph, packages, python, space, texts
+from otf_core.installation.doctor import examine
+from otf_core.installation.state import ERROR, OK
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def of(check, part):
+    return next(state for state in check() if state.part == part)
+
+
+def test_this_installation_can_calibrate(capsys):
+    assert all(s.severity != ERROR for s in examine())
+    assert run('doctor', '--json') == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer['healthy'] is True
+    assert {p['part'] for p in answer['parts']} >= {
+        'python',
+        'packages',
+        'disk',
+        'locale',
+        'clock',
+    }
+
+
+def test_what_is_needed_is_what_the_package_requires():
+    lines = (ROOT / 'src/otf_core/setup.py').read_text(encoding='utf-8')
+    required = dict(re.findall(r"'([\w-]+)>=([\d.]+)',  #", lines))
+    assert required == packages.NEEDED
+
+
+def test_a_package_that_is_missing_or_old_is_named(monkeypatch):
+    have = {'numpy': '1.20.3', 'mcap': None}
+
+    def version(name):
+        if have.get(name, '99') is None:
+            raise packages.PackageNotFoundError(name)
+        return have.get(name, '99')
+
+    monkeypatch.setattr(packages, 'version', version)
+    missing, old = packages.check()
+    assert (missing.severity, missing.what) == (ERROR, 'missing: mcap')
+    assert old.what == 'too old: numpy 1.20.3 (needed 1.26)' and old.do
+
+
+def test_an_old_interpreter_is_an_error(monkeypatch):
+    monkeypatch.setattr(sys, 'version_info', (3, 9, 1))
+    assert of(python.check, 'python').severity == ERROR
+
+
+@pytest.mark.parametrize('domain', ['233', '-1', 'cell 5', '7\n'])
+def test_a_domain_that_is_none_is_named(monkeypatch, domain):
+    monkeypatch.setenv('ROS_DOMAIN_ID', domain)
+    assert of(graph.check, 'domain').severity != OK
+
+
+def test_a_port_that_is_taken_is_named(monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', '199')
+    assert of(graph.check, 'domain').severity == OK
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(('', graph.FIRST_PORT + 199 * graph.PER_DOMAIN))
+        assert 'UDP port 57150 cannot be opened' in of(graph.check, 'domain').what
+
+
+def test_another_distribution_is_named(monkeypatch):
+    monkeypatch.setenv('ROS_DISTRO', 'humble')
+    assert 'jazzy' in of(graph.check, 'ros').do
+
+
+def test_little_room_is_named(monkeypatch):
+
+    class Full:
+        free = 5e7
+
+    monkeypatch.setattr(space.shutil, 'disk_usage', lambda folder: Full)
+    assert of(space.check, 'disk').severity == ERROR
+
+
+def test_a_terminal_that_is_not_utf_8_is_named():
+    code = (
+        'from otf_core.installation.texts import check; '
+        'print(*(s.severity for s in check() if s.part == "locale"))'
+    )
+    env = {**os.environ, 'PYTHONIOENCODING': 'latin-1'}
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=True, env=env
+    )
+    assert done.stdout == 'warning\n'
+
+
+def test_a_variable_that_changes_python_is_named(monkeypatch):
+    monkeypatch.setenv('PYTHONOPTIMIZE', '1')
+    assert 'PYTHONOPTIMIZE=1' in of(texts.check, 'environment').what
+
+
+def test_the_doctor_needs_no_numpy():
+    code = (
+        'import sys; sys.modules["numpy"] = None; '
+        'from otf_core.cli import main; sys.exit(main(["doctor", "--quiet"]))'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2 and done.stderr == ''

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The round on a control: with LinuxCNC where it is installed, else with a stand-in for it."""
+
+import json
+import re
+import shutil
+import sys
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+from cli_cells import run
+from core_cells import some_machine
+
+from otf_core.bags.bag import read_bag
+from otf_core.errors import ConfigError, InputError
+from otf_core.exports import export_format
+from otf_core.exports.base import Request
+from otf_core.loop import circle, control
+from otf_core.loop import control_files as files
+from otf_core.loop.check_lines import check_plan
+from otf_core.loop.corrected import corrected, corrected_program, in_parts
+from otf_core.loop.judged import on_path
+from otf_core.model.kinematics import displacement
+from otf_core.model.path import NominalPath
+from otf_core.model.plan import Plan
+from otf_core.model.tables import TablesFile
+from otf_core.planning.nc import DIALECTS
+from otf_core.planning.nc.programs import on_increment, program
+from otf_core.sim.cell import random_tables
+from otf_core.sim.drive import Drive
+
+ACCELERATION = 5.0
+installed = pytest.mark.skipif(
+    shutil.which('linuxcnc') is None, reason='LinuxCNC is not installed'
+)
+
+
+@pytest.fixture(scope='module')
+def tables():
+    return random_tables(some_machine(pitch=0.04), 5e-5, np.random.default_rng(21))
+
+
+def moves_of(text):
+    """Points (m), feeds (m/s) and dwells (s) of a LinuxCNC program after its M0."""
+    points, feeds, dwells = [], [], []
+    body = text.partition('M0\n')
+    last = re.findall(r'[XYZ](-?[\d.]+)', body[0].split('LOCK')[0])[-3:]
+    start = {'X': last[0], 'Y': last[1], 'Z': last[2]}  # the approach ends X, Y, then Z
+    points.append([float(start[a]) for a in 'XYZ'])
+    dwells.append(0.0)
+    for line in body[2].splitlines():
+        if line.startswith('G53 G1'):
+            points.append([float(v) for v in re.findall(r'[XYZ](-?[\d.]+)', line)])
+            feeds.append(float(re.search(r'F(\d+)', line).group(1)) / 60e3)
+            dwells.append(0.0)
+        elif line.startswith('G4'):
+            dwells[-1] += float(line[4:])
+    return Plan(NominalPath(1e-3 * np.array(points)), np.array(feeds), np.array(dwells))
+
+
+def stand_in(given, programs):
+    """Drive as LinuxCNC does with type 0 compensation files, at 1 kHz."""
+    done = []
+    for item in programs:
+        drive = Drive(moves_of(item.text), ACCELERATION)
+        time = 1e-3 * np.arange(int(1e3 * drive.duration) + 1)
+        believed = drive.position(time)
+        motor = believed.copy()
+        for k, letter in enumerate('xyz'):
+            name = f'compensation_{letter}.comp'
+            if name in given:
+                assert f'COMP_FILE = {name}'.encode() in given[files.INI]
+                rows = [r.split() for r in given[name].decode().splitlines() if r[0] != '#']
+                nominal, actual, _ = 1e-3 * np.array(rows, float).T
+                motor[:, k] += np.interp(believed[:, k], nominal, nominal - actual)
+        done.append(control.Driven(time, motor, believed, np.zeros_like(motor), 0))
+    return done
+
+
+def test_a_round_leaves_what_the_export_forecast_and_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(circle, 'drive', stand_in)
+    monkeypatch.setattr(control, 'find_control', lambda: 'linuxcnc')
+    machine = tmp_path / 'machine.yaml'
+    machine.write_text(yaml.safe_dump(some_machine(pitch=0.1).to_dict()))
+    out = tmp_path / 'out'
+    assert run('loop', '--machine', machine, '--out', out, '--compensate', 'axes',
+               '--rate', '200', '--seed', '3', '--json') == 0  # fmt: skip
+    told = json.loads(capsys.readouterr().out)
+    assert told['after_um'] == pytest.approx(told['forecast_um'], rel=0.05)
+    assert told['after_um'] < 0.95 * told['before_um']
+    # a tracker sees two of three directions
+    assert told['seen_by_tracker']['after_um'] < told['seen_by_tracker']['before_um']
+    assert json.loads((out / 'loop.json').read_text()) | {'verb': 'loop'} == told
+    legs = [
+        {tuple(map(tuple, np.round(sorted(map(tuple, leg)), 4))) for leg in pairwise(points)}
+        for points in (read_bag(out / 'bags' / n).path.points for n in ('fit', 'check'))
+    ]
+    assert not legs[0] & legs[1]
+
+
+def test_a_corrected_program_brings_the_target_onto_the_nominal_lines(tables):
+    machine = tables.machine
+    plan = on_increment(
+        check_plan(machine, 0.3, np.random.default_rng(4)), machine.lower, machine.upper
+    )
+    parts = in_parts(plan)
+    moved = corrected(parts, lambda q: displacement(tables, q))
+    text = corrected_program(moved, ['test'])
+    assert text.count('G64 P') == 1 and 'G61' not in text
+    assert text.count('G4 P') == len(plan.path.points)  # a stop at every corner of the plan
+    (driven,) = stand_in({}, [control.Program('a', text, 1.0)])
+    at = on_path(driven, moved.path, parts.path)
+    before = displacement(tables, at.nominal)
+    after = driven.motor[at.row] + displacement(tables, driven.motor[at.row]) - at.nominal
+    after -= after.mean(axis=0)
+    # positions of the program are whole micrometres
+    assert np.sqrt(np.mean(after**2)) < 0.6e-6
+    assert np.abs(after).max() < 0.05 * np.abs(before).max()
+
+
+def test_a_drive_of_another_length_than_its_program_is_refused():
+    points = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0]])
+    believed = np.repeat(points[:2], 50, axis=0)
+    driven = control.Driven(1e-3 * np.arange(100), believed, believed, 0 * believed, 0)
+    with pytest.raises(InputError, match=r'drove 0\.1\d* m of a program of 0\.2'):
+        on_path(driven, NominalPath(points))
+
+
+def test_lines_of_an_ini_piece_come_into_their_sections(tables):
+    ini = files.with_piece(
+        files.ini_text(tables.machine, 5.0, 0.4), '# words\n[JOINT_1]\nCOMP_FILE = y.comp\n'
+    )
+    sections = re.findall(r'^\[(\w+)\]$', ini, re.M)
+    assert len(sections) == len(set(sections))
+    assert 'COMP_FILE = y.comp' in ini.split('[JOINT_1]')[1].split('[')[0]
+
+
+def test_the_component_interpolates_the_lattice(tables, tmp_path, monkeypatch):
+    from scipy.interpolate import RegularGridInterpolator
+
+    made = export_format('lattice-csv').export(Request(TablesFile(tables), 'l.csv', points=5))
+    (tmp_path / 'l.csv').write_bytes(made.files['l.csv'])
+    monkeypatch.setitem(sys.modules, 'hal', SimpleNamespace())
+    from otf_core.loop import offsets
+
+    axes, table = offsets.read_lattice(tmp_path / 'l.csv')
+    grid = np.empty((5, 5, 5, 3))
+    for place, error in table.items():
+        grid[place] = error
+    q = np.random.default_rng(1).uniform(tables.machine.lower, tables.machine.upper, (20, 3))
+    expected = RegularGridInterpolator(axes, grid)(q)
+    np.testing.assert_allclose(
+        [offsets.error_at(axes, table, list(p)) for p in q], expected, atol=1e-15
+    )
+    outside = offsets.error_at(axes, table, [9.0, 9.0, 9.0])
+    np.testing.assert_allclose(outside, grid[-1, -1, -1])
+
+
+def test_a_correction_beyond_its_limit_holds_the_feed(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, 'hal', SimpleNamespace())
+    from otf_core.loop import offsets
+
+    pins = {f'{kind}-{a}': 0.0 for kind in ('believed', 'offset', 'counts') for a in 'xyz'}
+    pins |= {'fault': False, 'slowest': 0.0}
+    axes = [[0.0, 1.0]] * 3
+    table = {(i, j, k): (2e-3, 0.0, 0.0) for i in (0, 1) for j in (0, 1) for k in (0, 1)}
+    offsets.look(pins, axes, table, None)
+    assert pins['fault'] and pins['counts-x'] == 0.0
+    assert 'feed held' in capsys.readouterr().err
+
+
+def test_without_linuxcnc_the_command_says_how_to_get_it(place, monkeypatch, capsys):
+    monkeypatch.setattr(shutil, 'which', lambda name: None)
+    assert run('loop', '--machine', 'machine.yaml', '--out', 'out') == 2
+    assert 'apt-get install -y --no-install-recommends linuxcnc-uspace' in capsys.readouterr().err
+    assert not (place / 'out').exists()
+
+
+def test_a_second_control_on_one_computer_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, 'which', lambda name: f'/usr/bin/{name}')
+    monkeypatch.setattr(control, 'LOCK', tmp_path / 'lock')
+    (tmp_path / 'lock').write_text('')
+    with pytest.raises(ConfigError, match='runs on this computer already'):
+        control.find_control()
+
+
+@installed
+@pytest.mark.xdist_group('linuxcnc')
+def test_linuxcnc_corrects_by_joint_files_and_by_external_offsets(tables):
+    machine = tables.machine
+    points = np.array([[0.02, 0.02, -0.02], [0.28, 0.2, -0.18], [0.15, 0.05, -0.1]])
+    plan = on_increment(
+        Plan(NominalPath(points), np.full(2, 0.3), np.full(3, 0.3)), machine.lower, machine.upper
+    )
+    content = TablesFile(tables)
+    joints = export_format('linuxcnc').export(Request(content, 'compensation.ini'))
+    volume = export_format('lattice-csv').export(Request(content, files.LATTICE))
+    given = dict(joints.files)
+    ini = files.with_piece(
+        files.ini_text(machine, ACCELERATION, 0.3), given.pop('compensation.ini').decode()
+    )
+    text = program(DIALECTS['linuxcnc'], plan, ['test'])
+    (driven,) = control.drive(
+        files.written_files(ini, {}, {**given, **volume.files}, volume=True),
+        [control.Program('test.ngc', text, 60.0)],
+    )
+    assert driven.lost == 0
+    np.testing.assert_allclose(driven.believed[-1], points[-1], atol=1e-6)
+    at = on_path(driven, plan.path)
+    by_joint = driven.motor - driven.believed - driven.offset
+    np.testing.assert_allclose(by_joint, -joints.held(driven.believed + driven.offset), atol=1e-8)
+    # offsets follow the position with the delay of a program in user space; at rest they are exact
+    wanted = -displacement(tables, driven.believed)
+    lacking = driven.offset - wanted
+    still = np.flatnonzero(np.linalg.norm(np.diff(driven.believed, axis=0), axis=1) < 1e-9)
+    resting = still[still > at.row[0]]
+    assert np.ptp(driven.offset[at.row], axis=0).min() > 5e-6
+    assert np.abs(lacking[resting] - np.median(lacking, axis=0)).max() < 5e-6
+    assert np.median(np.abs(lacking[resting] - np.median(lacking, axis=0))) < 2e-7

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines that laps repeat: taken once, the sums are those over the rows of all passes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from core_cells import (
+    pieces_of,
+    small_plan,
+    some_machine,
+    transform_pose,
+    white,
+    zero_tables,
+)
+
+from otf_core.model.nodes import table_nodes
+from otf_core.noise.model import Misfit
+from otf_core.solving.normal import line_equations, normal_equations
+from otf_core.solving.repeated import taken_once
+from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.system import build_system
+from otf_core.solving.unknowns import layout
+from otf_core.solving.whitener import Whitener
+
+LAPS = 3
+
+
+def laps(drop=(), backward=False):
+    """Rows and whitener of some laps over the same points; their noise differs."""
+    machine = some_machine()
+    pose, path = transform_pose(machine, 3), small_plan(machine).path
+    once = pieces_of(machine, path, zero_tables(machine), pose, size=0.03)
+    place, legs = np.tile(np.arange(len(once)), LAPS), once.leg.max() + 1
+    rng = np.random.default_rng(4)
+    per_piece = ('xyz', 'origin', 'direction', 'side', 'count', 'speed')
+    pieces = replace(
+        once,
+        **{name: getattr(once, name)[place] for name in per_piece},
+        leg=np.concatenate([once.leg + lap * legs for lap in range(LAPS)]),
+        time=0.2 * np.arange(len(place)),
+        duration=rng.uniform(0.05, 0.3, len(place)),
+    )
+    if backward:
+        second = pieces.leg == legs
+        pieces = replace(
+            pieces,
+            direction=np.where(second[:, None], -pieces.direction, pieces.direction),
+            side=np.where(second[:, None], -pieces.side, pieces.side),
+        )
+    pieces = pieces.without(np.isin(np.arange(len(place)), drop))
+    unknowns = layout(linear_bases(table_nodes(machine, machine.lower, machine.upper)), 1)
+    system = build_system(machine, pieces, pose, unknowns)
+    deviation = 1e-5 * rng.standard_normal(system.deviation.shape)
+    whitener = Whitener.of(system, pieces, white(machine), Misfit(4e-7, 9e-7))
+    return replace(system, deviation=deviation), unknowns, whitener, legs
+
+
+@pytest.mark.parametrize('drop', [(), (5, 6)], ids=['whole', 'two pieces of a pass are missing'])
+def test_sums_over_lines_are_those_over_all_passes(drop):
+    system, unknowns, whitener, _ = laps(drop)
+    lines = line_equations(system, unknowns, whitener)
+    passes = normal_equations(system, unknowns, whitener)
+    scale = np.sqrt(np.diag(passes.matrix))
+    unit = np.outer(scale, scale)
+    np.testing.assert_allclose(lines.matrix / unit, passes.matrix / unit, rtol=0, atol=1e-10)
+    size = np.linalg.norm(passes.right / scale)
+    np.testing.assert_allclose(lines.right / scale, passes.right / scale, atol=1e-10 * size)
+    assert lines.square == pytest.approx(passes.square, rel=1e-10)
+    assert lines.rows == passes.rows == system.deviation.size
+
+
+def ways(system, whitener):
+    """From where to where every leg is driven, which way, and from which side its axes came."""
+    rows = np.hstack([system.q, system.rows.travel, system.rows.side]).round(9) + 0.0
+    return [(*rows[low], *rows[high - 1]) for low, high in whitener.bounds]
+
+
+def test_only_passes_over_the_same_pieces_in_the_same_direction_are_one():
+    system, _, whitener, legs = laps()
+    lines = len(whitener.once.bounds)
+    assert lines == len(set(ways(system, whitener))) <= legs
+    assert len(laps(drop=(5,))[2].once.bounds) == lines + 1
+    assert len(laps(backward=True)[2].once.bounds) == lines + 1
+
+
+def test_whitener_of_lines_has_the_weight_of_all_passes():
+    system, _, whitener, _ = laps()
+    once = taken_once(system, whitener)
+    known = dict(zip(ways(once.system, once.whitener), once.whitener.bounds, strict=True))
+    place = np.concatenate([np.arange(*known[way]) for way in ways(system, whitener)])
+    value = np.random.default_rng(5).standard_normal(once.system.deviation.shape)
+    passes = whitener.weighted(value[:, place])
+    total = np.stack([np.bincount(place, own) for own in passes])
+    np.testing.assert_allclose(
+        once.whitener.weighted(value), total, rtol=0, atol=1e-10 * np.abs(total).max()
+    )
+    back = once.whitener.covaried(total)
+    np.testing.assert_allclose(back, value, rtol=0, atol=1e-9 * np.abs(value).max())

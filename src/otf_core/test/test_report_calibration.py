@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of a calibration: complete, self-contained, and its numbers those of the files."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from core_cells import constant_tables, some_machine
+from html_cells import Page, number, unloading
+
+import otf_core.reports.calibration_sections as folder_of_sections
+from otf_core.calibration.calibrate import calibrate
+from otf_core.model.circumstances import Circumstances
+from otf_core.model.declared import DeclaredUncertainty
+from otf_core.model.limits import Limits
+from otf_core.model.machine import AXES
+from otf_core.model.motions import MOTIONS
+from otf_core.reports.calibration import facts_of, format_result, write_calibration
+from otf_core.reports.calibration_report import SECTIONS, calibration_sections
+from otf_core.reports.calibration_sections.diagonals import deviations, diagonals
+from otf_core.reports.calibration_sections.drift import drift
+from otf_core.reports.drawing import scene
+from otf_core.reports.section import sections_to_dict
+from otf_core.solving.reversal import Reversal, ReversalTable
+
+STATED = {
+    'instrument': {'model': 'AT <960>', 'serial': '750123', 'firmware': '7.1', 'mode': 'ADM',
+                   'calibrated': '2026-03-01', 'mpe': '15 um + 6 um/m', 'target': 'RRR 42'},
+    'conditions': {'operator': 'A. Miller', 'air_temperature_celsius': 20.4,
+                   'air_pressure_pa': 101200, 'relative_humidity_percent': 45,
+                   'material_temperature_celsius': 20.9, 'warm_up_s': 3600},
+}  # fmt: skip
+LIMITS = {'volumetric_error': 1e-3, 'uncertainty': 1e-4, 'EXX': 2e-6, 'C0Y': 1e-3}
+DECLARED = {'tracker_scale': 1e-6, 'machine_temperature': 0.5, 'expansion': 1.2e-5}
+
+
+@pytest.fixture(scope='module')
+def result(cell):
+    """The small cell with everything that a report can state."""
+    machine = replace(
+        cell.machine,
+        uncertainty=DeclaredUncertainty(DECLARED),
+        limits=Limits(LIMITS),
+        stated=Circumstances(**STATED),
+    )
+    return calibrate(cell.recording.measured(cell.truth), cell.path, machine)
+
+
+@pytest.fixture(scope='module')
+def folder(result, tmp_path_factory):
+    place = tmp_path_factory.mktemp('calibration')
+    write_calibration(result, place)
+    return place
+
+
+@pytest.fixture(scope='module')
+def source(folder):
+    return (folder / 'report.html').read_text(encoding='utf-8')
+
+
+@pytest.fixture(scope='module')
+def page(source):
+    return Page(source)
+
+
+@pytest.fixture(scope='module')
+def tables(folder):
+    return json.loads((folder / 'error_tables.json').read_text())
+
+
+def test_page_is_well_formed_and_needs_nothing_else(page, source):
+    assert page.faults == []
+    assert page.open == []
+    assert unloading(source) == []
+    assert len(source.encode()) < 1.5e6
+
+
+def test_what_is_stated_is_escaped(source):
+    assert 'AT &lt;960&gt;' in source
+    assert 'AT <960>' not in source
+
+
+def test_every_picture_is_named_for_those_who_cannot_see_it(source):
+    drawn = re.findall(r'<svg[^>]*aria-label="([^"]+)"', source)
+    assert len(drawn) == source.count('<svg')
+    for motion in MOTIONS:
+        assert [label for label in drawn if label.startswith(motion)]
+    assert 'NaN' not in source
+    assert 'nan' not in re.sub(r'[a-z]nan|nan[a-z]', '', source)
+
+
+def test_every_file_of_a_section_is_in_the_report():
+    files = {f.stem for f in Path(next(iter(folder_of_sections.__path__))).glob('[!_]*.py')}
+    assert files == {m.__name__.rpartition('.')[2] for m in SECTIONS}
+    assert len(files) == len(SECTIONS)
+
+
+def test_sections_are_named_once_and_hold_plain_data(result):
+    sections = calibration_sections(facts_of(result))
+    names = [s.name for s in sections]
+    assert len(names) == len(set(names))
+    json.dumps(sections_to_dict(sections), allow_nan=False)
+
+
+# ---------------------------------------------------------------- what a report has to state
+
+MINIMAL = {
+    'measurand and convention': (
+        'ISO 230-1', 'actual minus nominal', 'Reference point', 'w-b-X-Y-Z-t', 'Gauge',
+        'not reduced to 20',
+    ),
+    'per node': ('Position', 'u (k = 1)', 'U', 'k', 'v_eff', 'n_obs', 'Flag'),
+    'scalars': ('C0Y', 'B0Z', 'A0Z', 'angle between +X and +Y is 90 deg', 'tracker scale'),
+    'fit': (
+        'samples used', 'outliers', 'N_eff', 'unknowns', 'rank', 'condition number', 's0',
+        'chi-square p', 'residual rms', 'a2', 'a3', 'correlation time',
+    ),
+    'correlation': ('correlated by at least 0.5', 'more than 0.8', 'known worst'),
+    'volumetric': (
+        'Mean', '95 % below', 'Largest', 'as the machine stands', 'expected after compensation',
+        'measured after compensation', 'has U =',
+    ),
+    'budget': (
+        'Source', 'Type', 'Distribution', 'uncertainty stated', 'Sensitivity', 'Share', 'dof',
+        'Correlated',
+    ),
+    'conditions': (
+        'air temperature 20.4 °C', 'air pressure 101200 Pa', 'relative humidity 45 %',
+        'temperature of the machine 20.9 °C', 'warm-up time 3600 s', 'feed', 'duration',
+        'SHA-256 of run', 'closure of start and end',
+    ),
+    'instrument': (
+        'AT <960>', '750123', '7.1', '2026-03-01', '15 µm + 6 µm/m', 'ADM', 'RRR 42',
+    ),
+    'statement': (
+        'expanded uncertainty', 'JCGM 100', 'JCGM 102', 'k = ', 'degrees of freedom', '95 %',
+        'error_tables.json', 'Decision rule', 'otf_core',
+    ),
+}  # fmt: skip
+"""Minimal reporting set: what JCGM 100, ISO 230 and ISO 14253 readers look for."""
+
+
+@pytest.mark.parametrize('item', MINIMAL)
+def test_every_field_of_the_minimal_reporting_set_is_there(page, item):
+    said = page.text.replace('\u00a0', ' ')
+    assert [part for part in MINIMAL[item] if part not in said] == []
+
+
+TEN_QUESTIONS = {
+    'Is the machine within its limits?': r'Verdict: fail, of 4 limits 1 fail, 3 pass',
+    'How large is the volumetric error now, and how large at most after compensation?':
+        r'Volumetric error up to [\d.]+ µm\. Compensated .* errors within [\d.]+ µm are to be',
+    'Where is it worst, and which motion is to blame?':
+        r'longest error vector of the grid, [\d.]+ µm, lies at X [\d.−]+, Y .* Most is due to E',
+    'What is not known?': r'Not known: ',
+    'Is Y square to X, and which way does it lean?':
+        r'C0Y: angle between \+X and \+Y is 90 deg [+−-] [\d.]+ µrad',
+    'Is a positive error towards larger or smaller positions?':
+        r'an error is actual minus nominal position .* A correction has the opposite sign',
+    'Does the machine go another way forward than backward?': r'Reversal model: \w+',
+    'What is the largest contribution to the uncertainty?':
+        r'The largest contribution in the volume is [a-z ]+: \d+ % of the variance',
+    'Did machine or tracker drift during the run?':
+        r'(No drift beyond U|Larger than U: along [XYZ])',
+    'With what, when and under which conditions was it measured, and how is it repeated?':
+        r'serial number 750123 .* Clock of .* s\. .* How to repeat it: \./otf calibrate',
+}  # fmt: skip
+"""What someone who knows metrology alone asks about a machine, and where the report answers."""
+
+
+@pytest.mark.parametrize('question', TEN_QUESTIONS)
+def test_ten_questions_are_answered_by_the_report_alone(page, question):
+    assert re.search(TEN_QUESTIONS[question], page.text.replace('\u00a0', ' ')), question
+
+
+# ---------------------------------------------------------------- numbers agree
+
+
+@pytest.mark.parametrize('motion', MOTIONS)
+def test_nodes_in_the_page_are_those_of_json_and_csv(page, tables, folder, motion):
+    unit = 'µm' if motion.is_translation else 'µrad'
+    shown = page.rows(f'{motion} ({unit})')
+    entry = tables['motions'][motion]
+    csv = [
+        line.split(',')
+        for line in (folder / 'error_tables.csv').read_text().splitlines()
+        if line.startswith(motion)
+    ]
+    assert len(shown) == len(entry['value']) == len(csv)
+    for k, (row, line) in enumerate(zip(shown, csv, strict=True)):
+        for column, key in ((1, 'value'), (2, 'u'), (3, 'U')):
+            assert abs(number(row[column]) - 1e6 * entry[key][k]) < 5.1e-4
+        assert number(row[0]) == pytest.approx(entry['position'][k], abs=1e-6)
+        assert float(line[2]) == pytest.approx(entry['position'][k], abs=1e-15)
+        assert [float(line[n]) for n in (3, 5)] == [entry['value'][k] + 0.0, entry['u'][k]]
+
+
+def test_squareness_in_the_page_is_that_of_json_in_both_habits_of_sign(page, tables):
+    rows = {row[0]: row for row in page.rows('Squareness')}
+    for name, sign in (('C0Y', 1), ('B0Z', -1), ('A0Z', 1)):
+        entry = tables['squareness'][name]
+        value, other, u, wide = map(number, rows[name][1:5])
+        assert value == pytest.approx(1e6 * entry['value'], abs=5.1e-3)
+        assert other == pytest.approx(sign * value)
+        assert (u, wide) == pytest.approx((1e6 * entry['u'], 1e6 * entry['U']), abs=5.1e-3)
+
+
+def test_volumetric_error_agrees_in_page_terminal_and_json(page, tables, result, folder):
+    entry = tables['volumetric_error']
+    now, u, wide, measured = (row[1:] for row in page.rows('Volumetric error'))
+    assert [*map(number, now)] == pytest.approx(
+        [1e6 * entry[k] for k in ('mean', 'p95', 'max')], abs=5.1e-3
+    )
+    assert all(number(b) > number(a) for a, b in zip(u, wide, strict=True))
+    assert measured[0] == 'not measured'
+    said = (folder / 'summary.txt').read_text()
+    assert f'largest {1e6 * entry["max"]:.2f} um' in said
+    assert said.rstrip('\n') == format_result(result)
+
+
+def test_budget_of_the_volume_agrees_and_its_squares_add_up(page, tables):
+    entry = tables['budget']['u_rms']['grid']
+    rows = page.rows('Error vector in the volume')
+    parts = {row[0]: number(row[5]) for row in rows}
+    for name, value in parts.items():
+        assert value == pytest.approx(1e6 * entry['sources'][name], abs=5.1e-4)
+    assert np.hypot.reduce([*parts.values()]) == pytest.approx(1e6 * entry['u'], abs=2e-3)
+    assert sum(number(row[6]) for row in rows) == pytest.approx(100, abs=0.5)
+
+
+def test_samples_of_the_page_add_up(page, tables):
+    (row,) = page.rows('Data quality')
+    samples, used, outliers, excluded = map(int, row[1:5])
+    assert samples == used + outliers + excluded == tables['fit']['samples']
+    assert used == tables['fit']['used']
+
+
+# ---------------------------------------------------------------- single sections
+
+
+def test_diagonals_of_a_stretched_axis_are_those_of_geometry(cell):
+    machine = some_machine()
+    plain = constant_tables(machine)
+    x = plain.motions['EXX']
+    stretched = replace(
+        plain, motions={**plain.motions, 'EXX': replace(x, value=1e-5 * x.position)}
+    )
+    size = sum(len(m.position) for m in stretched.motions.values()) + 3
+    facts = SimpleNamespace(
+        tables=stretched, result=SimpleNamespace(covariance=np.zeros((size, size)))
+    )
+    span = machine.upper - machine.lower
+    found = diagonals(machine.lower, machine.upper)
+    assert [d.kind for d in found] == ['body'] * 4 + ['face'] * 6
+    for one in found:
+        value, u = deviations(facts, one)
+        length = np.linalg.norm(one.b - one.a)
+        expected = 1e-5 * span[0] ** 2 / length if one.a[0] != one.b[0] else 0.0
+        assert value[-1] == pytest.approx(expected, abs=1e-12)
+        assert u[-1] == 0
+
+
+def test_drift_of_a_run_is_found_with_its_uncertainty(result):
+    run = result.runs[0]
+    time = run.pieces.time
+    moved = np.outer(time / time.max(), [8e-6, 0.0, -4e-6])
+    residual = run.residual + np.einsum('cpk,pk->cp', run.axes, moved)
+    at, value, u = drift(replace(run, residual=residual))
+    change, share = value[-1] - value[0], (at[-1] - at[0]) / time.max()
+    assert np.all(
+        np.abs(change - share * np.array([8e-6, 0.0, -4e-6])) < 4 * np.hypot(u[-1], u[0])
+    )
+    assert np.all(u < 2e-6)
+    assert len(at) >= 4
+
+
+def test_figures_after_iso_230_2_are_those_of_both_directions(result):
+    tables = result.tables
+    motions = {}
+    for axis, size in zip(AXES, (4e-6, -2e-6, 0.0), strict=True):
+        table = tables.motions[f'E{axis}{axis}']
+        width = np.full(len(table.position), size)
+        motions[f'E{axis}{axis}'] = ReversalTable(table.position, width, 0 * width, True)
+    both = replace(result, reversal=Reversal('constant', {}, motions))
+    found = sections_to_dict(calibration_sections(facts_of(both)))['reversal']['derived']
+    for axis, size in zip(AXES, (4e-6, 2e-6, 0.0), strict=True):
+        mean = tables.motions[f'E{axis}{axis}'].value
+        assert found[axis]['B'] == pytest.approx(size)
+        assert found[axis]['M'] == pytest.approx(mean.max() - mean.min())
+        assert found[axis]['E'] == pytest.approx(mean.max() - mean.min() + size)
+
+
+def test_the_script_turns_what_was_drawn():
+    code = scene.SCRIPT
+    assert f'{np.degrees(scene.AZIMUTH):.0f} * Math.PI' in code
+    assert f'{np.degrees(scene.ELEVATION):.0f} * Math.PI' in code
+
+
+def test_a_calibration_can_do_without_a_report(result, tmp_path):
+    files = write_calibration(result, tmp_path, report=False)
+    assert not (tmp_path / 'report.html').exists()
+    assert all(f.exists() for f in files)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who publishes on topics that a node reads, and why nothing comes from some of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+
+PERIOD = 1.0
+"""s; the graph is looked at so often."""
+
+
+class TopicWatch:
+    """Looks at the graph now and then.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    read : mapping of str to rclpy.qos.QoSProfile
+        Topics, and the quality of service that the node asks of them.
+    single : str
+        The one of them that only one node may publish.
+
+    Attributes
+    ----------
+    publishers : int
+        Of ``single``.
+    troubles : list of str
+        What is wrong, in words.
+    """
+
+    def __init__(self, node: Node, read: Mapping[str, QoSProfile], single: str) -> None:
+        self._node, self._read, self._single = node, read, single
+        self._at = 0.0
+        self.publishers = 0
+        self.troubles: list[str] = []
+
+    def look(self) -> None:
+        """Look again, if it is time."""
+        if time.monotonic() - self._at < PERIOD:
+            return
+        self._at, self.troubles = time.monotonic(), []
+        for topic, asked in self._read.items():
+            name = self._node.resolve_topic_name(topic)
+            found = self._node.get_publishers_info_by_topic(name)
+            for publisher in found:
+                fits, why = qos_check_compatible(publisher.qos_profile, asked)
+                if fits == QoSCompatibility.ERROR:
+                    self.troubles.append(
+                        f'nothing comes from {publisher.node_name} on {topic}: its quality of '
+                        f'service does not fit ({why.strip("; ")})'
+                    )
+            if topic == self._single:
+                self.publishers = len(found)
+                if len(found) > 1:
+                    names = ', '.join(sorted(publisher.node_name for publisher in found))
+                    self.troubles.append(
+                        f'{len(found)} publishers on {topic} ({names}): end all but one, their '
+                        f'samples are mixed'
+                    )

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ears of a viewer: what the nodes publish goes into one LiveRun."""
+
+from __future__ import annotations
+
+import time
+
+from geometry_msgs.msg import PointStamped
+from nav_msgs.msg import Path
+from rclpy.node import Node
+
+from otf_core.errors import OtfError
+from otf_core.live.run import LiveRun, Progress, Solved
+from otf_core.model.motions import SQUARENESS
+from otf_msgs.msg import CalibrationResult, CalibratorState, VolumeErrors
+from otf_ros import convert, convert_result, qos
+from otf_ros.glance import Glance
+from otf_ros.timers import create_timer
+
+LOOK = 0.2
+"""s; how often the newest sample is looked at."""
+
+
+class Ears:
+    """Keeps a LiveRun up to date.
+
+    Samples are subscribed to once the calibrator takes some: a driver that waits for listeners
+    shall wait for the calibrator, not for a picture.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+
+    Attributes
+    ----------
+    run : LiveRun
+    news : int
+        Grows whenever path, errors on the grid or result change.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.run = LiveRun()
+        self.news = 0
+        self._solved_ns = -1
+        self._points: Glance | None = None
+        subscribe = node.create_subscription
+        subscribe(Path, 'planner/path', self._on_path, qos.PATH)
+        subscribe(CalibratorState, 'calibrator/state', self._on_state, qos.STATUS)
+        subscribe(CalibrationResult, 'calibrator/provisional', self._on_provisional, qos.RESULT)
+        subscribe(CalibrationResult, 'calibrator/result', self._on_result, qos.RESULT)
+        subscribe(VolumeErrors, 'calibrator/volume', self._on_volume, qos.RESULT)
+        create_timer(node, LOOK, self._look)
+
+    def _look(self) -> None:
+        if self._points is None and self.run.collecting:
+            self._points = Glance(self._node, PointStamped, 'tracker/point')
+        message = self._points.newest() if self._points else None
+        if message and self.run.collecting:
+            self.run.track.add(message.point.x, message.point.y, message.point.z)
+
+    def _on_path(self, message: Path) -> None:
+        try:
+            self.run.set_path(convert.path_from_message(message))
+        except OtfError as error:
+            self._node.get_logger().warning(f'planner/path ignored: {error}')
+            return
+        self.news += 1
+
+    def _on_state(self, message: CalibratorState) -> None:
+        fields = {
+            'state': message.name,
+            'stage': message.stage,
+            'fraction': message.progress,
+            'time_left': message.time_left,
+            'samples': message.samples,
+            'lost': message.samples_lost,
+            'travelled': message.travelled,
+            'message': message.message,
+        }
+        self.run.set_progress(Progress(**fields), time.monotonic())
+
+    def _on_provisional(self, message: CalibrationResult) -> None:
+        self._on_solved(message, provisional=True)
+
+    def _on_result(self, message: CalibrationResult) -> None:
+        self._on_solved(message, provisional=False)
+
+    def _on_solved(self, message: CalibrationResult, provisional: bool) -> None:
+        stamp_ns = convert.ns_from_time(message.header.stamp)
+        if stamp_ns < self._solved_ns:
+            return  # latched topics come in any order
+        self._solved_ns = stamp_ns
+        sizes = zip(message.motion_largest, message.motion_u, strict=True)
+        solved = Solved(
+            provisional=provisional,
+            ok=message.status == CalibrationResult.OK,
+            message=message.message,
+            mae_before=message.path_mae_before,
+            mae_after=message.path_mae_after,
+            residual_rms=message.residual_rms,
+            motions=dict(zip(message.motions, sizes, strict=True)),
+            squareness={
+                name: (getattr(message, name.lower()), getattr(message, f'u_{name.lower()}'))
+                for name in SQUARENESS
+            },
+            warnings=tuple(message.warnings),
+        )
+        known = convert.transform_from_message(message.alignment) if message.run_id else None
+        self.run.set_solved(solved, known)
+        self.news += 1
+
+    def _on_volume(self, message: VolumeErrors) -> None:
+        try:
+            self.run.volume = convert_result.volume_from_message(message)
+        except OtfError as error:
+            self._node.get_logger().warning(f'calibrator/volume ignored: {error}')
+            return
+        self.news += 1

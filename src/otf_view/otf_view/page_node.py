@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Page node: serves a page on the run under way to any browser."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+
+from otf_core.live.snapshot import now, scene
+from otf_ros import app
+from otf_ros.params import NodeParameters
+from otf_ros.timers import create_timer
+from otf_view.listening import Ears
+from otf_view.params import PageConfig
+from otf_view.server import PageServer
+
+PERIOD = 0.5
+"""s between updates."""
+
+
+class Page(Node):
+    """Serves the page at the address of its parameters.
+
+    Raises
+    ------
+    OtfError
+        If a parameter is wrong or the address cannot be taken.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('page')
+        config = NodeParameters(self, PageConfig, read_only=('host', 'port')).read(PageConfig)
+        self._ears = Ears(self)
+        self._server = PageServer(config.host, config.port)
+        self._shown = -1
+        self._update()
+        create_timer(self, PERIOD, self._update)
+        self.get_logger().info(f'live view at {self._server.url}')
+
+    def close(self) -> None:
+        """Show the latest, and that it is the last."""
+        self._update()
+        self._server.close()
+
+    def _update(self) -> None:
+        run = self._ears.run
+        if self._shown != self._ears.news:
+            self._shown = self._ears.news
+            self._server.events.put('scene', scene(run))
+        self._server.events.put('now', now(run))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; returns the exit code."""
+    return app.run(Page, args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Viewer node: markers for RViz and Foxglove, numbers for PlotJuggler and the like."""
+
+from __future__ import annotations
+
+import math
+
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from std_msgs.msg import Float64
+from visualization_msgs.msg import MarkerArray
+
+from otf_core.live.layers import moving, scene
+from otf_core.live.numbers import NUMBERS, numbers
+from otf_ros import app, qos
+from otf_ros.params import NodeParameters
+from otf_ros.timers import create_timer
+from otf_view.listening import Ears
+from otf_view.markers import to_markers
+from otf_view.params import ViewerConfig
+
+PERIOD = 0.5
+"""s between pictures."""
+
+
+class Viewer(Node):
+    """Publishes ``view/scene`` when something in it changes, the rest twice per second."""
+
+    def __init__(self) -> None:
+        super().__init__('viewer')
+        self._settings = NodeParameters(self, ViewerConfig)
+        self._scene = self.create_publisher(MarkerArray, 'view/scene', qos.PICTURE)
+        self._live = self.create_publisher(MarkerArray, 'view/live', qos.PICTURE)
+        self._numbers = {
+            name: self.create_publisher(Float64, f'view/{name}', qos.SCALAR) for name in NUMBERS
+        }
+        self._ears = Ears(self)
+        self._drawn = 0
+        create_timer(self, PERIOD, self._publish)
+
+    def _publish(self) -> None:
+        run = self._ears.run
+        for name, value in numbers(run).items():
+            if math.isfinite(value):
+                self._numbers[name].publish(Float64(data=float(value)))
+        if run.path is None:
+            return
+        if self._drawn != self._ears.news:
+            self._drawn = self._ears.news
+            self._scene.publish(to_markers(scene(run.path, run.volume), Time()))
+        scale = self._settings.read(ViewerConfig).scale
+        layers = moving(run.path, run.progress.travelled, run.track, run.pose, scale)
+        self._live.publish(to_markers(layers, Time()))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; returns the exit code."""
+    return app.run(Viewer, args)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

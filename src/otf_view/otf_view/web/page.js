@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: Apache-2.0
+// Takes the events of the server and shows them.
+'use strict';
+
+const KIND = { WAITING_FOR_PATH: 'wait', BUFFERING: 'work', ALIGNING: 'work', SOLVING: 'work',
+  DONE: 'good', FAILED: 'bad' };
+const SAID = { WAITING_FOR_PATH: 'waiting for the path', BUFFERING: 'collecting samples',
+  ALIGNING: 'aligning', SOLVING: 'solving', DONE: 'done', FAILED: 'failed' };
+const ROWS = [
+  ['positioning', a => `E${a}${a}`],
+  ['straightness', a => `E${'XYZ'.replace(a, '')[0]}${a}`],
+  ['straightness', a => `E${'XYZ'.replace(a, '')[1]}${a}`],
+  ['rotation about X', a => `EA${a}`], ['rotation about Y', a => `EB${a}`],
+  ['rotation about Z', a => `EC${a}`]];
+
+let scene = null, now = null, last = false;
+
+const byId = id => document.getElementById(id);
+const text = (id, words) => { byId(id).textContent = words; };
+
+function badge(id, kind, words) {
+  byId(id).className = 'badge ' + kind;
+  text(id, words);
+}
+
+function um(value) {
+  return value === null ? '–' : value.toPrecision(value >= 100 ? 4 : 3) + ' µm';
+}
+
+function duration(seconds) {
+  const s = Math.round(seconds), minutes = Math.floor(s / 60);
+  if (minutes >= 60) return `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+  return minutes ? `${minutes} min ${s % 60} s` : `${s} s`;
+}
+
+function showNow() {
+  badge('state', KIND[now.state] || 'wait', SAID[now.state] || 'no state yet');
+  const percent = Math.round(100 * now.fraction);
+  text('done', now.state ? `${percent} %` : '');
+  text('left', now.time_left === null ? '' : `about ${duration(now.time_left)} left`);
+  byId('fill').style.width = percent + '%';
+  byId('fill').parentNode.setAttribute('aria-valuenow', percent);
+  text('message', now.message);
+  text('driven', now.length === null ? '–'
+    : `${now.travelled.toFixed(1)} of ${now.length.toFixed(1)} m`);
+  text('samples', now.samples.toLocaleString('en'));
+  text('rate', now.rate === null ? '–' : `${Math.round(now.rate)} per second`);
+  text('lost', now.lost.toLocaleString('en'));
+  byId('lost').className = now.lost ? 'bad' : '';
+  text('distance', um(now.distance_um));
+  text('place', now.tracker === null ? 'not known yet'
+    : now.tracker.map(v => v.toFixed(3)).join(', ') + ' m');
+  const shown = [];
+  if (now.places.length) shown.push(scaled('deviations', now.scale));
+  if (scene && scene.volume) shown.push(scaled('predicted errors', scene.volume.scale));
+  text('scales', shown.join('; '));
+}
+
+function scaled(what, factor) {
+  return `${what} × ${factor.toLocaleString('en')}: 10 mm stand for ` +
+    `${Number((1e4 / factor).toPrecision(3))} µm`;
+}
+
+function figure(name, value) {
+  const box = document.createElement('div');
+  for (const [tag, words] of [['dt', name], ['dd', value]]) {
+    box.appendChild(document.createElement(tag)).textContent = words;
+  }
+  return box;
+}
+
+function showSolved() {
+  const solved = scene.solved;
+  text('solved_title', !solved ? 'Result' : solved.provisional ? 'Result so far' : 'Result');
+  byId('motions').hidden = !solved || !Object.keys(solved.motions).length;
+  byId('warnings').replaceChildren();
+  byId('figures').replaceChildren();
+  if (!solved) {
+    text('solved', 'The first errors come after the first lap.');
+    return;
+  }
+  text('solved', solved.message);
+  byId('solved').className = solved.ok ? '' : 'bad';
+  for (const words of solved.warnings) {
+    byId('warnings').appendChild(document.createElement('li')).textContent = words;
+  }
+  if (byId('motions').hidden) return;
+  const figures = [['from the path, as it is', um(solved.mae_before_um)],
+    ['compensated', um(solved.mae_after_um)], ['residual, rms', um(solved.residual_rms_um)]];
+  if (scene.volume) {
+    figures.push(['predicted in the volume, mean', um(scene.volume.mean_um)],
+      ['its standard uncertainty, mean', um(scene.volume.mean_u_um)]);
+  }
+  byId('figures').replaceChildren(...figures.map(([name, value]) => figure(name, value)));
+  badge('which', solved.provisional ? 'work' : 'good', solved.provisional ? 'so far' : 'final');
+  showMotions(solved);
+}
+
+function cell(name, found) {
+  const box = document.createElement('td');
+  box.appendChild(document.createElement('b')).textContent = name + ' ';
+  const value = box.appendChild(document.createElement('span'));
+  const [error, u] = found || [null, null];
+  if (u === null) {
+    value.className = 'unknown';
+    value.textContent = 'not known';
+  } else {
+    value.className = Math.abs(error) < 2 * u ? 'weak' : '';
+    value.textContent = `${error.toFixed(1)} ± ${u < 0.1 ? u.toFixed(2) : u.toFixed(1)}`;
+  }
+  return box;
+}
+
+function row(label, cells) {
+  const line = document.createElement('tr');
+  const head = line.appendChild(document.createElement('th'));
+  head.scope = 'row';
+  head.textContent = label;
+  line.append(...cells);
+  return line;
+}
+
+function showMotions(solved) {
+  const rows = ROWS.map(([label, name]) => row(label, [...'XYZ'].map(a =>
+    cell(name(a), solved.motions[name(a)]))));
+  const squareness = ['C0Y', 'B0Z', 'A0Z'].map(name => cell(name, solved.squareness[name]));
+  byId('rows').replaceChildren(...rows, row('squareness', squareness));
+}
+
+function draw() {
+  drawSpace(scene, now);
+  const count = drawPlot(scene, now);
+  text('plotted', count ? 'Dots: measured along the run. Line: mean that compensation leaves.'
+    : 'Shown once the place of the tracker is known.');
+}
+
+function listen() {
+  const source = new EventSource('events');
+  source.onopen = () => badge('link', 'good', 'live');
+  source.onerror = () => { if (!last) badge('link', 'bad', 'no connection; trying again'); };
+  source.addEventListener('scene', e => { scene = JSON.parse(e.data); showSolved(); draw(); });
+  source.addEventListener('now', e => { now = JSON.parse(e.data); showNow(); draw(); });
+  source.addEventListener('ended', () => {
+    last = true;
+    source.close();
+    badge('link', 'wait', 'the nodes have ended; this is the last they said');
+  });
+}
+
+function turning() {
+  const canvas = byId('space');
+  canvas.addEventListener('pointerdown', e => canvas.setPointerCapture(e.pointerId));
+  canvas.addEventListener('pointermove', e => {
+    if (!canvas.hasPointerCapture(e.pointerId)) return;
+    turn(0.01 * e.movementX, 0.01 * e.movementY);
+  });
+  canvas.addEventListener('dblclick', () => { Object.assign(view, FIRST_VIEW); draw(); });
+  canvas.addEventListener('keydown', e => {
+    const by = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1],
+      ArrowDown: [0, 0.1] }[e.key];
+    if (by) { e.preventDefault(); turn(...by); }
+  });
+}
+
+function turn(yaw, pitch) {
+  view.yaw += yaw;
+  view.pitch = Math.max(-1.57, Math.min(1.57, view.pitch + pitch));
+  draw();
+}
+
+window.addEventListener('resize', draw);
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', draw);
+turning();
+draw();
+listen();

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compensator: what it commands brings the target where it is wanted, by exact kinematics."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import ERROR_SIZE
+from geometry_msgs.msg import Point, PointStamped
+
+from otf_core.model.kinematics import exact_position
+from otf_core.model.machine import load_machine
+from otf_core.model.tables import ErrorTables, MotionTable, tables_to_dict
+from otf_core.sim.cell import random_tables
+from otf_msgs.msg import Compensation
+from otf_msgs.srv import Compensate
+from otf_ros import qos
+
+SECOND_ORDER = 5e-8
+"""m; what the first order of the tables leaves of errors of 50 um."""
+RATE, COUNT = 1000.0, 1500
+
+
+@pytest.fixture
+def truth(tmp_path, machine_file):
+    """True errors of a machine, with uncertainties, as error_tables.json."""
+    found = random_tables(load_machine(machine_file), ERROR_SIZE, np.random.default_rng(5))
+    motions = {
+        name: MotionTable(t.position, t.value, np.full_like(t.value, 1e-7), True)
+        for name, t in found.motions.items()
+    }
+    tables = replace(found, motions=motions)
+    (tmp_path / 'tables.json').write_text(json.dumps(tables_to_dict(tables)))
+    return tables
+
+
+def points(truth: ErrorTables, count, seed=1):
+    machine = truth.machine
+    return np.random.default_rng(seed).uniform(machine.lower, machine.upper, (count, 3))
+
+
+def array(vectors):
+    return np.array([(v.x, v.y, v.z) for v in vectors])
+
+
+def test_service_answers_what_to_command(graph, truth, tmp_path):
+    graph.start('compensator', tables_file=tmp_path / 'tables.json')
+    wanted = points(truth, 20)
+    request = Compensate.Request(wanted=[Point(x=x, y=y, z=z) for x, y, z in wanted.tolist()])
+    answer = graph.call(Compensate, 'compensator/compensate', request)
+    assert answer.success and not answer.message
+    found = answer.compensations
+    np.testing.assert_array_equal(array(c.wanted for c in found), wanted)
+    reached = exact_position(truth, array(c.corrected for c in found))
+    before = np.linalg.norm(exact_position(truth, wanted) - wanted, axis=1)
+    assert np.linalg.norm(reached - wanted, axis=1).max() < SECOND_ORDER < 0.02 * before.max()
+    error = exact_position(truth, wanted) - wanted
+    np.testing.assert_allclose(array(c.error for c in found), error, atol=SECOND_ORDER)
+    assert all(c.uncertainty.x > 1e-7 and c.inside for c in found)
+    absurd = Compensate.Request(wanted=[Point(x=100.0, y=50.0, z=0.0)])
+    answer = graph.call(Compensate, 'compensator/compensate', absurd)
+    assert not answer.success and 'points are in m' in answer.message
+
+
+def test_every_position_of_a_stream_of_1_khz_is_answered(graph, truth, tmp_path):
+    node = graph.start('compensator', tables_file=tmp_path / 'tables.json')
+    ear = graph.ear()
+    publisher = ear.create_publisher(PointStamped, 'compensator/wanted', qos.COMMAND)
+    heard = graph.listen(Compensation, 'compensator/compensation', qos.COMMAND)
+    graph.wait(lambda: publisher.get_subscription_count() == 1, 'the compensator')
+    graph.wait(lambda: ear.count_publishers('compensator/compensation') == 1, 'its answers')
+    wanted = points(truth, COUNT)
+    for k, (x, y, z) in enumerate(wanted.tolist()):
+        message = PointStamped(point=Point(x=x, y=y, z=z))
+        message.header.frame_id = 'machine'
+        message.header.stamp.nanosec = int(k * 1e9 / RATE) % 1_000_000_000
+        publisher.publish(message)
+        if k % 50 == 49:
+            graph.wait(lambda k=k: len(heard) > k - 500, 'answers')
+    publisher.publish(PointStamped())  # without frame: not answered, said once
+    graph.wait(lambda: len(heard) == COUNT, 'all answers')
+    assert [c.header.stamp.nanosec for c in heard[:3]] == [0, 1_000_000, 2_000_000]
+    np.testing.assert_array_equal(array(c.wanted for c in heard), wanted)
+    graph.wait(lambda: "expected 'machine'" in node.last_lines(20), 'the warning')
+
+
+def test_tables_are_read_anew_and_stay_if_they_cannot_be(graph, truth, tmp_path):
+    file = tmp_path / 'tables.json'
+    graph.start('compensator', tables_file=file)
+    assert graph.trigger('compensator/reload').success
+    file.write_text('{}')
+    refused = graph.trigger('compensator/reload')
+    assert not refused.success and 'the tables read before stay' in refused.message
+    request = Compensate.Request(wanted=[Point(x=0.1, y=0.0, z=-0.1)])
+    assert graph.call(Compensate, 'compensator/compensate', request).success

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plain tracker, run after run, and a calibrator that is killed in the middle of one."""
+
+import signal
+import time
+from pathlib import Path
+
+from cells import share_left
+from geometry_msgs.msg import PointStamped
+from graph import offline, without_date
+from nav_msgs.msg import Path as PathMessage
+
+from otf_core.bags.bag import BagContent, read_bag, write_bag
+from otf_core.model.observation import Samples
+from otf_ros import convert, qos
+
+CELL = Path(__file__).parents[1] / 'bags' / 'y-carries-the-table'
+HOUR_NS = 3600 * 10**9
+
+
+class PlainTracker:
+    """Publishes points as a driver that knows nothing of this project."""
+
+    def __init__(self, graph):
+        self._graph = graph
+        self._publisher = graph.ear().create_publisher(
+            PointStamped, 'tracker/point', qos.MEASUREMENT
+        )
+
+    def publish(self, samples, expected=0, readers=1):
+        """Publish samples, and wait until the calibrator has so many."""
+        graph = self._graph
+        graph.wait(lambda: self._publisher.get_subscription_count() >= readers, 'the calibrator')
+        for message in convert.points_to_messages(samples):
+            self._publisher.publish(message)
+        if expected:
+            graph.wait(lambda: graph.state() and graph.state().samples == expected, 'all samples')
+
+
+def test_killed_calibrator_goes_on_with_its_run_and_the_next_run_needs_no_reset(graph, tmp_path):
+    whole = read_bag(CELL / 'bag')
+    samples = Samples(whole.samples.stamp_ns[::4], whole.samples.xyz[::4])
+    write_bag(tmp_path / 'samples', BagContent(samples, whole.path))
+    machine_file, count, part = CELL / 'machine.yaml', len(samples), 5000
+    given = {'machine_file': machine_file, 'output_directory': tmp_path / 'out'}
+    given |= {'finish_at_standstill': False, 'idle_timeout': 3.0, 'save_bag': False}
+    path = graph.ear().create_publisher(PathMessage, 'planner/path', qos.PATH)
+    path.publish(convert.path_to_message(whole.path, graph.ear().get_clock().now().to_msg()))
+    tracker = PlainTracker(graph)
+
+    node = graph.start('calibrator', **given)
+    tracker.publish(samples.part(0, part), part)
+    assert graph.trigger('calibrator/calibrate').success
+    interim, state = graph.wait_for_result()
+    assert interim.status == interim.QUALITY_GATE_FAILED and interim.coverage < 0.8
+    assert 'interim' in ' '.join(interim.warnings)
+    (folder,) = (p for p in (tmp_path / 'out' / 'journal').iterdir() if p.is_dir())
+    graph.wait(lambda: len(read_bag(folder).samples) == part, 'the journal')
+    time.sleep(4.0)  # longer than idle_timeout
+
+    node.interrupt(signal.SIGKILL)
+    node.wait()
+    graph.nodes.remove(node)
+    graph.heard['calibrator/state'].clear()
+    graph.start('calibrator', **given)
+    assert graph.wait_for_state('BUFFERING').samples == part
+    tracker.publish(samples.part(part, count), count, readers=2)  # the dead one counts as well
+    result, state = graph.wait_for_result(2)
+    assert (result.status, state.name) == (result.OK, 'DONE'), state.message
+    live = without_date((Path(result.output_directory) / 'error_tables.json').read_bytes())
+    assert live == offline(tmp_path / 'samples', machine_file, tmp_path / 'offline')
+    assert read_bag(folder).samples.xyz.tobytes() == samples.xyz.tobytes()
+
+    later = Samples(samples.stamp_ns + HOUR_NS, samples.xyz)
+    tracker.publish(later)
+    again, _ = graph.wait_for_result(3)
+    assert again.status == again.OK and again.run_id != result.run_id
+    tables = Path(again.output_directory) / 'error_tables.json'
+    assert share_left(tables, CELL / 'truth.json') < 0.02

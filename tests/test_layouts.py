@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ready layouts name only what the graph really has: topics, their types, fields, namespaces."""
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from ament_index_python.packages import get_package_share_directory
+from std_msgs.msg import Float64
+
+from otf_calibrator.state import NAMES
+from otf_core.live.layers import moving, scene
+from otf_core.live.track import Track
+from otf_core.model.frames import RigidTransform
+from otf_core.model.path import NominalPath
+from otf_core.model.volume import VolumeErrors
+from otf_msgs.msg import CalibrationResult, CalibratorState
+
+MARKERS = 'visualization_msgs/msg/MarkerArray'
+
+
+@pytest.fixture(scope='module')
+def layouts():
+    """Folder of the layouts as installed."""
+    return Path(get_package_share_directory('otf_bringup')) / 'layouts'
+
+
+def has(graph, wanted):
+    """Wait until every topic of a mapping is published in the graph with its type."""
+
+    def found():
+        node = graph.ear()
+        present = dict(node.get_topic_names_and_types())
+        return all(present.get(t) == [kind] and node.count_publishers(t) for t, kind in wanted)
+
+    graph.wait(found, f'the topics {sorted(wanted)}', 20.0)
+
+
+def rviz_topics(layouts):
+    content = yaml.safe_load((layouts / 'otf.rviz').read_text())
+    manager = content['Visualization Manager']
+    assert manager['Global Options']['Fixed Frame'] == 'machine'
+    shown = [d for d in manager['Displays'] if 'Topic' in d]
+    for display in shown:
+        assert display['Class'] == 'rviz_default_plugins/MarkerArray'
+        assert display['Topic']['Durability Policy'] == 'Transient Local'
+    return {d['Topic']['Value']: set(d['Namespaces']) for d in shown}
+
+
+def panels(tree):
+    """Names of the panels of a Foxglove layout."""
+    if isinstance(tree, str):
+        return [tree]
+    assert tree['direction'] in ('row', 'column') and 0 < tree['splitPercentage'] < 100
+    return panels(tree['first']) + panels(tree['second'])
+
+
+def foxglove_paths(layouts):
+    content = json.loads((layouts / 'foxglove.json').read_text())
+    configs = content['configById']
+    assert sorted(panels(content['layout'])) == sorted(configs)
+    for name, config in configs.items():
+        if name.startswith('3D!'):
+            assert config['followTf'] == 'machine'
+            yield from ((topic, '') for topic in config['topics'])
+        elif name.startswith('Plot!'):
+            yield from (path['value'].split('.') for path in config['paths'])
+        else:
+            topic, _, field = config.get('path', config.get('topicPath')).partition('.')
+            yield topic, field
+
+
+def plotjuggler_topics(layouts):
+    root = ET.parse(layouts / 'plotjuggler.xml').getroot()
+    subscriber = root.find('Plugins/plugin')
+    assert subscriber.get('ID') == root.find('previouslyLoaded_Streamer').get('name')
+    topics = subscriber.find('selected_topics').get('value').split(';')
+    curves = {curve.get('name') for curve in root.iter('curve')}
+    assert curves == {f'{topic}/data' for topic in topics}
+    splitter = root.find('.//DockSplitter')
+    areas = splitter.findall('DockArea')
+    assert int(splitter.get('count')) == len(areas) == len(splitter.get('sizes').split(';'))
+    return topics
+
+
+def test_every_topic_of_the_layouts_is_there_with_its_type(graph, machine_file, layouts):
+    graph.start('viewer')
+    graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder / 'out')
+    wanted = {(topic, MARKERS) for topic in rviz_topics(layouts)}
+    wanted |= {(topic, 'std_msgs/msg/Float64') for topic in plotjuggler_topics(layouts)}
+    kinds = {'': MARKERS, 'data': 'std_msgs/msg/Float64', 'name': 'otf_msgs/msg/CalibratorState'}
+    paths = list(foxglove_paths(layouts))
+    assert ['/view/distance_from_path', 'data'] in paths
+    for topic, field in paths:
+        kind = 'otf_msgs/msg/CalibrationResult' if topic.endswith('provisional') else kinds[field]
+        wanted.add((topic, kind))
+    has(graph, wanted)
+    assert 'name' in CalibratorState.get_fields_and_field_types()
+    assert 'data' in Float64.get_fields_and_field_types()
+    assert 'motion_u' in CalibrationResult.get_fields_and_field_types()
+
+
+def test_layouts_know_every_layer_and_every_state(layouts):
+    path = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.2, 0], [0, 0, 0.0]]))
+    pose = RigidTransform(np.eye(3), np.array([0.0, -1.0, 0.0]))
+    track = Track()
+    track.set_path(path)
+    track.set_pose(pose)
+    track.add(0.1, 1.0, 1e-5)
+    volume = VolumeErrors(path.points, np.full((4, 3), 1e-5), np.full((4, 3), 1e-6))
+    drawn = {'/view/scene': scene(path, volume), '/view/live': moving(path, 0.1, track, pose, 0)}
+    names = {topic: {layer.name for layer in layers} for topic, layers in drawn.items()}
+    assert rviz_topics(layouts) == names
+    content = json.loads((layouts / 'foxglove.json').read_text())['configById']
+    rules = content['Indicator!otf_state']['rules']
+    assert {rule['rawValue'] for rule in rules} == set(NAMES.values())

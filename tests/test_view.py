@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What viewers see of a run, against path, result and true errors; latched for latecomers."""
+
+import json
+import math
+import re
+import threading
+import urllib.request
+
+import numpy as np
+from cells import ERROR_SIZE, write_truth
+from nav_msgs.msg import Path
+from std_msgs.msg import Float64
+from visualization_msgs.msg import Marker, MarkerArray
+
+from otf_core.live.numbers import NUMBERS
+from otf_msgs.msg import CalibrationResult, CalibratorState, VolumeErrors
+from otf_ros import qos
+
+SLOW = {'simulated.rate': 200.0, 'time_scale': 8.0}
+"""Parameters of the driver that leave time to look."""
+MOST = 10_000
+"""Points of a picture: what any viewer draws without effort."""
+
+
+class Reader:
+    """Reads the events of a page as a browser does, in a thread."""
+
+    def __init__(self, graph, page):
+        def address():
+            return re.search(r'live view at (http://\S+)', page.last_lines())
+
+        graph.wait(address, 'the page')
+        self.url = address()[1]
+        self.heard = {}
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self):
+        with urllib.request.urlopen(f'{self.url}events', timeout=60) as stream:
+            assert stream.headers['Content-Type'] == 'text/event-stream'
+            name = ''
+            for line in stream:
+                kind, _, text = line.decode().rstrip('\n').partition(': ')
+                if kind == 'event':
+                    name = text
+                elif kind == 'data':
+                    self.heard.setdefault(name, []).append(json.loads(text))
+
+    def latest(self):
+        """What the page says to those who ask once."""
+        with urllib.request.urlopen(f'{self.url}state.json', timeout=10) as answer:
+            return json.load(answer)
+
+    def ended(self):
+        """Wait for the end of the stream; True if it was said to be the end."""
+        self._thread.join(10)
+        return not self._thread.is_alive() and self.heard.get('ended') == [True]
+
+
+def start_cell(graph, machine_file, truth):
+    """Start planner, calibrator and driver for a run of two laps."""
+    graph.start('path_planner', machine_file=machine_file, passes=2, levels=2)
+    graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder / 'out')
+    simulated = {'simulated.truth_tables': truth, **SLOW}
+    graph.start('tracker_driver', machine_file=machine_file, **simulated)
+
+
+def layers(message):
+    """Markers of a picture by namespace; checked as RViz and Foxglove want them."""
+    first, *drawn = message.markers
+    assert first.action == Marker.DELETEALL
+    assert len({(m.ns, m.id) for m in drawn}) == len(drawn)
+    for marker in drawn:
+        assert (marker.header.frame_id, marker.action) == ('machine', Marker.ADD)
+        assert marker.ns and marker.pose.orientation.w == 1.0 and 0 < marker.color.a <= 1
+        scale = marker.scale
+        if marker.type == Marker.TEXT_VIEW_FACING:
+            assert scale.z > 0 and marker.text and not marker.points
+            continue
+        assert scale.x > 0 and len(marker.points) > (marker.type == Marker.LINE_STRIP)
+        assert marker.type != Marker.SPHERE_LIST or scale.x == scale.y == scale.z
+        assert marker.type != Marker.LINE_LIST or len(marker.points) % 2 == 0
+        assert all(math.isfinite(v) for p in marker.points for v in (p.x, p.y, p.z))
+    assert sum(len(marker.points) for marker in drawn) < MOST
+    return {marker.ns: marker for marker in drawn}
+
+
+def array(points):
+    """Coordinates of points or vectors, shape (n, 3), m."""
+    return np.array([(p.x, p.y, p.z) for p in points])
+
+
+def times(marker):
+    """How enlarged errors are, as a legend says it."""
+    return float(marker.text.split('x ')[1].split(':')[0].replace(',', ''))
+
+
+def arrows(marker):
+    """Begin and end of the lines of a marker, each (n, 3), m."""
+    return array(marker.points).reshape(-1, 2, 3).swapaxes(0, 1)
+
+
+def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp_path):
+    graph.start('viewer')
+    page = graph.start('page', port=0)
+    early = graph.listen(CalibrationResult, 'calibrator/provisional', qos.RESULT)
+    states = graph.listen(CalibratorState, 'calibrator/state')
+    live = graph.listen(MarkerArray, 'view/live', qos.PICTURE)
+    heard = {name: graph.listen(Float64, f'view/{name}', qos.SCALAR) for name in NUMBERS}
+    paths = graph.listen(Path, 'planner/path', qos.PATH)
+    volumes = graph.listen(VolumeErrors, 'calibrator/volume', qos.RESULT)
+    reader = Reader(graph, page)
+    assert reader.latest()['scene'] == {'path': None, 'volume': None, 'solved': None}
+    start_cell(graph, machine_file, write_truth(tmp_path, machine_file))
+    graph.wait(lambda: early and volumes, 'a provisional result')
+    assert states[-1].name == 'BUFFERING' and volumes[0].provisional
+    graph.wait(lambda: reader.latest()['now']['distance_um'] is not None, 'it in the page')
+    halfway = reader.latest()
+    result, _ = graph.wait_for_result()
+    graph.wait(lambda: not volumes[-1].provisional, 'the errors')
+    graph.wait(lambda: not reader.latest()['scene']['solved']['provisional'], 'them in the page')
+
+    late = graph.listen(MarkerArray, 'view/scene', qos.PICTURE)
+    graph.wait(lambda: late and 'so far' not in layers(late[-1])['error_legend'].text, 'the scene')
+    graph.wait(lambda: 'tracker' in layers(live[-1]), 'the tracker')
+    check_provisional(early, result, states)
+    check_scene(layers(late[-1]), paths[0], volumes[-1])
+    check_run(layers(live[-1]), result)
+    check_numbers({name: [m.data for m in messages] for name, messages in heard.items()}, result)
+    check_page(halfway, reader.latest(), early[0], result)
+    graph.stop(page)
+    assert reader.ended()
+
+
+def check_provisional(early, result, states):
+    """What is said after the first lap agrees with the end, within what it says of itself."""
+    (early,) = early
+    assert early.status == result.status == result.OK and result.samples_lost == 0
+    assert 0.3 < early.samples / result.samples < 0.8
+    assert abs(early.c0y - result.c0y) < 5 * early.u_c0y
+    assert len(early.motions) == len(early.motion_u) == len(early.motion_largest) == 18
+    known = {name for name in early.motions if name not in early.not_identifiable}
+    for name, u, final in zip(early.motions, early.motion_u, result.motion_u, strict=True):
+        assert math.isfinite(u) == (name in known), name
+        assert name not in known or 0 < final < 1.5 * u
+    stages = [state.stage for state in states]
+    assert stages.index('driving') < stages.index('solving') and stages[-1] == ''
+    left = [s.time_left for s in states if s.stage == 'driving' and math.isfinite(s.time_left)]
+    assert left and left[-1] < left[0] / 2
+    assert math.isnan(states[-1].time_left)
+
+
+def check_scene(scene, path, volume):
+    """The path as published; arrows that are the errors, as enlarged as the legend says."""
+    corners = array([pose.pose.position for pose in path.poses])
+    assert np.array_equal(array(scene['path'].points), corners)
+    begin, end = arrows(scene['errors'])
+    assert np.allclose(begin, array(volume.points))
+    enlarged = times(scene['error_legend']) * array(volume.errors)
+    assert np.allclose(end - begin, enlarged, rtol=1e-9, atol=1e-12)
+    assert np.linalg.norm(array(volume.u), axis=1).max() < ERROR_SIZE / 5
+
+
+def check_run(now, result):
+    """Tracker where the result says; deviations as large as the errors of the machine."""
+    place = result.alignment.translation
+    assert np.allclose(array(now['tracker'].points), [[place.x, place.y, place.z]], atol=1e-9)
+    begin, end = arrows(now['deviations'])
+    lengths = np.linalg.norm(end - begin, axis=1) / times(now['deviation_legend'])
+    assert len(begin) > 20 and ERROR_SIZE / 20 < lengths.mean() < 3 * ERROR_SIZE
+
+
+def check_numbers(numbers, result):
+    """Every number was published, and tells what the result tells."""
+    assert all(numbers.values())
+    assert 0 < np.median(numbers['distance_from_path']) < 3 * ERROR_SIZE
+    assert max(numbers['samples']) == result.samples
+    assert numbers['residual'][-1] == result.path_mae_after
+    assert max(numbers['samples_lost']) < result.samples / 100
+    assert 0.3 * 1600 < np.median([r for r in numbers['sample_rate'] if r]) < 3 * 1600
+
+
+def check_page(halfway, end, early, result):
+    """The page says what the messages say, in um."""
+    now, solved = halfway['now'], halfway['scene']['solved']
+    assert now['state'] == 'BUFFERING' and 0.3 < now['fraction'] < 1 and now['time_left'] > 0
+    assert len(now['places']) == len(now['deviations_um']) > 5
+    assert solved['provisional'] and solved['ok'] and not end['scene']['solved']['provisional']
+    assert end['scene']['solved']['residual_rms_um'] == 1e6 * result.residual_rms
+    assert end['now']['fraction'] == 1.0 and end['now']['samples'] == result.samples
+    for found, message in ((solved, early), (end['scene']['solved'], result)):
+        assert found['squareness']['C0Y'] == [1e6 * message.c0y, 1e6 * message.u_c0y]
+        u = {name: None if math.isnan(v) else 1e6 * v
+             for name, v in zip(message.motions, message.motion_u, strict=True)}  # fmt: skip
+        assert {name: v for name, (_, v) in found['motions'].items()} == u
+
+
+def test_viewer_alone_says_nothing_and_a_broken_path_does_no_harm(graph):
+    node = graph.start('viewer')
+    publisher = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
+    live = graph.listen(MarkerArray, 'view/live', qos.PICTURE)
+    publisher.publish(Path())
+    graph.wait(lambda: 'planner/path ignored' in node.last_lines(), 'the complaint')
+    assert not live
