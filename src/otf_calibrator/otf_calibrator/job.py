@@ -11,6 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import TypeVar
 
 from otf_calibrator.params import CalibratorConfig
 from otf_core.bags.bag import BagContent, write_bag
@@ -33,6 +34,7 @@ from otf_core.reports.with_effects import write_with_effects
 from otf_core.sim.twin import twin_recording
 
 Writer = Callable[[Path], list[Path]]
+A = TypeVar('A')
 
 BAG = 'samples'
 """Name of the bag beside the results, and so of the run in them."""
@@ -123,7 +125,7 @@ class Worker:
             return replace(outcome, problem=problem)
         return outcome
 
-    def ask(self, question: Callable[[Samples], bool], samples: Samples) -> Future[bool]:
+    def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
         return self._pool.submit(question, samples)
 

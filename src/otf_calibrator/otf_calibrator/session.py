@@ -10,15 +10,19 @@ import copy
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import partial
 
 from otf_calibrator.collector import Collector
 from otf_calibrator.diagnosis_job import Answer, DiagnosisJob
+from otf_calibrator.glances import Glances
 from otf_calibrator.intake import Intake
 from otf_calibrator.job import Calibrated, Request, Worker
 from otf_calibrator.params import CalibratorConfig
+from otf_core.calibration.first_sight import FirstSight, first_sight
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
 
+Ahead = CalibrationResult | FirstSight
 INTERIM = 'interim result: the run goes on, and its samples are still taken'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
 
@@ -49,7 +53,8 @@ class Session:
         self.worker = Worker(warn)
         self._job: Future[Calibrated] | None = None
         self._saving: Future[Calibrated] | None = None
-        self._ahead: Future[CalibrationResult] | None = None
+        self._ahead: Future[Ahead] | None = None
+        self._glances = Glances()
         self._verdict: Future[bool] | None = None
         self._judged_run = 0
         self.diagnosis: DiagnosisJob | None = None
@@ -120,14 +125,31 @@ class Session:
         if self.busy:
             self.worker.cancel()
 
-    def look_ahead(self) -> Future[CalibrationResult] | None:
-        """Solve what was driven after the first lap; return that once it has come to its end."""
-        lap = None if self.busy else self.collector.first_lap()
+    def look_ahead(self) -> Future[Ahead] | None:
+        """Align what was driven early on, solve it after the first lap; return what has ended.
+
+        A look that shows nothing yet is not told of.
+        """
+        collector = self.collector
+        lap = None if self.busy else collector.first_lap()
         if lap:
+            self._glances.found()
             self._ahead = self.worker.look_ahead(Request(*lap, *self._settings(), 0))
+        elif (
+            self._ahead is None
+            and not self.busy
+            and self._glances.due(collector, time.monotonic())
+        ):
+            look = partial(first_sight, path=collector.path, travelled=collector.travelled)
+            look = partial(look, config=self._settings()[1])
+            self._ahead = self.worker.ask(look, collector.buffer.snapshot())
         if self._ahead is None or not self._ahead.done():
             return None
         ahead, self._ahead = self._ahead, None
+        if ahead.exception() is None:
+            self._glances.found()
+        elif self._glances.patient:
+            return None
         return ahead
 
     def forget(self) -> tuple[bool, str]:
