@@ -27,7 +27,7 @@ setup(
         'threadpoolctl>=3.1',  # one thread for small matrices: faster, the same result everywhere
         'matplotlib>=3.6',  # figures of the reports; imported only when one is drawn
     ],
-    extras_require={'test': ['pytest']},
+    extras_require={'test': ['pytest'], 'fleet': ['distributed']},
     entry_points={'console_scripts': ['otf = otf_core.cli.__main__:run']},
     zip_safe=False,
     maintainer='OTF calibration maintainers',

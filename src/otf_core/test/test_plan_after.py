@@ -14,7 +14,7 @@ from otf_core.planning.after import Question, open_questions, plan_after
 from otf_core.planning.forecast import Setup
 
 MACHINE = some_machine(pitch=0.1)
-LAG = AppliedEffect(REGISTRY['servo_mismatch'], {'T_X': 1e-5, 'T_Y': -5e-6})
+LAG = AppliedEffect(REGISTRY['servo_mismatch'], {'T_X': 1.6e-5, 'T_Y': -8e-6})
 
 
 def diagnosed(folder, rivals=('backlash',), hidden=('tracker_scale',)):

@@ -9,6 +9,7 @@ import numpy as np
 
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
+from otf_core.live.stages import Progress
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.model import NoiseModel
@@ -119,7 +120,11 @@ def _worth(efficiency: float) -> str:
 
 
 def make_plan(
-    machine: Machine, request: PlanRequest, config: PlannerConfig, judged: ForecastConfig
+    machine: Machine,
+    request: PlanRequest,
+    config: PlannerConfig,
+    judged: ForecastConfig,
+    progress: Progress = lambda stage, fraction: None,
 ) -> PlanReport:
     """Make or take a plan and judge it.
 
@@ -129,6 +134,8 @@ def make_plan(
     request : PlanRequest
     config : PlannerConfig
     judged : ForecastConfig
+    progress : callable(stage, fraction)
+        Stages are those of ``live.stages.PLAN``.
 
     Returns
     -------
@@ -136,14 +143,18 @@ def make_plan(
     """
     place = None if request.tracker_place is None else np.array(request.tracker_place)
     setup = Setup.of(machine, place, request.noise, judged)
+    progress('choosing lines', 0.0)
     with one_thread():
         plan, how, answers = _chosen(request, setup, config)
         plan = on_increment(plan, machine.lower, machine.upper)
         check_place(plan, setup)
+        progress('forecasting', 0.0)
         found: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
+        progress('comparing places of the tracker', 0.0)
         judge = judge_places(plan, setup, found.solution.accepted)
         places, own = compare_places(plan, setup, judge), judge(setup.place)
+        progress('looking for effects', 0.0)
         planned = planned_solution(plan, setup, found)
         rows = forecast_rows(planned, limit)
         effects = tuple(EffectForecast(e['effect'], e['words'], e) for e in forecast_effects(rows))
