@@ -116,6 +116,11 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
         help='machine.yaml of all bags; or given once per bag, in their order',
     )  # fmt: skip
     sub.add_argument(
+        '--signal', action='append', default=[], metavar='TOPIC[:FIELD]',
+        help='a number recorded beside the samples, such as a temperature, that a diagnosis takes '
+        'for a possible cause; may be repeated',
+    )  # fmt: skip
+    sub.add_argument(
         '--join', action='store_true',
         help='the bags are parts of one run, whose recording was ended and begun again',
     )  # fmt: skip
