@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What mkdocs does not do itself: links into the sources, pages that the navigation does not name."""
+"""What mkdocs does not do itself: links into the sources, pages the navigation does not name."""
 
 import re
 from pathlib import Path
