@@ -16,5 +16,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='Node that calibrates a machine from path and samples.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['calibrator = otf_calibrator.node:main']},
+    entry_points={'console_scripts': ['calibrator = otf_calibrator.__main__:main']},
 )

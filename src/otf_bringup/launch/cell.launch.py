@@ -8,18 +8,24 @@ ros2 launch otf_bringup cell.launch.py view:=true         the same with a page i
 ros2 launch otf_bringup cell.launch.py backend:=replay bag:=BAG machine_file:=MACHINE.yaml
 ros2 launch otf_bringup cell.launch.py backend:=emscon emscon.host:=HOST machine_file:=MACHINE.yaml
 ros2 launch otf_bringup cell.launch.py backend:=stream stream.source:=SOURCE.yaml machine_file:=...
+ros2 launch otf_bringup cell.launch.py respawn:=true      nodes that die come back; else all end
+
+Several cells, trackers and machines: docs/graph.md
 """
 
+import sys
 from contextlib import suppress
+from difflib import get_close_matches
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration, TextSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
+from otf_core.config import PlannerConfig
 from otf_tracker_driver.backends import BACKENDS
 
 CONFIG = Path(get_package_share_directory('otf_bringup')) / 'config'
@@ -33,49 +39,127 @@ ARGUMENTS = [
     ('time_scale', '1.0', 'how many times as fast as measured to simulate or replay'),
     ('diagnose', 'false', 'diagnose every run after its calibration'),
     ('view', 'false', 'show the run: markers, numbers for plots, a page for the browser'),
+    ('use_sim_time', 'false', 'stamps of states and results by /clock'),
+    ('respawn', 'false', 'start a node again that has died; else its end is the end of all'),
+    ('nodes', 'path_planner,calibrator,tracker_driver', 'which nodes to start'),
+    ('tracker', '', 'namespace of the tracker, if not that of the cell'),
+    ('planner', '', 'namespace of the path planner, if not that of the cell'),
+    ('rate', '', 'samples per second, simulated or of an emScon tracker'),
 ]
+FILES = 'cell.launch.py', 'replay.launch.py'
+RESPAWN_DELAY = 1.0
+"""s"""
 SHORT = {
     'replay.bag': 'bag',
     'simulated.truth_tables': 'truth_tables',
     'simulated.effects': 'effects',
+    'simulated.seed': 'seed',
 }
 """Parameters of backends whose launch argument leaves out the name of the backend."""
 VIEWERS = ('viewer', 'page')
-KINDS = {'time_scale': float, 'diagnose': bool}
+KINDS = {'time_scale': float, 'diagnose': bool, 'use_sim_time': bool}
+PLANNER_PARAMETERS = {info.name: info for info in PlannerConfig.infos()}
 BACKEND_PARAMETERS = {
     f'{name}.{info.name}': info
     for name, backend in BACKENDS.items()
     for info in backend.parameters.infos()
+    if f'{name}.{info.name}' not in ('simulated.rate', 'emscon.interval')
 }
+INFOS = {**PLANNER_PARAMETERS, **BACKEND_PARAMETERS}
 
 
 def generate_launch_description():
     own = [
         (SHORT.get(name, name), '', f'{info.meaning} (default: that of params_file)')
-        for name, info in BACKEND_PARAMETERS.items()
+        for name, info in INFOS.items()
     ]
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, default, text in (*ARGUMENTS, *own)
     ]
-    return LaunchDescription([*declared, OpaqueFunction(function=nodes)])
+    known = [argument.name for argument in declared]
+    return LaunchDescription([*declared, OpaqueFunction(function=nodes, args=[known])])
 
 
-def nodes(context):
+def nodes(context, known):
     """Return the nodes; no planner where the path comes with the samples."""
     given = context.launch_configurations
+    refuse_unknown([*known, 'bag'], context.argv)
     backend = BACKENDS.get(given['backend'])
-    own = {
-        name: parameter(given[SHORT.get(name, name)], type(info.default))
-        for name, info in BACKEND_PARAMETERS.items()
-        if given[SHORT.get(name, name)]
+    taken = {
+        'path_planner': (['machine_file', 'path_file'], further(given, PLANNER_PARAMETERS)),
+        'calibrator': (['machine_file', 'output_directory', 'diagnose'], {}),
+        'tracker_driver': (
+            ['machine_file', 'backend', 'time_scale'],
+            {**further(given, BACKEND_PARAMETERS), **rate(given)},
+        ),
     }
-    planner = node('path_planner', given, ['machine_file', 'path_file'])
+    wanted = [name.strip() for name in given['nodes'].split(',')]
+    for name in wanted:
+        if name not in taken:
+            raise RuntimeError(f'nodes: {name!r} is unknown; possible: {", ".join(taken)}')
+    if backend and backend.brings_path and 'tracker_driver' in wanted:
+        del taken['path_planner']
+    viewers = VIEWERS if given['view'].lower() == 'true' else ()
     return [
-        *([] if backend and backend.brings_path else [planner]),
-        node('calibrator', given, ['machine_file', 'output_directory', 'diagnose']),
-        node('tracker_driver', given, ['machine_file', 'backend', 'time_scale'], own),
-        *([node(name, given, []) for name in VIEWERS] if given['view'] == 'true' else []),
+        *(node(name, given, *taken[name]) for name in taken if name in wanted),
+        *(node(name, given, [], {}) for name in viewers),
+    ]
+
+
+def refuse_unknown(known, words):
+    """Name launch arguments that nothing reads; launch itself takes any."""
+    if not any(word.endswith(FILES) for word in sys.argv):
+        return  # they are those of a launch file that includes this one
+    for name in [word.partition(':=')[0] for word in words if ':=' in word]:
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            hint = f'; did you mean {near[0]!r}?' if near else ''
+            raise RuntimeError(f'launch argument {name!r} is unknown{hint} --show-args lists all')
+
+
+def further(given, infos):
+    """Return the parameters that have been given, by their names in the node."""
+    words = {name: given[SHORT.get(name, name)] for name in infos}
+    return {
+        name: parameter(text, type(infos[name].default)) for name, text in words.items() if text
+    }
+
+
+def rate(given):
+    """Return the parameters of the backends that say how many samples come per second."""
+    if not given['rate']:
+        return {}
+    try:
+        hertz = float(given['rate'])
+        return {'simulated.rate': hertz, 'emscon.interval': 1 / hertz}
+    except (ValueError, ZeroDivisionError):
+        raise RuntimeError(f'rate: {given["rate"]!r}; give samples per second') from None
+
+
+def ended(event, context):
+    """End all where one node ends by itself; with an error where that was one."""
+    if context.is_shutdown:
+        return []
+    if event.returncode:
+        raise RuntimeError(
+            f'{event.process_name} ended with exit code {event.returncode}, so all ends; '
+            f'respawn:=true starts a node again'
+        )
+    return [Shutdown(reason=f'{event.process_name} has ended')]
+
+
+def elsewhere(given):
+    """Return remappings of what comes from other namespaces; tf stays within the cell."""
+    names = {'tracker': ('point', 'status', 'gap'), 'planner': ('path', 'plan')}
+    return [
+        ('/tf_static', 'tf_static'),
+        *(
+            (f'{kind}/{name}', f'/{given[kind].strip("/")}/{kind}/{name}')
+            for kind, topics in names.items()
+            if given[kind]
+            for name in topics
+        ),
     ]
 
 
@@ -87,16 +171,21 @@ def parameter(text, kind):
     return ParameterValue(TextSubstitution(text=text), value_type=str if kind is str else None)
 
 
-def node(name, given, taken, further=None):
+def node(name, given, taken, own):
     """Return a node that takes parameters from the launch arguments of the same names."""
+    taken = [*taken, 'use_sim_time']
     parameters = {key: parameter(given[key], KINDS.get(key, str)) for key in taken}
+    respawn = given['respawn'].lower() == 'true'
     return Node(
         package='otf_view' if name in VIEWERS else f'otf_{name}',
         executable=name,
         name=name,
         namespace=LaunchConfiguration('namespace'),
-        parameters=[LaunchConfiguration('params_file'), {**parameters, **(further or {})}],
-        remappings=[('/tf_static', 'tf_static')] if given['namespace'] else [],
+        parameters=[LaunchConfiguration('params_file'), {**parameters, **own}],
+        remappings=elsewhere(given),
         output='screen',
         emulate_tty=True,
+        respawn=respawn,
+        respawn_delay=RESPAWN_DELAY,
+        on_exit=None if respawn or name in VIEWERS else ended,
     )

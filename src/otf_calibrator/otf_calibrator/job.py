@@ -8,9 +8,10 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import TypeVar
 
 from otf_calibrator.params import CalibratorConfig
 from otf_core.bags.bag import BagContent, write_bag
@@ -33,6 +34,7 @@ from otf_core.reports.with_effects import write_with_effects
 from otf_core.sim.twin import twin_recording
 
 Writer = Callable[[Path], list[Path]]
+A = TypeVar('A')
 
 BAG = 'samples'
 """Name of the bag beside the results, and so of the run in them."""
@@ -106,18 +108,24 @@ class Worker:
         self._ahead.clear()
         return self._pool.submit(self._provisional, request)
 
-    def save(self, outcome: Calibrated) -> None:
+    def save(self, outcome: Calibrated) -> Future[Calibrated]:
         """Keep path and samples as a bag beside the results, if that is wanted."""
+        self.stage, self.fraction = 'saving the samples', 0.0
+        return self._pool.submit(self._save, outcome)
+
+    def _save(self, outcome: Calibrated) -> Calibrated:
         recording, folder = outcome.recording, outcome.folder
-        if folder and outcome.request.files.save_bag:
-            content = BagContent(recording.samples, recording.path)
-            self._pool.submit(write_bag, folder / BAG, content).add_done_callback(self._check)
+        if not folder or not outcome.request.files.save_bag:
+            return outcome
+        try:
+            write_bag(folder / BAG, BagContent(recording.samples, recording.path))
+        except OtfError as error:
+            problem = f'the samples were not saved: {error}'
+            self._warn(problem)
+            return replace(outcome, problem=problem)
+        return outcome
 
-    def _check(self, writing: Future[None]) -> None:
-        if writing.exception():
-            self._warn(f'the samples were not saved: {writing.exception()}')
-
-    def ask(self, question: Callable[[Samples], bool], samples: Samples) -> Future[bool]:
+    def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
         return self._pool.submit(question, samples)
 
@@ -140,10 +148,10 @@ class Worker:
                 raise Cancelled('the run is calibrated')
 
         prepare = PREPARATIONS[request.files.method]
-        return calibrate_runs([_recording(request)], request.config, progress, prepare)
+        return calibrate_runs([recording_of(request)], request.config, progress, prepare)
 
     def _calibrate(self, request: Request) -> Calibrated:
-        recording = _recording(request)
+        recording = recording_of(request)
         result, write = self._solved(recording, request)
         base = _base(request.files)
         folder = free_folder(base, result.run_id)
@@ -173,7 +181,8 @@ class Worker:
         return result, functools.partial(write_calibration, result, report=files.report)
 
 
-def _recording(request: Request) -> Recording:
+def recording_of(request: Request) -> Recording:
+    """Samples in order, and what was said of them; InputError if they are not usable."""
     machine = load_machine(request.files.machine_file)
     request.screening.check(TOPIC)
     remarks = [*request.remarks, *request.screening.remarks()]

@@ -30,7 +30,7 @@ FLOORS = (
 INSIDE = {
     'diagnosis': (('diagnosis',), ('diagnosis.engine', 'diagnosis.place')),
     'planning': (('planning',), ('planning.nc',)),
-    'reports': (('reports',), ('reports.plots',)),
+    'reports': (('reports',), ('reports.plots',), ('reports.drawing',)),
 }
 """Floors of rooms that have rooms inside."""
 NEVER = [

@@ -48,8 +48,8 @@ class Status:
         self._told_ns = 0
         self.latency: float | None = None
 
-    def report(self, state: int, text: str) -> None:
-        """Publish a state, and log it; the same once more is not repeated."""
+    def report(self, state: int, text: str, trouble: bool = False) -> None:
+        """Publish a state, and log it, as a warning if it is trouble; not the same once more."""
         message = self.message
         if (message.state, message.message) == (state, text):
             return
@@ -58,6 +58,8 @@ class Status:
         logger = self._node.get_logger()
         if state == TrackerStatus.FAULT:  # rclpy wants one severity per line of code
             logger.error(f'{NAMES[state]}: {text}')
+        elif trouble:
+            logger.warning(f'{NAMES[state]}: {text}')
         else:
             logger.info(f'{NAMES[state]}: {text}')
 

@@ -114,8 +114,8 @@ class Streamer:
                 self._status.begin(self._backend)
                 self._streaming = True
             batch = self._backend.poll()
-            remark = f'streaming {self._backend.remark}'.strip()
-            self._status.report(TrackerStatus.STREAMING, self._backend.trouble or remark)
+            remark, trouble = f'streaming {self._backend.remark}'.strip(), self._backend.trouble
+            self._status.report(TrackerStatus.STREAMING, trouble or remark, bool(trouble))
         except OtfError as error:
             self.stop()
             self._status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')

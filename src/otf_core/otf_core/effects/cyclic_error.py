@@ -14,6 +14,7 @@ import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms, Wave
 from otf_core.effects.drawing import Axes, Maybe, Number, OneOf, Trial, Uniform
+from otf_core.effects.free import Free
 from otf_core.model.machine import AXES
 
 WAVES = 3
@@ -51,6 +52,10 @@ class CyclicError(Effect):
         Axes('S', most=2),
         Axes('C', most=2),
     ))  # fmt: skip
+
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(('{axis}',), (2,), 'the amplitude changes along the axis'),
+    )
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Periods from four sample spacings up, as close as the longest axis can tell apart."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.effects.base import State
+from otf_core.effects.history import path_history
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import AXES, Machine
 from otf_core.model.nodes import axis_nodes
@@ -72,6 +73,7 @@ def state_on_path(
         nodes=nodes,
         tables=tables,
         duration=duration,
+        more=path_history(lines, leg, q, speed, time),
     )
 
 

@@ -138,6 +138,19 @@ def _manifest(data: Data) -> Explained:
     return Explained(rows, {'by': data['verb'], 'files': files})
 
 
+def _loop(data: Data) -> Explained:
+    keys = ('before_um', 'after_um', 'forecast_um')
+    rows = tuple((key.removesuffix('_um'), f'{data[key]:.2f} um') for key in keys)
+    return Explained(rows, {key: data[key] for key in keys})
+
+
+def _fleet(data: Data) -> Explained:
+    failed = {name: run['message'] for name, run in data['runs'].items() if run['exit']}
+    rows: Rows = [('runs', f'{data["done"]} done, {data["failed"]} failed')]
+    rows += [('FAILED', f'{name}: {message}') for name, message in failed.items()]
+    return Explained(tuple(rows), {key: data[key] for key in ('done', 'failed', 'runs')})
+
+
 def _schema(path: Path) -> str:
     data = read_json(path)
     return str(data.get('schema', '')) if isinstance(data, dict) else ''
@@ -191,6 +204,13 @@ JSON_KINDS: tuple[Kind, ...] = (
         _simulation,
         'what lies beside a simulated bag',
     ),
+    _kind(
+        'otf-loop/1',
+        'loop',
+        _loop,
+        'a simulated machine measured, compensated and measured again',
+    ),
+    _kind('otf-fleet/1', 'fleet', _fleet, 'many runs, and how each of them ended'),
     _kind(
         'otf-manifest/1',
         'manifest',

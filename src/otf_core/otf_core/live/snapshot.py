@@ -80,7 +80,7 @@ def _solved(solved: Solved) -> dict[str, Any]:
         'ok': solved.ok,
         'message': solved.message,
         'mae_before_um': UM * solved.mae_before,
-        'mae_after_um': UM * solved.mae_after,
+        'mae_after_um': _number(UM * solved.left),
         'residual_rms_um': UM * solved.residual_rms,
         'motions': {name: micro[name] for name in solved.motions},
         'squareness': {name: micro[name] for name in solved.squareness},

@@ -140,6 +140,7 @@ class Rows:
             first.units * len(runs),
             first.axes * len(runs),
             first.columns,
+            first.orders * len(runs),
         )
 
     def by_run(self, values: Array) -> list[Array]:
