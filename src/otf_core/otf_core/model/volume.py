@@ -46,7 +46,7 @@ class VolumeErrors:
 
     @property
     def mean(self) -> float:
-        """Mean length of the errors without a rigid motion of the whole, as reports state it, m."""
+        """Mean length of the errors without a rigid motion of the whole (m), as in reports."""
         if not len(self.points):
             return 0.0
         return mean_length(without_rigid_motion(self.errors, self.points))
