@@ -55,6 +55,8 @@ def test_time_left_is_that_of_the_mean_speed_and_begins_anew_with_another_job():
     assert math.isnan(clock.estimate('driving', 0.2, 100.0))
     assert math.isnan(clock.estimate('driving', 0.2, 110.0))  # nothing moved
     assert clock.estimate('driving', 0.4, 120.0) == pytest.approx(60.0)
+    assert clock.estimate('driving', 0.4, 130.0) == pytest.approx(50.0)
+    assert math.isnan(clock.estimate('driving', 0.4, 190.0))  # it takes longer than that
     assert math.isnan(clock.estimate('solving', 0.5, 121.0))
     assert clock.estimate('solving', 0.75, 131.0) == pytest.approx(10.0)
     assert math.isnan(clock.estimate('solving', 0.1, 140.0))  # a second solving
@@ -183,7 +185,9 @@ def test_volume_errors_and_motion_sizes_are_those_of_the_tables(calibrated):
     )
     variance = np.einsum('...i,ij,...j->...', rows, calibrated.covariance, rows)
     assert np.allclose(volume.u, np.sqrt(variance), rtol=1e-6, atol=1e-12)
-    assert volume.mean[0] > volume.mean[1] > 0
+    turned = 1e-4 * np.cross([1.0, 2.0, 3.0], volume.points) + 5e-4
+    moved = VolumeErrors(volume.points, volume.errors + turned, volume.u)
+    assert 1e-6 < volume.mean == pytest.approx(moved.mean, rel=1e-6)
     sizes = motion_sizes(calibrated)
     assert list(sizes) == list(MOTIONS)
     table = calibrated.tables.motions['EYX']

@@ -218,3 +218,19 @@ JSON_KINDS: tuple[Kind, ...] = (
         'which files otf wrote into this folder, by their hash',
     ),
 )
+
+
+def _is_other(path: Path) -> bool:
+    return begins(path, '{') and _schema(path).startswith('otf-')
+
+
+def _other(path: Path) -> Explained:
+    data = read_json(path)
+    rows: Rows = [
+        ('schema', data['schema']),
+        ('holds', ', '.join(k for k in data if k != 'schema')),
+    ]
+    return Explained((*rows, *_about(data)), {'schema': data['schema'], 'keys': list(data)})
+
+
+OTHER = Kind('other result', 'a file of otf that has no explanation of its own', _is_other, _other)
