@@ -111,7 +111,7 @@ def calibrate(bag: str, out: str) -> dict[str, float]:
     read = time.perf_counter()
     result = otf_core.calibrate(recording)
     solved = time.perf_counter()
-    otf_core.write_calibration(result, out, overwrite=True)
+    otf_core.write_calibration(result, out, overwrite=True, report=False)
     end = time.perf_counter()
     return {'read': read - begin, 'solve': solved - read, 'write': end - solved,
             'all': end - begin, 'pieces': result.fit.pieces,

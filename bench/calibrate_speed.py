@@ -34,7 +34,7 @@ BYTES = 32
 
 def command(bag: Path, out: Path) -> list[str | Path]:
     """Words of the command."""
-    words = ['calibrate', bag, '--machine', MACHINE, '--out', out, '--overwrite']
+    words = ['calibrate', bag, '--machine', MACHINE, '--out', out, '--overwrite', '--no-report']
     return ['-m', 'otf_core.cli', *words]
 
 

@@ -25,6 +25,7 @@ WRONG = [
     ('calibrator', {'piece_length': 5.0}, 'piece_length: 5 is out of range'),
     ('calibrator', {'machine_file': ''}, 'machine_file: missing'),
     ('calibrator', {'effects': '/no/such/effects.yaml'}, '/no/such/effects.yaml'),
+    ('calibrator', {'output_directory': '/dev/null/x'}, 'output_directory: /dev/null/x/'),
 ]
 
 

@@ -23,11 +23,10 @@ setup(
         'PyYAML>=6.0',  # machine.yaml and the other settings
         'mcap>=1.1',  # MCAP records; brings lz4
         'zstandard>=0.18',  # unpacks the chunks of MCAP files
-        'rosbags>=0.10',  # bags of any storage and version, CDR, message definitions
+        'rosbags>=0.11',  # bags of any storage and version, CDR, message definitions
         'threadpoolctl>=3.1',  # one thread for small matrices: faster, the same result everywhere
-        'matplotlib>=3.6',  # figures of the reports; imported only when one is drawn
     ],
-    extras_require={'test': ['pytest']},
+    extras_require={'test': ['pytest'], 'fleet': ['distributed']},
     entry_points={'console_scripts': ['otf = otf_core.cli.__main__:run']},
     zip_safe=False,
     maintainer='OTF calibration maintainers',

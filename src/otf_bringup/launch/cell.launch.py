@@ -100,8 +100,11 @@ def nodes(context, known):
             raise RuntimeError(f'nodes: {name!r} is unknown; possible: {", ".join(taken)}')
     if backend and backend.brings_path and 'tracker_driver' in wanted:
         del taken['path_planner']
-    viewers = [node(name, given, [], {}) for name in VIEWERS] if given['view'] == 'true' else []
-    return [*(node(name, given, *taken[name]) for name in taken if name in wanted), *viewers]
+    viewers = VIEWERS if given['view'].lower() == 'true' else ()
+    return [
+        *(node(name, given, *taken[name]) for name in taken if name in wanted),
+        *(node(name, given, [], {}) for name in viewers),
+    ]
 
 
 def refuse_unknown(known, words):

@@ -134,6 +134,8 @@ class _Progress:
             bar = '#' * round(20 * progress)
             text = f'{name:<16} [{bar:<20}] {state.samples:>7} samples, '
             text += f'{state.travelled:6.1f} of {state.path_length:.1f} m driven'
+            if state.time_left > 0.5:  # not so if it is not known: NaN
+                text += f', about {state.time_left:.0f} s left'
             sys.stdout.write(f'\r{text}\033[K' if self._live else f'{text}\n')
             sys.stdout.flush()
         return True

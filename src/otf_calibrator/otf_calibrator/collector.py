@@ -254,7 +254,9 @@ class Collector:
         """Say why a sample begins another run; empty if it does not."""
         stream, last = self._stream, self._last_ns
         taken_over, stream.taken_over = stream.taken_over, False
-        if stream.over(now):
+        # who is held up gets the last samples late: their stamps go on
+        late = last is not None and 0 < stamp_ns - last < LATE * 1e9
+        if stream.over(now) and (stream.received >= stream.announced or not late):
             return 'the stream before was over'
         if last is None or self.publishers > 1:
             return ''

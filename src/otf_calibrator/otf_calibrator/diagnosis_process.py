@@ -18,17 +18,9 @@ from typing import Any
 from otf_calibrator.diagnosis_task import Failure, Task
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.errors import OtfError
+from otf_core.live.stages import DIAGNOSE, of_whole
 from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
 from otf_core.sim.twin import twin_recording
-
-SPANS = {
-    'solving': (0.0, 0.25),
-    'simulating': (0.25, 0.4),
-    'diagnosing': (0.4, 0.8),
-    'correcting': (0.8, 0.95),
-}
-"""Begin and end of the stages as shares of the time; then files are written."""
-WRITING = 0.95
 
 
 def perform(task: Task, progress: Callable[[str, float], None]) -> dict[str, Any]:
@@ -50,14 +42,10 @@ def perform(task: Task, progress: Callable[[str, float], None]) -> dict[str, Any
     OtfError
         If the run cannot be diagnosed or a file cannot be written.
     """
-
-    def tell(stage: str, fraction: float) -> None:
-        low, high = SPANS.get(stage, (0.0, 0.0))
-        progress(stage, low + fraction * (high - low))
-
+    tell = of_whole(DIAGNOSE, progress)
     recording = replace(task.recording, name=task.name)
     diagnosis = diagnose([recording], twin_recording, (), task.config, tell)
-    progress('writing the report', WRITING)
+    tell('writing', 0.0)
     write_diagnosis(diagnosis, task.folder, BESIDE_TABLES)
     return diagnosis_to_dict(diagnosis)
 

@@ -8,9 +8,10 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import TypeVar
 
 from otf_calibrator.params import CalibratorConfig
 from otf_core.bags.bag import BagContent, write_bag
@@ -23,6 +24,7 @@ from otf_core.diagnosis.calibrate_with_effects import AUTO, NONE, calibrate_with
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output import OutputFolder
+from otf_core.history.store import add_run
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -33,6 +35,7 @@ from otf_core.reports.with_effects import write_with_effects
 from otf_core.sim.twin import twin_recording
 
 Writer = Callable[[Path], list[Path]]
+A = TypeVar('A')
 
 BAG = 'samples'
 """Name of the bag beside the results, and so of the run in them."""
@@ -106,18 +109,24 @@ class Worker:
         self._ahead.clear()
         return self._pool.submit(self._provisional, request)
 
-    def save(self, outcome: Calibrated) -> None:
+    def save(self, outcome: Calibrated) -> Future[Calibrated]:
         """Keep path and samples as a bag beside the results, if that is wanted."""
+        self.stage, self.fraction = 'saving the samples', 0.0
+        return self._pool.submit(self._save, outcome)
+
+    def _save(self, outcome: Calibrated) -> Calibrated:
         recording, folder = outcome.recording, outcome.folder
-        if folder and outcome.request.files.save_bag:
-            content = BagContent(recording.samples, recording.path)
-            self._pool.submit(write_bag, folder / BAG, content).add_done_callback(self._check)
+        if not folder or not outcome.request.files.save_bag:
+            return outcome
+        try:
+            write_bag(folder / BAG, BagContent(recording.samples, recording.path))
+        except OtfError as error:
+            problem = f'the samples were not saved: {error}'
+            self._warn(problem)
+            return replace(outcome, problem=problem)
+        return outcome
 
-    def _check(self, writing: Future[None]) -> None:
-        if writing.exception():
-            self._warn(f'the samples were not saved: {writing.exception()}')
-
-    def ask(self, question: Callable[[Samples], bool], samples: Samples) -> Future[bool]:
+    def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
         return self._pool.submit(question, samples)
 
@@ -140,10 +149,10 @@ class Worker:
                 raise Cancelled('the run is calibrated')
 
         prepare = PREPARATIONS[request.files.method]
-        return calibrate_runs([_recording(request)], request.config, progress, prepare)
+        return calibrate_runs([recording_of(request)], request.config, progress, prepare)
 
     def _calibrate(self, request: Request) -> Calibrated:
-        recording = _recording(request)
+        recording = recording_of(request)
         result, write = self._solved(recording, request)
         base = _base(request.files)
         folder = free_folder(base, result.run_id)
@@ -153,7 +162,7 @@ class Worker:
             point_latest(base / 'latest', folder.name)
         except OtfError as error:
             return Calibrated(request, recording, result, None, f'files not written: {error}')
-        return Calibrated(request, recording, result, folder)
+        return Calibrated(request, recording, result, folder, _kept(request.files, folder))
 
     def _solved(self, recording: Recording, request: Request) -> tuple[CalibrationResult, Writer]:
         """The result and what writes its files."""
@@ -173,7 +182,8 @@ class Worker:
         return result, functools.partial(write_calibration, result, report=files.report)
 
 
-def _recording(request: Request) -> Recording:
+def recording_of(request: Request) -> Recording:
+    """Samples in order, and what was said of them; InputError if they are not usable."""
     machine = load_machine(request.files.machine_file)
     request.screening.check(TOPIC)
     remarks = [*request.remarks, *request.screening.remarks()]
@@ -202,6 +212,17 @@ def free_folder(base: Path, run_id: str) -> Path:
     name = f'{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}-{run_id}'
     names = (name, *(f'{name}-{k}' for k in range(2, 1000)))
     return next(base / n for n in names if not os.path.lexists(base / n))
+
+
+def _kept(files: CalibratorConfig, folder: Path) -> str:
+    """Add the tables to the store of calibrations if one is named; what went wrong, or ''."""
+    if not files.history_directory:
+        return ''
+    try:
+        add_run(Path(files.history_directory).expanduser(), folder / 'error_tables.json')
+    except OtfError as error:
+        return f'not added to the history: {error}'
+    return ''
 
 
 def point_latest(link: Path, target: str) -> None:

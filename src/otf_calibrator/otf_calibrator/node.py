@@ -34,6 +34,7 @@ from otf_ros.topic_watch import TopicWatch
 PERIOD = 0.1
 """s; how often the run and a calibration under way are looked at."""
 POINT, PATH, STATUS = 'tracker/point', 'planner/path', 'tracker/status'
+READ = {POINT: qos.MEASUREMENT, PATH: qos.PATH, STATUS: qos.STATUS}
 
 
 class Calibrator(Node):
@@ -56,9 +57,7 @@ class Calibrator(Node):
         check_files(files)
         self._session = Session(self._read_settings, self.get_logger().warning)
         keep_journal(self, self._session.intake, files)
-        self._watch = TopicWatch(
-            self, {POINT: qos.MEASUREMENT, PATH: qos.PATH, STATUS: qos.STATUS}, POINT
-        )
+        self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
         self._results = ResultPublishers(self)
         self.create_subscription(Path, PATH, self._on_path, qos.PATH)
@@ -94,14 +93,15 @@ class Calibrator(Node):
         self._session.intake.status(status_of(message), serialize_message(message))
 
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
-        points = convert.points_from_messages(messages)
-        self._session.intake.samples(Batch(points, numbers))
+        self._session.intake.samples(Batch(convert.points_from_messages(messages), numbers))
 
     def _tick(self) -> None:
         self._watch.look()
         self._session.collector.publishers = self._watch.publishers
         if job := self._session.finished():
             self._finish(job)
+        if outcome := self._session.saved():
+            self._done(outcome)
         if reason := self._session.complete():
             self.get_logger().info(self._session.start(reason))
         if early := self._session.look_ahead():
@@ -116,15 +116,8 @@ class Calibrator(Node):
         """Publish what a calibration gave."""
         error = job.exception()
         if error is None:
-            outcome = job.result()
-            for text in self._results.publish(outcome):
+            for text in self._results.publish(job.result()):
                 self.get_logger().warning(text)
-            self._state.done(outcome)
-            self._session.worker.save(outcome)
-            if outcome.request.files.diagnose:
-                started, text = self._session.diagnose()
-                if not started:
-                    self._tell(outcome, Failure(2, text))
             return
         if isinstance(error, OtfError):
             text, code = str(error), error.exit_code
@@ -133,6 +126,14 @@ class Calibrator(Node):
             self.get_logger().error(''.join(traceback.format_exception(error)))
         self._results.publish_failure(code, text)
         self._state.failed(text + self._session.intake.kept())
+
+    def _done(self, outcome: Calibrated) -> None:
+        """Tell that all files of a calibration are there, and diagnose it if that is wanted."""
+        self._state.done(outcome)
+        if outcome.request.files.diagnose:
+            started, text = self._session.diagnose()
+            if not started:
+                self._tell(outcome, Failure(2, text))
 
     def _tell(self, outcome: Calibrated, answer: Answer) -> None:
         """Publish what a diagnosis gave."""

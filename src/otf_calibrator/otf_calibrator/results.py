@@ -12,9 +12,12 @@ from rclpy.node import Node
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
+from otf_calibrator.session import Ahead
+from otf_core.calibration.first_sight import FirstSight
 from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.volume import volume_errors
-from otf_core.errors import Cancelled
+from otf_core.errors import Cancelled, OtfError
+from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable, GapReport, VolumeErrors
@@ -61,7 +64,7 @@ class ResultPublishers:
         result, lost = outcome.result, outcome.request.lost
         for name, table in convert_result.tables_to_messages(result, now).items():
             self._tables[name].publish(table)
-        self._alignment.publish(self._place(result, now))
+        self._alignment.publish(self._place(result.T_machine_tracker, now))
         self._grid(result, now, provisional=False)
         message = convert_result.result_to_message(result, now, outcome.request.files.method)
         message.samples_lost, message.output_directory = lost, str(outcome.folder or '')
@@ -71,27 +74,29 @@ class ResultPublishers:
         self._tell(message)
         return list(message.warnings)
 
-    def publish_provisional(self, job: Future[CalibrationResult], method: str) -> str:
+    def publish_provisional(self, job: Future[Ahead], method: str) -> str:
         """Publish what the samples of a run say so far; return what to tell of it."""
-        error = job.exception()
+        error, now = job.exception(), self._clock.now().to_msg()
+        if isinstance(error, Cancelled):
+            return 'the run is over before its provisional result'
         if error:
-            ended = isinstance(error, Cancelled)
-            return (
-                'the run is over before its provisional result'
-                if ended
-                else f'no provisional result: {error}'
-            )
-        result, now = job.result(), self._clock.now().to_msg()
-        self._place(result, now)
+            code = error.exit_code if isinstance(error, OtfError) else 1
+            self._provisional.publish(convert_result.failure_to_message(code, str(error), now))
+            return f'no provisional result: {error}'
+        result = job.result()
+        self._place(result.T_machine_tracker, now)
+        if isinstance(result, FirstSight):
+            self._provisional.publish(convert_result.sight_to_message(result, now))
+            return f'provisional: {result.words}'
         self._grid(result, now, provisional=True)
         message = convert_result.result_to_message(result, now, method)
         message.warnings = list(result.warnings)
         self._provisional.publish(message)
         return f'provisional: {convert_result.summary(result)}'
 
-    def _place(self, result: CalibrationResult, now: Time) -> TransformStamped:
+    def _place(self, T_machine_tracker: RigidTransform, now: Time) -> TransformStamped:
         """Return the place of the tracker, and tell tf of it."""
-        alignment = convert_result.alignment_to_message(result, now)
+        alignment = convert_result.alignment_to_message(T_machine_tracker, now)
         if self._broadcaster:
             self._broadcaster.sendTransform(alignment)
         return alignment

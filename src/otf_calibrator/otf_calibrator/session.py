@@ -10,15 +10,19 @@ import copy
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import partial
 
 from otf_calibrator.collector import Collector
 from otf_calibrator.diagnosis_job import Answer, DiagnosisJob
+from otf_calibrator.glances import Glances
 from otf_calibrator.intake import Intake
 from otf_calibrator.job import Calibrated, Request, Worker
 from otf_calibrator.params import CalibratorConfig
+from otf_core.calibration.first_sight import FirstSight, first_sight
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
 
+Ahead = CalibrationResult | FirstSight
 INTERIM = 'interim result: the run goes on, and its samples are still taken'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
 
@@ -48,7 +52,9 @@ class Session:
         self.intake = Intake(self.collector, warn)
         self.worker = Worker(warn)
         self._job: Future[Calibrated] | None = None
-        self._ahead: Future[CalibrationResult] | None = None
+        self._saving: Future[Calibrated] | None = None
+        self._ahead: Future[Ahead] | None = None
+        self._glances = Glances()
         self._verdict: Future[bool] | None = None
         self._judged_run = 0
         self.diagnosis: DiagnosisJob | None = None
@@ -57,8 +63,8 @@ class Session:
 
     @property
     def busy(self) -> bool:
-        """True while a calibration is under way."""
-        return self._job is not None
+        """True while a calibration is under way or its samples are saved."""
+        return self._job is not None or self._saving is not None
 
     @property
     def answered(self) -> bool:
@@ -94,13 +100,18 @@ class Session:
         return started
 
     def _start(self, reason: str, final: bool, remarks: tuple[str, ...] = ()) -> str:
-        collector = self.collector
-        samples, path = collector.buffer.snapshot(), collector.path
-        assert path is not None, 'asked before'
         self.abandon()
-        request = Request(
-            samples,
-            path,
+        request = self.request(final, remarks)
+        self._job = self.worker.start(request)
+        return f'calibration of {len(request.samples)} samples started: {reason}'
+
+    def request(self, final: bool = True, remarks: tuple[str, ...] = ()) -> Request:
+        """Return the samples so far, and all that is known of them."""
+        collector = self.collector
+        assert collector.path is not None, 'asked before'
+        return Request(
+            collector.buffer.snapshot(),
+            collector.path,
             *self._settings(),
             collector.lost,
             (*collector.remarks, *remarks),
@@ -108,22 +119,37 @@ class Session:
             self.intake.journal.folder if self.intake.journal else None,
             final,
         )
-        self._job = self.worker.start(request)
-        return f'calibration of {len(samples)} samples started: {reason}'
 
     def cancel(self) -> None:
         """End a calibration under way as soon as it can be; its samples stay."""
         if self.busy:
             self.worker.cancel()
 
-    def look_ahead(self) -> Future[CalibrationResult] | None:
-        """Solve what was driven after the first lap; return that once it has come to its end."""
-        lap = None if self.busy else self.collector.first_lap()
+    def look_ahead(self) -> Future[Ahead] | None:
+        """Align what was driven early on, solve it after the first lap; return what has ended.
+
+        A look that shows nothing yet is not told of.
+        """
+        collector = self.collector
+        lap = None if self.busy else collector.first_lap()
         if lap:
+            self._glances.found()
             self._ahead = self.worker.look_ahead(Request(*lap, *self._settings(), 0))
+        elif (
+            self._ahead is None
+            and not self.busy
+            and self._glances.due(collector, time.monotonic())
+        ):
+            look = partial(first_sight, path=collector.path, travelled=collector.travelled)
+            look = partial(look, config=self._settings()[1])
+            self._ahead = self.worker.ask(look, collector.buffer.snapshot())
         if self._ahead is None or not self._ahead.done():
             return None
         ahead, self._ahead = self._ahead, None
+        if ahead.exception() is None:
+            self._glances.found()
+        elif self._glances.patient:
+            return None
         return ahead
 
     def forget(self) -> tuple[bool, str]:
@@ -143,8 +169,16 @@ class Session:
         job, self._job = self._job, None
         if job.exception() is None:
             self._last = job.result()
+            self._saving = self.worker.save(self._last)
             self.intake.settle(self._last.request, self._last.folder)
         return job
+
+    def saved(self) -> Calibrated | None:
+        """Return a calibrated run whose samples are saved beside its results, once."""
+        if not self._saving or not self._saving.done():
+            return None
+        saving, self._saving = self._saving, None
+        return saving.result()
 
     def diagnose(self) -> tuple[bool, str]:
         """Start to diagnose the last calibrated run; tell whether it has, or what to do first."""

@@ -51,7 +51,8 @@ class StatePublisher:
 
     def done(self, outcome: Calibrated) -> None:
         """Remember that the run was calibrated."""
-        place = f'files in {outcome.folder}' if outcome.folder else outcome.problem
+        places = [f'files in {outcome.folder}' if outcome.folder else '', outcome.problem]
+        place = '; '.join(text for text in places if text)
         text = f'{summary(outcome.result)}; for another run just drive again; {place}'
         self._outcome = (CalibratorState.DONE, 1.0, text)
         self._diagnosis = NO_DIAGNOSIS

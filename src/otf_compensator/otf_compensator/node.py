@@ -57,7 +57,7 @@ class Compensator(Node):
             return False, f'{error}; the tables read before stay'
         return True, self._tables.words
 
-    def _on_wanted(self, messages: list[PointStamped]) -> None:
+    def _on_wanted(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
         own = [m for m in messages if m.header.frame_id == MACHINE_FRAME]
         if len(own) < len(messages):
             frames = {m.header.frame_id for m in messages} - {MACHINE_FRAME}

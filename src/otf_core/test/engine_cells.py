@@ -69,10 +69,11 @@ def noise(seed, level=1.0):
 
 @functools.cache
 def options_of(effect, **shape):
-    """Options of one effect in the rows, of one shape or of those it tries itself."""
+    """Options of the formula of an effect, of one shape or of those it tries itself."""
     shapes = {effect.name: [shape]} if shape else {}
     tried, _ = tried_effects(solved_rows(), [effect], shapes)
-    return [t.source.option(take) for t in tried[effect.name] for take in t.takes]
+    formulas = [t for t in tried[effect.name] if not t.terms.orders]
+    return [t.source.option(take) for t in formulas for take in t.takes]
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@
 import io
 import json
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.tables import TablesFile, load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 
-FULL = ('isg', 'heidenhain', 'lattice-csv', 'lattice-npz')
+FULL = ('isg', 'heidenhain', 'qif', 'lattice-csv', 'lattice-npz')
 PARTS = ('linuxcnc', 'sinumerik-enc', 'sinumerik-cec')
 ASKED = ('sinumerik-cec', 'isg', 'heidenhain')
 NAMES = tuple(HOMES)
@@ -56,8 +57,7 @@ def read_linuxcnc(files, q, sign):
                 nominal, forward, reverse = map(float, line.split())
             except ValueError:
                 break  # the control stops here too
-            rows.append((nominal, nominal - forward))
-            assert forward == reverse
+            rows.append((nominal, nominal - 0.5 * (forward + reverse)))
         nominal, correction = np.array(rows).T
         assert np.all(np.diff(nominal) > 0) and len(nominal) <= 256
         change[:, joint] = 1e-3 * np.interp(1e3 * q[:, joint], nominal, correction)
@@ -156,6 +156,33 @@ def read_heidenhain(files, q, sign):
     return by_iso_names(columns, square, q, sign)
 
 
+def read_qif(files, q, sign):
+    (data,) = files.values()
+    root = ElementTree.fromstring(data)
+    names = {'q': 'http://qifstandards.org/xsd/qif3'}
+    test = root.find('.//q:CartesianCMMFPSTest', names)
+    square = {
+        'C0Y': float(test.find('q:XYSquareness', names).text),  # X-Y above 90: Y tilts to -X
+        'B0Z': -float(test.find('q:XZSquareness', names).text),  # X-Z above 90: Z tilts to -X
+        'A0Z': float(test.find('q:YZSquareness', names).text),  # Y-Z above 90: Z tilts to -Y
+    }
+    rotations = {'X': 'ABC', 'Y': 'BAC', 'Z': 'CAB'}
+    columns = {}
+    for axis in 'XYZ':
+        wanted = {f'{axis}Linearity': f'E{axis}{axis}'}
+        wanted |= {f'{axis}AxisStraightness{d}': f'E{d}{axis}' for d in 'XYZ' if d != axis}
+        words = zip(('Roll', 'Pitch', 'Yaw'), rotations[axis], strict=True)
+        wanted |= {f'{axis}Axis{word}': f'E{d}{axis}' for word, d in words}
+        for name, motion in wanted.items():
+            function = test.find(f'q:{name}', names)
+            columns[motion] = tuple(
+                np.array(function.find(f'q:{part}', names).text.split(), float)
+                for part in ('DomainValues', 'RangeValues')
+            )
+            assert int(function.get('n')) == len(columns[motion][0]) == len(columns[motion][1])
+    return by_iso_names(columns, square, q, sign)
+
+
 def trilinear(axes, error, q):
     from scipy.interpolate import RegularGridInterpolator
 
@@ -224,6 +251,23 @@ def test_the_tables_of_sinumerik_together_hold_what_functions_of_one_axis_can(ta
 def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
     for content in exported(name, tables).files.values():
         assert b'sign: ' in content and b'not in this file: ' in content
+
+
+def test_backlash_stands_in_the_columns_of_the_directions(tables):
+    reversal = {'motions': {'EYY': {'position': [0.0, 0.25], 'value': [4e-6, 6e-6]}}}
+    files = (
+        export_format('linuxcnc')
+        .export(Request(TablesFile(tables, {'reversal': reversal}), 'a.ini'))
+        .files
+    )
+    for name, wanted in (('a_x.comp', (0.0, 0.0)), ('a_y.comp', (4e-3, 6e-3))):
+        lines = files[name].decode().splitlines()
+        rows = np.array([line.split() for line in lines if line[0] != '#'], float)
+        # error in forward travel less that in backward travel, mm
+        np.testing.assert_allclose((rows[:, 1] - rows[:, 2])[[0, -1]], wanted, atol=2e-6)
+    with pytest.raises(ConfigError, match='reversal: EYY'):
+        wrong = {'motions': {'EYY': {'position': [0.0], 'value': 'x'}}}
+        export_format('linuxcnc').export(Request(TablesFile(tables, {'reversal': wrong}), 'a'))
 
 
 def test_the_covariance_of_a_lattice_is_that_of_its_errors(tables):

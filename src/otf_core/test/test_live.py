@@ -9,8 +9,10 @@ import pytest
 from core_cells import error_of
 from nature import table_rows
 
+from otf_core.calibration.first_sight import first_sight
 from otf_core.calibration.volume import motion_sizes, volume_errors
-from otf_core.errors import ShapeError
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError, ShapeError
 from otf_core.live import layers
 from otf_core.live.numbers import NUMBERS, numbers
 from otf_core.live.path_distance import PathDistance
@@ -20,6 +22,7 @@ from otf_core.live.time_left import TimeLeft
 from otf_core.live.track import POINTS, Track
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
+from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.volume import VolumeErrors
 
@@ -52,6 +55,8 @@ def test_time_left_is_that_of_the_mean_speed_and_begins_anew_with_another_job():
     assert math.isnan(clock.estimate('driving', 0.2, 100.0))
     assert math.isnan(clock.estimate('driving', 0.2, 110.0))  # nothing moved
     assert clock.estimate('driving', 0.4, 120.0) == pytest.approx(60.0)
+    assert clock.estimate('driving', 0.4, 130.0) == pytest.approx(50.0)
+    assert math.isnan(clock.estimate('driving', 0.4, 190.0))  # it takes longer than that
     assert math.isnan(clock.estimate('solving', 0.5, 121.0))
     assert clock.estimate('solving', 0.75, 131.0) == pytest.approx(10.0)
     assert math.isnan(clock.estimate('solving', 0.1, 140.0))  # a second solving
@@ -161,7 +166,7 @@ def test_numbers_of_a_run_and_a_new_run_forgets_the_old_one():
     run.set_path(PATH)
     run.set_progress(DRIVEN, 10.0)
     run.set_progress(Progress('BUFFERING', 'driving', 0.5, 20.0, 1500, 2, 0.4), 11.0)
-    run.set_solved(Solved(True, True, '', 5e-5, 2e-6), TURNED)
+    run.set_solved(Solved(True, True, '', 5e-5, 2e-6, motions={'EXX': (1e-5, 1e-6)}), TURNED)
     run.track.add(*in_tracker([[0.2, 0, 1e-5]])[0])
     now = numbers(run)
     assert now['distance_from_path'] == pytest.approx(1e-5)
@@ -180,10 +185,30 @@ def test_volume_errors_and_motion_sizes_are_those_of_the_tables(calibrated):
     )
     variance = np.einsum('...i,ij,...j->...', rows, calibrated.covariance, rows)
     assert np.allclose(volume.u, np.sqrt(variance), rtol=1e-6, atol=1e-12)
-    assert volume.mean[0] > volume.mean[1] > 0
+    turned = 1e-4 * np.cross([1.0, 2.0, 3.0], volume.points) + 5e-4
+    moved = VolumeErrors(volume.points, volume.errors + turned, volume.u)
+    assert 1e-6 < volume.mean == pytest.approx(moved.mean, rel=1e-6)
     sizes = motion_sizes(calibrated)
     assert list(sizes) == list(MOTIONS)
     table = calibrated.tables.motions['EYX']
     assert sizes['EYX'] == (max(abs(table.value)), max(table.u))
     for name in calibrated.not_identifiable:
         assert name not in sizes or math.isnan(sizes[name][1])
+
+
+@pytest.mark.parametrize('share', [0.15, 0.3, 0.6])
+def test_first_sight_finds_the_tracker_in_the_beginning_of_a_run(cell, calibrated, share):
+    whole = cell.recording.measured(cell.truth)
+    count = int(share * len(whole))
+    samples = Samples(whole.stamp_ns[:count], whole.xyz[:count])
+    steps = np.linalg.norm(np.diff(cell.recording.q[:count], axis=0), axis=1)
+    found = first_sight(samples, cell.path, steps.sum(), CalibrationConfig())
+    away = found.T_machine_tracker.translation - calibrated.T_machine_tracker.translation
+    assert np.linalg.norm(away) < 5e-4 and 2e-6 < found.distance < 6e-5
+    assert 'the tracker is found' in found.words
+
+
+def test_first_sight_of_something_else_than_the_path_says_so(cell):
+    samples = cell.recording.measured(cell.truth)
+    with pytest.raises(InputError, match=r'do not follow the path|followed only'):
+        first_sight(samples, NominalPath(CORNERS), 0.5, CalibrationConfig())

@@ -17,11 +17,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import MotionTable, tables_to_dict
-from otf_core.prediction.driven_volume import (
-    driven_from_dict,
-    driven_volume,
-    table_ranges,
-)
+from otf_core.prediction.driven_volume import driven_from_dict, driven_volume, table_ranges
 from otf_core.prediction.predict import predict
 from otf_core.prediction.table_prior import MotionPrior, prior_from_dict
 from otf_core.reports.calibration import result_to_dict

@@ -2,11 +2,13 @@
 """README and docs against the software: parameters, links, commands."""
 
 import re
+import shlex
 import sys
 from pathlib import Path
 
 import pytest
 
+import otf_core
 from otf_core.cli import _parser
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -54,6 +56,23 @@ def test_named_commands_exist(page):
     known = {*verbs, 'demo', 'soak', 'test', 'env', 'emulate-tracker'}
     found = set(re.findall(r'\./otf ([a-z-]+)', page.read_text(encoding='utf-8')))
     assert found <= known
+
+
+def test_commands_of_tutorial_and_commands_are_command_lines():
+    for name in ('tutorial', 'commands'):
+        text = (ROOT / f'docs/{name}.md').read_text(encoding='utf-8')
+        blocks = ''.join(re.findall(r'```\n(.*?)```', text, re.DOTALL))
+        lines = re.findall(r'^\./otf (.*?)(?: >.*)?$', blocks, re.MULTILINE)
+        assert len(lines) >= 3
+        for line in lines:
+            verb, *_ = words = shlex.split(line)
+            assert _parser().parse_args(words).verb == verb
+
+
+def test_every_public_name_has_its_place_in_the_site():
+    page = (ROOT / 'docs/api.md').read_text(encoding='utf-8')
+    homes = {f'otf_core.{m}.{n}' for m, names in otf_core._HOMES.items() for n in names}
+    assert set(re.findall(r'^::: (\S+)$', page, re.MULTILINE)) == homes
 
 
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)

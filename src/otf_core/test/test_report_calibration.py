@@ -24,6 +24,7 @@ from otf_core.reports.calibration_report import SECTIONS, calibration_sections
 from otf_core.reports.calibration_sections.diagonals import deviations, diagonals
 from otf_core.reports.calibration_sections.drift import drift
 from otf_core.reports.drawing import scene
+from otf_core.reports.drawing.panel import HEAD, SPREAD
 from otf_core.reports.section import sections_to_dict
 from otf_core.solving.reversal import Reversal, ReversalTable
 
@@ -234,6 +235,7 @@ def test_budget_of_the_volume_agrees_and_its_squares_add_up(page, tables):
 
 def test_samples_of_the_page_add_up(page, tables):
     (row,) = page.rows('Data quality')
+    assert 'While reading nothing was repaired or left out.' in page.text
     samples, used, outliers, excluded = map(int, row[1:5])
     assert samples == used + outliers + excluded == tables['fit']['samples']
     assert used == tables['fit']['used']
@@ -298,6 +300,9 @@ def test_the_script_turns_what_was_drawn():
     code = scene.SCRIPT
     assert f'{np.degrees(scene.AZIMUTH):.0f} * Math.PI' in code
     assert f'{np.degrees(scene.ELEVATION):.0f} * Math.PI' in code
+    assert f'box.height / 2 - {scene.MARGIN:.0f};' in code
+    assert f'Math.cos({SPREAD})' in code
+    assert f'Math.min({HEAD:.0f},' in code
 
 
 def test_a_calibration_can_do_without_a_report(result, tmp_path):

@@ -15,7 +15,7 @@ FACES = ('__init__', 'config', 'errors', 'threads', 'version')
 FLOORS = (
     ('api', 'cli'),
     ('info', 'installation', 'reports'),
-    ('blind', 'checking', 'loop', 'validation'),
+    ('blind', 'checking', 'history', 'loop', 'validation'),
     ('planning',),
     ('diagnosis',),
     ('calibration',),
@@ -30,7 +30,7 @@ FLOORS = (
 INSIDE = {
     'diagnosis': (('diagnosis',), ('diagnosis.engine', 'diagnosis.place')),
     'planning': (('planning',), ('planning.nc',)),
-    'reports': (('reports',), ('reports.plots',)),
+    'reports': (('reports',), ('reports.plots',), ('reports.drawing',)),
 }
 """Floors of rooms that have rooms inside."""
 NEVER = [

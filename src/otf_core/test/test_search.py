@@ -146,7 +146,7 @@ def test_residuals_smaller_than_assumed_count_as_assumed():
 def test_products_are_those_of_columns_less_tables_poses_and_causes(effect, shape):
     """Dense least squares on the columns; a wave has coefficients of its own in both runs."""
     rows, rng = holding(noise(41, 5.0)), np.random.default_rng(7)
-    (tried,) = tried_effects(rows, [effect], {effect.name: [shape]})[0][effect.name]
+    tried, *_ = tried_effects(rows, [effect], {effect.name: [shape]})[0][effect.name]
     own = rows.project(rows.whiten(rows.plain_columns(effect, shape)))
     basis, residual = np.zeros((len(own), 0)), rows.residual
     for count in (2, 3, 0):

@@ -7,8 +7,10 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, TransformStamped, Vector3
 
+from otf_core.calibration.first_sight import FirstSight
 from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.volume import motion_sizes
+from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.volume import VolumeErrors
 from otf_msgs.msg import CalibrationResult as ResultMessage
@@ -44,12 +46,12 @@ def tables_to_messages(result: CalibrationResult, stamp: Time) -> dict[str, Erro
     return messages
 
 
-def alignment_to_message(result: CalibrationResult, stamp: Time) -> TransformStamped:
+def alignment_to_message(T_machine_tracker: RigidTransform, stamp: Time) -> TransformStamped:
     """Return the place of the tracker: takes tracker coordinates to machine coordinates."""
     return TransformStamped(
         header=header(stamp),
         child_frame_id=TRACKER_FRAME,
-        transform=transform_to_message(result.T_machine_tracker),
+        transform=transform_to_message(T_machine_tracker),
     )
 
 
@@ -86,6 +88,19 @@ def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> Re
         setattr(message, name.lower(), result.tables.squareness[name].value)
         setattr(message, f'u_{name.lower()}', result.tables.squareness[name].u)
     return message
+
+
+def sight_to_message(sight: FirstSight, stamp: Time) -> ResultMessage:
+    """Return the summary of a first look: place of the tracker and distance from the path."""
+    return ResultMessage(
+        header=header(stamp),
+        status=ResultMessage.OK,
+        message=sight.words,
+        alignment=transform_to_message(sight.T_machine_tracker),
+        samples=sight.samples,
+        coverage=sight.share,
+        path_mae_before=sight.distance,
+    )
 
 
 def volume_to_message(volume: VolumeErrors, run_id: str, stamp: Time) -> VolumeMessage:

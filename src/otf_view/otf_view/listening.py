@@ -106,7 +106,8 @@ class Ears:
             },
             warnings=tuple(message.warnings),
         )
-        known = convert.transform_from_message(message.alignment) if message.run_id else None
+        placed = message.run_id or message.coverage  # a first look has no run id yet
+        known = convert.transform_from_message(message.alignment) if placed else None
         self.run.set_solved(solved, known)
         self.news += 1
 

@@ -102,7 +102,7 @@ def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) ->
 
 
 def write_calibration(
-    result: CalibrationResult, folder: Name, *, overwrite: bool = False
+    result: CalibrationResult, folder: Name, *, overwrite: bool = False, report: bool = True
 ) -> list[Path]:
     """Write error_tables.json and its companions, all or nothing.
 
@@ -112,6 +112,8 @@ def write_calibration(
     folder : str or Path
     overwrite : bool
         Replace results that are there and unchanged; other files are never deleted.
+    report : bool
+        Write report.html.
 
     Returns
     -------
@@ -129,7 +131,10 @@ def write_calibration(
     ['error_tables.csv', 'error_tables.json']
     """
     return _written(
-        folder, overwrite, 'calibrate', lambda place: calibration.write_calibration(result, place)
+        folder,
+        overwrite,
+        'calibrate',
+        lambda place: calibration.write_calibration(result, place, report=report),
     )
 
 

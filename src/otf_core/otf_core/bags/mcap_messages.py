@@ -200,7 +200,8 @@ class McapMessages:
 
     def _give_back(self) -> None:
         """Let go of the pages of the file that were read; what is needed again is read again."""
-        self._pages.madvise(mmap.MADV_DONTNEED)
+        if hasattr(mmap, 'MADV_DONTNEED'):  # not on Windows
+            self._pages.madvise(mmap.MADV_DONTNEED)
 
     def _damaged(self, what: str) -> NoReturn:
         raise _Damaged(f'{self._file}: is damaged, {what}; copy it again, or {RECOVER}')

@@ -27,7 +27,8 @@ def _ask(seen: Seen) -> Checked:
     found = seen.alignment
     coverage = 0.0 if found is None else found.coverage
     facts = {'coverage': coverage, 'legs_missing': 0}
-    problems = errors(*(seen.why(step) for step in ('following', 'run')))
+    reasons = dict.fromkeys(seen.why(step) for step in ('following', 'run'))  # often the same
+    problems = errors(*reasons)
     if found is None or seen.samples is None or seen.path is None:
         return Checked('', facts, problems)
     missing = _missing(seen.samples, seen.path, found, seen.config.corner_exclusion)

@@ -17,9 +17,12 @@ def _ask(seen: Seen) -> Checked:
     words = f'{len(runs)}, {total:.1f} s in all'
     noise = standstill_noise(seen.samples, runs)
     if noise is None:
+        short = f'the target stood still for {total:.1f} s only' if total < MIN_TOTAL else (
+            'the points of the standstills repeat without any noise'
+        )  # fmt: skip
         return Checked(words, facts, warnings(
-            f'the target stood still for {total:.1f} s only: the noise is taken from machine.yaml '
-            f'then; let it stand for {MIN_TOTAL:g} s at the start and the end'
+            f'{short}: the noise is taken from machine.yaml then; let the target stand for '
+            f'{MIN_TOTAL:g} s at the start and the end, unfiltered'
         ))  # fmt: skip
     level = 1e6 * noise.noise.level
     facts |= {'noise_range_um': float(level[0]), 'noise_angle_urad': level[1:].tolist()}

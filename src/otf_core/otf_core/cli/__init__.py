@@ -15,6 +15,7 @@ from otf_core.cli.checking import run_check, run_doctor, run_info
 from otf_core.cli.closing import add_closing_verbs
 from otf_core.cli.completion import SHELLS, run_completion
 from otf_core.cli.exporting import add_exporting_verbs
+from otf_core.cli.keeping import add_keeping_verbs
 from otf_core.cli.measuring import (
     run_calibrate,
     run_compare,
@@ -85,6 +86,25 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        '--method', choices=METHODS, default=OTF,
+        help=f'on the fly, or from the stops at the corner points alone (default {OTF})',
+    )  # fmt: skip
+    sub.add_argument(
+        '--effects', metavar='auto|FILE',
+        help='take effects off and state u with them: what a diagnosis finds, or those of an '
+        'effects.yaml, their coefficients estimated anew where the data see them; the plain '
+        'calibration stays in plain/',
+    )  # fmt: skip
+    sub.add_argument(
+        '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
+    )
+    sub.add_argument(
+        '--no-report', dest='report', action='store_false', help='leave report.html out'
+    )
+
+
 def _add_runs(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         'bag', nargs='+',
@@ -96,10 +116,30 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
         help='machine.yaml of all bags; or given once per bag, in their order',
     )  # fmt: skip
     sub.add_argument(
+        '--signal', action='append', default=[], metavar='TOPIC[:FIELD]',
+        help='a number recorded beside the samples, such as a temperature, that a diagnosis takes '
+        'for a possible cause; may be repeated',
+    )  # fmt: skip
+    sub.add_argument(
         '--join', action='store_true',
         help='the bags are parts of one run, whose recording was ended and begun again',
     )  # fmt: skip
     add_reading(sub)
+
+
+def _add_diagnose(verb: AddVerb) -> None:
+    """Why runs depart from their simulation."""
+    sub = verb('diagnose', run_diagnose)
+    _add_runs(sub)
+    add_out(sub, 'folder for gap.json and report.html')
+    sub.add_argument(
+        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+    )
+    sub.add_argument(
+        '--own-causes', metavar='DIR',
+        help='folder of named empirical effects (.yaml), tried beside the catalogue',
+    )  # fmt: skip
+    add_parameters(sub, CalibrationConfig)
 
 
 def _add_judging_verbs(verb: AddVerb) -> None:
@@ -161,6 +201,30 @@ def _add_checking_verbs(verb: AddVerb) -> None:
     sub.add_argument('shell', choices=SHELLS)
 
 
+def _add_measuring_verbs(verb: AddVerb) -> None:
+    """Verbs that work on recordings, and on the tables that come of them."""
+    sub = verb('calibrate', run_calibrate)
+    _add_runs(sub)
+    add_out(sub, 'folder for the results')
+    _add_calibrate_options(sub)
+    add_parameters(sub, CalibrationConfig)
+
+    sub = verb('diagnose', run_diagnose)
+    _add_runs(sub)
+    add_out(sub, 'folder for gap.json and report.html')
+    sub.add_argument(
+        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+    )
+    sub.add_argument(
+        '--own-causes', metavar='DIR',
+        help='folder of named empirical effects (.yaml), tried beside the catalogue',
+    )  # fmt: skip
+    add_parameters(sub, CalibrationConfig)
+
+    sub = verb('predict', run_predict)
+    _add_predict_options(sub)
+
+
 def _parser() -> Parser:
     parser = Parser(
         prog='otf', description='On-the-fly machine-tool calibration, offline verbs.',
@@ -183,45 +247,10 @@ def _parser() -> Parser:
         )
         return sub
 
-    _add_checking_verbs(verb)
-
-    sub = verb('calibrate', run_calibrate)
-    _add_runs(sub)
-    add_out(sub, 'folder for the results')
-    sub.add_argument(
-        '--method', choices=METHODS, default=OTF,
-        help=f'on the fly, or from the stops at the corner points alone (default {OTF})',
-    )  # fmt: skip
-    sub.add_argument(
-        '--effects', metavar='auto|FILE',
-        help='take effects off and state u with them: what a diagnosis finds, or those of an '
-        'effects.yaml, their coefficients estimated anew where the data see them; the plain '
-        'calibration stays in plain/',
-    )  # fmt: skip
-    sub.add_argument(
-        '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
-    )
-    sub.add_argument(
-        '--no-report', dest='report', action='store_false', help='leave report.html out'
-    )
-    add_parameters(sub, CalibrationConfig)
-
-    sub = verb('diagnose', run_diagnose)
-    _add_runs(sub)
-    add_out(sub, 'folder for gap.json and report.html')
-    sub.add_argument(
-        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
-    )
-    add_parameters(sub, CalibrationConfig)
-
-    sub = verb('predict', run_predict)
-    _add_predict_options(sub)
-
-    _add_judging_verbs(verb)
-    _add_planning_verbs(verb)
-    add_exporting_verbs(verb)
-    add_closing_verbs(verb)
-    add_plant_verbs(verb)
+    own = (_add_checking_verbs, _add_measuring_verbs, _add_judging_verbs, _add_planning_verbs)
+    others = (add_exporting_verbs, add_closing_verbs, add_plant_verbs, add_keeping_verbs)
+    for add in (*own, *others):
+        add(verb)
     return parser
 
 
@@ -233,6 +262,11 @@ def _add_planning_verbs(verb: AddVerb) -> None:
     sub.add_argument(
         '--path', help='CSV with the header x,y,z, or a plan.json: take this path instead'
     )
+    sub.add_argument(
+        '--after', metavar='DIR',
+        help='folder of a diagnosis: the shortest path, up to --time-budget, that tells apart '
+        'what it could not',
+    )  # fmt: skip
     _add_plan_options(sub)
     add_parameters(sub, PlannerConfig)
     add_parameters(sub, ForecastConfig)

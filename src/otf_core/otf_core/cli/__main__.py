@@ -7,6 +7,7 @@ import gc
 import os
 import signal
 import sys
+from io import TextIOWrapper
 from typing import Any, NoReturn
 
 GARBAGE = 1_000_000
@@ -25,6 +26,9 @@ def run() -> NoReturn:
     """Run the verb of the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _terminate)
     gc.set_threshold(GARBAGE)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors='replace')  # a console that cannot show a letter
     try:
         from otf_core.cli import main
 

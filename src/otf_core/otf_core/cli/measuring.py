@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import given_of, output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
+from otf_core.cli.progress import progress_of
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, OtfError
+from otf_core.live.stages import CALIBRATE, DIAGNOSE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,13 +64,15 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     from otf_core.pieces.methods import PREPARATIONS
     from otf_core.reports.calibration import write_calibration
 
-    out = output_folder(arguments, *arguments.bag, *arguments.machine)
-    recordings = read_recordings(arguments)
-    result = calibrate_runs(recordings, config, prepare=PREPARATIONS[arguments.method])
-    with out.filled('calibrate') as folder:
-        files = write_calibration(
-            result, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
-        )
+    out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
+    with progress_of(arguments, 'reading', CALIBRATE) as progress:
+        recordings = read_recordings(arguments)
+        result = calibrate_runs(recordings, config, progress, PREPARATIONS[arguments.method])
+        progress('writing', 0.0)
+        with out.filled('calibrate') as folder:
+            files = write_calibration(
+                result, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+            )
     _answer_calibration(arguments, result, '', files)
     return _judged(result)
 
@@ -100,15 +104,19 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
     from otf_core.sim.twin import twin_recording
 
     own = () if arguments.effects == AUTO else (arguments.effects,)
-    out = output_folder(arguments, *arguments.bag, *arguments.machine, *own)
-    recordings = read_recordings(arguments)
-    done = calibrate_with_effects(
-        recordings, arguments.effects, twin_recording, config, method=arguments.method
+    out = output_folder(
+        arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()), *own
     )
-    with out.filled('calibrate') as folder:
-        files = write_with_effects(
-            done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+    with progress_of(arguments, 'reading', DIAGNOSE) as progress:
+        recordings = read_recordings(arguments)
+        done = calibrate_with_effects(
+            recordings, arguments.effects, twin_recording, config, progress, arguments.method
         )
+        progress('writing', 0.0)
+        with out.filled('calibrate') as folder:
+            files = write_with_effects(
+                done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+            )
     _answer_calibration(arguments, done.result, f'\n{done.words}\n', files)
     return _judged(done.result)
 
@@ -118,6 +126,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     config = parameters(CalibrationConfig, arguments)
     from otf_core.diagnosis.diagnose import diagnose
     from otf_core.effects import REGISTRY
+    from otf_core.effects.effects_yaml import read_own_causes
     from otf_core.pieces.finding import GATE
     from otf_core.reports.diagnosis import write_diagnosis
     from otf_core.reports.gap_report import gap_sections
@@ -127,11 +136,17 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     unknown = sorted(set(arguments.exclude) - set(REGISTRY))
     if unknown:
         raise ConfigError(f'--exclude: {unknown[0]}: no effect; known: {", ".join(REGISTRY)}')
-    out = output_folder(arguments, *arguments.bag, *arguments.machine)
-    recordings = read_recordings(arguments)
-    diagnosis = diagnose(recordings, twin_recording, arguments.exclude, config)
-    with out.filled('diagnose') as folder:
-        files = write_diagnosis(diagnosis, folder)
+    out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
+    with progress_of(arguments, 'reading', DIAGNOSE) as progress:
+        recordings = read_recordings(arguments)
+        causes = arguments.own_causes
+        own = read_own_causes(causes, recordings[0].machine) if causes else ()
+        diagnosis = diagnose(
+            recordings, twin_recording, arguments.exclude, config, progress, own=own
+        )
+        progress('writing', 0.0)
+        with out.filled('diagnose') as folder:
+            files = write_diagnosis(diagnosis, folder)
     sections = gap_sections(diagnosis)
     report = sections_to_dict(sections)
     answer_from(arguments, sections_to_text(sections), files, 'gap.json', report=report)
@@ -151,14 +166,15 @@ def run_noise(arguments: argparse.Namespace) -> int:
 
     out = output_folder(arguments, arguments.bag)
     speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed
-    samples = read_samples(arguments.bag, given_of(arguments))
-    try:
-        report = noise_report(samples, speed)
-    except OtfError as error:
-        raise type(error)(f'{arguments.bag}: {error}') from None
-    origin = origin_of(Path(arguments.bag).name, samples)
-    with out.filled('noise') as folder:
-        files = write_noise(report, folder, provenance('noise', runs=[origin]))
+    with progress_of(arguments, 'looking at standstills'):
+        samples = read_samples(arguments.bag, given_of(arguments))
+        try:
+            report = noise_report(samples, speed)
+        except OtfError as error:
+            raise type(error)(f'{arguments.bag}: {error}') from None
+        origin = origin_of(Path(arguments.bag).name, samples)
+        with out.filled('noise') as folder:
+            files = write_noise(report, folder, provenance('noise', runs=[origin]))
     answer_from(arguments, format_noise(report) + '\n', files, 'noise.json')
     return 0
 
@@ -214,7 +230,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
         files={'a': arguments.a, 'b': arguments.b, 'points': arguments.points},
         coverage=f'{STANDARD}; normalised errors with U = 2 u (k = 2)',
     )
-    with out.filled('compare') as folder:
+    with progress_of(arguments, 'drawing'), out.filled('compare') as folder:
         files = write_comparison(result, folder, about)
     answer_from(arguments, format_comparison(result) + '\n', files, 'comparison.json')
     return 0

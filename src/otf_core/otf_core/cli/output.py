@@ -52,7 +52,23 @@ def bounded(text: str) -> str:
 
 def note(text: str) -> None:
     """Print a line beside the result: progress, warnings, errors."""
+    own_line('')
     print(text, file=sys.stderr, flush=True)
+
+
+_shown: list[str] = []
+"""The line of a job under way, as it stands on the terminal."""
+
+
+def own_line(text: str) -> None:
+    """Write the line of a job under way in place of the last one; empty: take it away."""
+    if not text and not _shown:
+        return
+    before = _shown.pop() if _shown else ''
+    line = f'\r{text.ljust(len(before))}' + ('' if text else '\r')
+    print(line, end='', file=sys.stderr, flush=True)
+    if text:
+        _shown.append(text)
 
 
 @contextmanager
@@ -60,8 +76,11 @@ def logged(*, quiet: bool) -> Iterator[None]:
     """Print what the core logs to stderr: how inputs were read, what was left out."""
     import logging
 
-    handler, logger = logging.StreamHandler(), logging.getLogger('otf_core')
-    handler.setFormatter(logging.Formatter('otf: %(message)s'))
+    class Noted(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            note(f'otf: {record.getMessage()}')
+
+    handler, logger = Noted(), logging.getLogger('otf_core')
     level = logger.level
     logger.setLevel(logging.WARNING if quiet else logging.INFO)
     logger.addHandler(handler)

@@ -9,8 +9,10 @@ from typing import Any
 
 from otf_core.cli.options import output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
+from otf_core.cli.progress import progress_of
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, OtfError
+from otf_core.live.stages import PLAN
 
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
@@ -75,9 +77,10 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     if tables is not None:
         tables = dataclasses.replace(tables, machine=machine)
     file = _plan_of(arguments, planning, machine)
-    run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)
-    del read['machine']  # the description has a place of its own in the block provenance
-    out.write(run, file.plan, config, effects, read)
+    with progress_of(arguments, 'simulating'):
+        run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)
+        del read['machine']  # the description has a place of its own in the block provenance
+        out.write(run, file.plan, config, effects, read)
     place = ', '.join(f'{v:.3f}' for v in run.place)
     words = (
         f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}, '
@@ -101,28 +104,33 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
     from otf_core.noise.fields import read_noise
+    from otf_core.planning.after import open_questions
     from otf_core.planning.job import PlanRequest, make_plan, read_place
     from otf_core.planning.nc import DIALECTS
     from otf_core.reports.plan import format_report, write_report
 
-    given = (arguments.machine, arguments.path, arguments.noise)
+    given = (arguments.machine, arguments.path, arguments.noise, arguments.after)
     out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine)
     place, wanted = arguments.tracker_place, arguments.wanted_uncertainty
+    after = arguments.after
     request = PlanRequest(
         given=None if arguments.path is None else _plan_of(arguments, config, machine).plan,
         time_budget=arguments.time_budget,
         wanted_uncertainty=None if wanted is None else 1e-6 * wanted,
         tracker_place=None if place is None else read_place(place),
         noise=None if arguments.noise is None else read_noise(arguments.noise),
+        questions=() if after is None else tuple(open_questions(after, machine)),
     )
-    report = make_plan(machine, request, config, judged)
     dialect = None if arguments.dialect is None else DIALECTS[arguments.dialect]
     about = provenance(
         'plan', machines=[machine], files={'path': arguments.path, 'noise': arguments.noise}
     )
-    with out.filled('plan') as folder:
-        files = write_report(report, folder, dialect, about)
+    with progress_of(arguments, 'choosing lines', PLAN) as progress:
+        report = make_plan(machine, request, config, judged, progress)
+        progress('writing', 0.0)
+        with out.filled('plan') as folder:
+            files = write_report(report, folder, dialect, about)
     if dialect is None and not arguments.quiet:
         note(f'no NC program: give --dialect {"|".join(DIALECTS)} for one')
     answer_from(arguments, format_report(report), files, 'plan.json')

@@ -18,6 +18,7 @@ VERBS = {
     'export': 'Error tables in the format of a control or a program.',
     'import': 'Error tables from a lattice of volumetric errors in CSV.',
     'fleet': 'Many recordings at once, here or on other hosts; one bad bag ends no other.',
+    'history': 'Drift of machines over their calibrations, and when to calibrate again.',
     'loop': 'The whole circle on LinuxCNC: drive, measure, calibrate, compensate, prove it.',
     'noise': 'Tracker noise in the standstills of a bag.',
     'plan': 'Path for a machine, forecast of what it can see, NC program.',
@@ -58,6 +59,11 @@ EXAMPLES = {
     'fleet': (
         'otf fleet calibrate --list runs.csv --out plant --workers 8',
         'otf fleet diagnose --list runs.csv --out gaps --scheduler tcp://host:8786',
+    ),
+    'history': (
+        'otf history store --add tables',
+        "otf history store --event 'ball screw of X replaced' --at 2026-11-02",
+        'otf history store --limit 5 --out page',
     ),
     'loop': (
         'otf loop --machine machine.yaml --out loop',

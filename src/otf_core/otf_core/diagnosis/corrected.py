@@ -50,18 +50,19 @@ def _to_take(
     found: Sequence[Taken], causes: Sequence[Cause], config: CalibrationConfig
 ) -> tuple[list[Taken], list[str]]:
     """What of the causes found is taken off, and warnings."""
-    left = names_of(BelongsTo.TABLES)
+    left, names = {BelongsTo.TABLES}, names_of(BelongsTo.TABLES)
     if config.reversal != 'none':
-        left |= names_of(BelongsTo.REVERSAL)
+        left.add(BelongsTo.REVERSAL)
+        names |= names_of(BelongsTo.REVERSAL)
     taking, warnings = [], []
     for one, cause in zip(found, causes, strict=True):
-        if one.effect.name in left:
+        if one.effect.belongs_to in left:
             continue
         taking.append(one)
         said = []
         if cause.confidence < SURE:
             said.append(f'with a confidence of {cause.confidence:.2f} only')
-        others = [n for n in cause.indistinguishable if n not in left]
+        others = [n for n in cause.indistinguishable if n not in names]
         if others:
             said.append(
                 f'not told from {" or ".join(others)}; tables with that taken off instead may '

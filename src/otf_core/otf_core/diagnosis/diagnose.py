@@ -17,7 +17,7 @@ from otf_core.calibration.calibrate import SolvedRecordings, assemble, solve_rec
 from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.answer import gap_of, named_causes, sentence_of
+from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentence_of
 from otf_core.diagnosis.corrected import with_causes
 from otf_core.diagnosis.engine.assess import Residuals, gap_um
 from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
@@ -30,8 +30,9 @@ from otf_core.diagnosis.place.where import describe_structure, where_and_shape
 from otf_core.diagnosis.place.where_words import EVERYWHERE, NO_STRUCTURE
 from otf_core.diagnosis.result import Diagnosis, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
+from otf_core.diagnosis.unnamed import find_unnamed
 from otf_core.diagnosis.verdict import Case, matters, verdict_of
-from otf_core.effects import REGISTRY
+from otf_core.effects import REGISTRY, Effect
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording
@@ -48,6 +49,7 @@ def diagnose(
     exclude: Sequence[str] = (),
     config: CalibrationConfig | None = None,
     progress: Progress | None = None,
+    own: Sequence[Effect] = (),
 ) -> Diagnosis:
     """Diagnose runs of one machine.
 
@@ -64,6 +66,8 @@ def diagnose(
     progress : callable(stage, fraction), optional
         Called as work goes on, stage 'aligning', 'solving', 'simulating', 'diagnosing' or
         'correcting'.
+    own : sequence of Effect
+        Causes of one's own, tried beside the catalogue.
 
     Raises
     ------
@@ -79,7 +83,7 @@ def diagnose(
     progress('simulating', 0.0)
     simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
     progress('diagnosing', 0.0)
-    found = search_catalogue(rows, exclude)
+    found = search_catalogue(rows, exclude, own)
     progress('diagnosing', 0.5)
     explained = explain(rows, found.causes, simulated_um)
     noise = None
@@ -87,6 +91,8 @@ def diagnose(
         noise = check_noise(rows, config.standstill_speed, exclude)
     left, has_place = _what_is_left(rows, explained)
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
+    nameless = find_unnamed(rows, explained, verdict)
+    verdict = 'unknown' if nameless else verdict
     if verdict == 'unknown':
         explained, noise_cause = explained.without_causes(), None
     else:
@@ -95,10 +101,13 @@ def diagnose(
     fitted = fitted_causes(explained.causes, rows)
     applied = tuple(tuple(part.applied(k) for part in fitted) for k in range(len(rows.runs)))
     gap = gap_of(explained, noise)
-    causes = named_causes(explained, fitted, noise_cause, gap)
-    sentence = sentence_of(verdict, gap, causes, noise)
+    causes = named_causes(explained, fitted, noise_cause, gap, rows.states)
+    sentence = sentence_of(verdict, gap, causes, noise, nameless.said if nameless else None)
     views = run_views(rows, explained)
-    where, shape = where_and_shape(views, project=rows.project)
+    known = known_words(causes, nameless.said if nameless else None)
+    where, shape = where_and_shape(
+        views, project=rows.project, known=known, certain=nameless is None
+    )
     del rows, seen  # their memory is needed now
     progress('correcting', 0.0)
     taken = [applied[k] for k in solved.source]
@@ -119,7 +128,8 @@ def diagnose(
         },
         contradictions=solved.runs[0].remarks,
         table_change_um=_table_change_um(calibration),
-        applied=applied,
+        unnamed=nameless.said if nameless else None,
+        applied=tuple((e,) for e in nameless.applied) if nameless else applied,
         calibration=calibration,
         origin=plain.origin,
         shown=Shown(views, _conditions(solved, plain)),

@@ -33,12 +33,15 @@ class FittedCause:
         not see are zero in ``value``; in ``u`` they may be ``FREE`` times as large as the rest.
     u_seen : ndarray, shape (k,)
         Without these combinations.
+    covariance : ndarray, shape (k, k)
+        Of what the data see.
     """
 
     cause: Cause
     value: Array
     u: Array
     u_seen: Array
+    covariance: Array
 
     @property
     def names(self) -> list[str]:
@@ -85,6 +88,7 @@ def fitted_causes(causes: Sequence[Cause], rows: Rows) -> list[FittedCause]:
     for cause in causes:
         stop = start + cause.option.take.size
         own = slice(start, stop)
-        parts.append(FittedCause(cause, fit.value[own], u[own], np.sqrt(seen[own])))
+        covariance = fit.covariance[own, own]
+        parts.append(FittedCause(cause, fit.value[own], u[own], np.sqrt(seen[own]), covariance))
         start = stop
     return parts

@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from otf_core.calibration.with_effects import EffectsCalibration
+from otf_core.diagnosis.free_curves import Curve
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.place.where import Where
+from otf_core.diagnosis.unnamed import Unnamed
 from otf_core.effects import AppliedEffect
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding
 
+FORMULA, FREE = 'formula', 'free'
 VERDICTS = ('none', 'explained', 'partly_explained', 'unknown')
 
 
@@ -29,7 +32,9 @@ class Gap:
         legs that the causes were not fitted on.
     shrink_percent : float
     shrink_interval_percent : tuple of two floats
-        95 % interval over legs.
+        95 % interval over legs, with the uncertainty of ``simulated_um``.
+    simulated_u_um : float
+        Standard uncertainty of ``simulated_um``.
     """
 
     measured_um: float
@@ -38,6 +43,7 @@ class Gap:
     after_um: float
     shrink_percent: float
     shrink_interval_percent: tuple[float, float]
+    simulated_u_um: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,14 @@ class NamedCause:
         Gap without and with this cause, those found before it being in both.
     confidence : float
     indistinguishable_from : tuple of str
+    form : str
+        'formula', or 'free' where a smooth function of inputs explains the data better.
+    departs : str
+        How the free form departs from the formula, in words; empty for a formula.
+    curves : tuple of Curve
+        Of the free form, the largest first.
+    direction : str
+        Machine axes along which it displaces the target, the strongest first, in words.
     """
 
     effect: str
@@ -68,6 +82,10 @@ class NamedCause:
     shrink_percent: float
     confidence: float
     indistinguishable_from: tuple[str, ...]
+    form: str = FORMULA
+    departs: str = ''
+    curves: tuple[Curve, ...] = ()
+    direction: str = ''
 
 
 @dataclass(frozen=True)
@@ -112,12 +130,15 @@ class Diagnosis:
     table_change_um : float
         Mean change of the predicted volumetric error on a lattice by taking the causes off.
     applied : tuple of tuple of AppliedEffect
-        For every run the causes with their fitted parameters, ready for a simulation.
+        For every run the causes, or the one without a name, with their fitted parameters, ready
+        for a simulation.
     calibration : EffectsCalibration
         What ``calibrate`` gives, and what it gives with the causes taken off.
     origin : tuple of Origin
         The recordings.
     shown : Shown
+    unnamed : Unnamed, optional
+        Cause without a name, where the verdict is 'unknown' and something was found.
     """
 
     runs: tuple[str, ...]
@@ -137,3 +158,4 @@ class Diagnosis:
     calibration: EffectsCalibration
     origin: tuple[Origin, ...]
     shown: Shown
+    unnamed: Unnamed | None = None

@@ -16,6 +16,7 @@ import numpy as np
 
 from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Maybe, Number, Trial
+from otf_core.effects.free import Free
 from otf_core.model.machine import AXES
 from otf_core.model.path import MOVING
 
@@ -55,6 +56,23 @@ class Backlash(Effect):
     shape_names: ClassVar[tuple[str, ...]] = (HELD,)
     shape_units: ClassVar[tuple[str, ...]] = ('',)
     shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType({HELD: 0.0})
+
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(
+            ('time',),
+            (4,),
+            'the play changes while the run lasts',
+            own_per_run=True,
+            belongs_to=BelongsTo.EFFECTS,
+        ),
+        Free(
+            ('since_reversal_{axis}',),
+            (5,),
+            'the play is taken up over some travel after a reversal',
+            belongs_to=BelongsTo.EFFECTS,
+        ),
+        Free(('feed',), (2,), 'the play changes with the feed', belongs_to=BelongsTo.EFFECTS),
+    )
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Return to the middle at standstill, and held."""

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,10 @@ from otf_core.effects.drawing import Trial
 from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
+
+if TYPE_CHECKING:
+    from otf_core.effects.acting import Acting
+    from otf_core.effects.free import Free
 
 Array = NDArray[np.float64]
 Shape = Mapping[str, float]
@@ -65,6 +69,9 @@ class State:
         Error tables of the machine, where they are known.
     duration : float, s
         Length of the recording; 0 stands for the time of the last point.
+    more : mapping of str to ndarray, shape (n,)
+        Further inputs of free forms by their names, see ``inputs``: what happened before on the
+        path, signals recorded beside the samples.
     """
 
     machine: Machine
@@ -82,6 +89,7 @@ class State:
     nodes: Mapping[str, Array]
     tables: ErrorTables | None = None
     duration: float = 0.0
+    more: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -96,7 +104,8 @@ class State:
         """Return some of the points of the same recording."""
         per_point = ('q', 'direction', 'speed', 'time', 'from_corner', 'to_corner', 'side')
         chosen = {n: getattr(self, n)[rows] for n in (*per_point, 'before', 'after', 'beam')}
-        return replace(self, duration=self.end, **chosen)
+        more = {name: values[rows] for name, values in self.more.items()}
+        return replace(self, duration=self.end, more=more, **chosen)
 
 
 @dataclass(frozen=True)
@@ -113,12 +122,16 @@ class Terms:
         Machine axis each coefficient belongs to; '' for none.
     columns : ndarray, shape (n, 3, k)
         Displacement of the measured point per unit of each coefficient, machine frame.
+    orders : tuple of float
+        Order of each as a function, where the higher ones are expected to be smaller; empty if
+        all are alike.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     axes: tuple[str, ...]
     columns: Array
+    orders: tuple[float, ...] = ()
 
 
 class BelongsTo(Enum):
@@ -222,6 +235,10 @@ class Effect(ABC):
     """Sources of the uncertainty budget that act as it does."""
     trial: ClassVar[Trial]
     """How a blind trial draws it."""
+    follows: ClassVar[tuple[Acting, ...]] = ()
+    """How it acts where it follows a signal recorded beside the samples."""
+    free: ClassVar[tuple[Free, ...]] = ()
+    """Its free forms: what it may depend on beside its formula."""
 
     def loose(self, shape: Shape) -> dict[str, float]:
         """Shape parameters that more data may still move: standard deviation of their logarithm.
@@ -232,6 +249,10 @@ class Effect(ABC):
             As a diagnosis found it.
         """
         return {self.refine: self.refine_width} if self.refine else {}
+
+    def orders_of(self, names: Sequence[str]) -> Array:
+        """Orders of coefficients as functions, see ``Terms``, shape (k,)."""
+        return np.zeros(len(names))
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Shapes worth trying in this run; one empty shape if there is nothing to choose."""

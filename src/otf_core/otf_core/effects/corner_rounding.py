@@ -14,6 +14,7 @@ import numpy as np
 
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
 from otf_core.effects.drawing import Number, Trial, Uniform
+from otf_core.effects.free import Free
 
 LENGTHS = (0.002, 0.004, 0.008, 0.016, 0.032)
 """m; about v^2 / 2a, from 0.1 m/s to 0.4 m/s at 2 m/s^2 and more."""
@@ -25,6 +26,12 @@ def _inside(before: Array, after: Array) -> Array:
     turn = after - before
     size = np.linalg.norm(turn, axis=1, keepdims=True)
     return np.where(size > STRAIGHT, turn / np.maximum(size, STRAIGHT), 0.0)
+
+
+def both_ends(state: State, shape: Shape) -> Terms:
+    """``from`` and ``to``: to the inside of the corner behind and of the corner ahead."""
+    inside = _inside(state.before, state.direction), _inside(state.direction, state.after)
+    return Terms(('from', 'to'), ('m',) * 2, ('',) * 2, np.stack(inside, axis=2))
 
 
 class CornerRounding(Effect):
@@ -48,6 +55,33 @@ class CornerRounding(Effect):
     refine_width: ClassVar[float] = 0.5
     shape_units: ClassVar[tuple[str, ...]] = ('m',)
     trial: ClassVar[Trial] = Trial((Number('l', Uniform(0.004, 0.03)), Number('A', 1e-6)))
+
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(
+            ('{term}_corner',),
+            (8,),
+            'the rounding does not fall off as an exponential of the distance',
+            (1,),
+            both_ends,
+            zero_at=1.0,
+        ),
+        Free(
+            ('{term}_corner', '{term}_turn'),
+            (6, 2),
+            'the rounding depends on the angle of the corner',
+            (1, 0),
+            both_ends,
+            zero_at=1.0,
+        ),
+        Free(
+            ('{term}_corner', 'feed'),
+            (6, 2),
+            'the rounding depends on the feed',
+            (1, 0),
+            both_ends,
+            zero_at=1.0,
+        ),
+    )
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Lengths of a few millimetres to a few centimetres."""

@@ -12,8 +12,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.effects.acting import vector
 from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.effects.drawing import Either, Number, Several, Share, Trial
+from otf_core.effects.free import Free
 from otf_core.effects.position import scaled_position
 from otf_core.model.machine import AXES
 
@@ -62,6 +64,17 @@ class CrossCoupling(Effect):
     )
     stays_in_place: ClassVar[bool] = True
     trial: ClassVar[Trial] = Trial((Several(_DRAWN, 2),), second_place=7)
+
+    free: ClassVar[tuple[Free, ...]] = tuple(
+        Free(
+            pair,
+            (4, 4),
+            f'the error is no low power of the positions {pair[0].upper()} and {pair[1].upper()}',
+            (1, 1),
+            vector,
+        )
+        for pair in combinations('xyz', 2)
+    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return X_XY ... Z_XYZ: direction, then the product of positions."""

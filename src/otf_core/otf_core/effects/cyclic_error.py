@@ -14,10 +14,20 @@ import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms, Wave
 from otf_core.effects.drawing import Axes, Maybe, Number, OneOf, Trial, Uniform
+from otf_core.effects.free import Free
 from otf_core.model.machine import AXES
 
 WAVES = 3
 """A period fits at least so often into the longest axis; longer waves are for the tables."""
+
+
+def harmonics(state: State, shape: Shape) -> Terms:
+    """S1_X ... C1_Z and S2_X ... C2_Z: the wave and its second harmonic."""
+    phase = 2.0 * np.pi * state.q / shape['period']
+    waves = [wave(k * phase) for k in (1, 2) for wave in (np.sin, np.cos)]
+    columns = [wave[:, :, None] * np.eye(3) for wave in waves]
+    names = tuple(f'{part}{k}_{a}' for k in (1, 2) for part in 'SC' for a in AXES)
+    return Terms(names, ('m',) * 12, AXES * 4, np.concatenate(columns, axis=2))
 
 
 class CyclicError(Effect):
@@ -51,6 +61,16 @@ class CyclicError(Effect):
         Axes('S', most=2),
         Axes('C', most=2),
     ))  # fmt: skip
+
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(
+            ('{axis}',),
+            (2,),
+            'the wave has harmonics, and its amplitude changes along the axis',
+            acts=harmonics,
+            of_shape=True,
+        ),
+    )
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Periods from four sample spacings up, as close as the longest axis can tell apart."""

@@ -18,6 +18,7 @@ from numpy.polynomial import legendre
 from otf_core.effects.backlash import HELD, SOMETIMES_HELD, travel_sign
 from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
 from otf_core.effects.drawing import Either, Normal, Number, Some, Trial
+from otf_core.effects.free import Free
 from otf_core.effects.position import scaled_position
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import AXES
@@ -42,6 +43,17 @@ def _drawn_axis(axis: str) -> Some:
 def polynomials(place: Array, order: int) -> Array:
     """Legendre polynomials P_0 to P_order at scaled positions (n,), shape (n, order + 1)."""
     return np.asarray(legendre.legvander(place, order))
+
+
+def reversed_motions(state: State, shape: Shape) -> Terms:
+    """Half of each motion with the sign of the travel of its axis: m per m or rad of reversal."""
+    sign = 0.5 * travel_sign(state, {HELD: 0.0})
+    columns = [
+        sign[:, m.place, None] * motion_influence(state.machine, m, state.q) for m in MOTIONS
+    ]
+    names = tuple(str(m) for m in MOTIONS)
+    units = tuple(unit_of(n) for n in names)
+    return Terms(names, units, tuple(n[2] for n in names), np.stack(columns, axis=2))
 
 
 class DirectionDependentTables(Effect):
@@ -73,6 +85,15 @@ class DirectionDependentTables(Effect):
     shape_units: ClassVar[tuple[str, ...]] = ('', '')
     shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType(
         {'order': float(ORDER), HELD: 0.0}
+    )
+
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(
+            ('{axis}',),
+            (7,),
+            'the reversal error changes along the axis more than a cubic does',
+            acts=reversed_motions,
+        ),
     )
 
     def shapes(self, state: State) -> Sequence[Shape]:

@@ -4,6 +4,8 @@
 - effect: backlash
   parameters: {B_X: 5.0e-06}
   units: {B_X: m}            # optional; checked where it stands
+
+Free forms and empirical effects: see ``free_yaml``.
 """
 
 from __future__ import annotations
@@ -15,12 +17,17 @@ from typing import Any
 
 import yaml
 
-from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects import REGISTRY, AppliedEffect, Effect
+from otf_core.effects.empirical import EMPIRICAL, Empirical, Kept
+from otf_core.effects.free import FreeForm
+from otf_core.effects.free_yaml import FREE, empirical_of, free_entry, free_form_of
 from otf_core.effects.state import probe_state
 from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import Fields, read_yaml, shown
 from otf_core.files.writing import write_text
 from otf_core.model.machine import Machine
+
+FORMULA = 'formula'
 
 
 def _number(value: Any, where: str) -> float:
@@ -44,9 +51,12 @@ def _mapping(value: Any, where: str) -> dict[str, Any]:
 def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
     fields = Fields(data, where)
     name = fields.text('effect')
+    if name == EMPIRICAL:
+        return empirical_of(fields)
     if name not in REGISTRY:
-        fields.fail('effect', f"'{name}' is unknown; possible: {', '.join(REGISTRY)}")
-    effect, where = REGISTRY[name], f'{where}: {name}'
+        known = ', '.join((*REGISTRY, EMPIRICAL))
+        fields.fail('effect', f"'{name}' is unknown; possible: {known}")
+    effect, where = _form(name, fields, machine), f'{where}: {name}'
     given = _mapping(fields.take('parameters'), f'{where}: parameters')
     parameters = {k: _number(v, f'{where}: {k}') for k, v in given.items()}
     stated = _mapping(fields.take('units'), f'{where}: units') if 'units' in data else {}
@@ -61,6 +71,14 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
         if unit != units[key]:
             raise ConfigError(f"{where}: units: {key}: {shown(unit)}; its unit is '{units[key]}'")
     return AppliedEffect(effect, parameters)
+
+
+def _form(name: str, fields: Fields, machine: Machine) -> Effect:
+    """The formula of an effect, or its free form where the entry says so."""
+    form = fields.text('form') if fields.has('form') else FORMULA
+    if form not in (FORMULA, FREE):
+        fields.fail('form', f"'{form}' is unknown; possible: {FORMULA}, {FREE}")
+    return free_form_of(name, fields, machine) if form == FREE else REGISTRY[name]
 
 
 def effects_from_data(data: Any, where: str, machine: Machine) -> tuple[AppliedEffect, ...]:
@@ -92,17 +110,50 @@ def read_effects(path: str | Path, machine: Machine) -> tuple[AppliedEffect, ...
     return effects_from_data(read_yaml(path), str(path), machine)
 
 
+def read_own_causes(folder: str | Path, machine: Machine) -> tuple[Kept, ...]:
+    """Read causes of one's own: every named empirical effect of the .yaml files of a folder.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds none, one has no name or the name of another, or a file is wrong.
+    """
+    found: dict[str, Kept] = {}
+    for file in sorted(Path(folder).glob('*.yaml')):
+        for one in read_effects(file, machine):
+            name = one.effect.name
+            if not isinstance(one.effect, FreeForm) or not isinstance(
+                one.effect.parent, Empirical
+            ):
+                raise ConfigError(
+                    f"{file}: {name}: only empirical effects are causes of one's own"
+                )
+            if name == EMPIRICAL:
+                raise ConfigError(f'{file}: an empirical effect without a name; add name: ...')
+            if name in found or name in REGISTRY:
+                raise ConfigError(f'{file}: {name}: this name is taken; choose another one')
+            found[name] = Kept(one)
+    if not found:
+        raise ConfigError(f'{folder}: no .yaml file with an empirical effect in this folder')
+    return tuple(found.values())
+
+
 def effects_to_data(effects: Sequence[AppliedEffect], machine: Machine) -> list[dict[str, Any]]:
     """Return effects as plain data in the layout of effects.yaml, units included."""
     probe = probe_state(machine)
-    return [
-        {
+
+    def entry(one: AppliedEffect) -> dict[str, Any]:
+        if isinstance(one.effect, Kept):
+            one = one.effect.sized(one.parameters)
+        if isinstance(one.effect, FreeForm):
+            return free_entry(one, machine)
+        return {
             'effect': one.effect.name,
             'parameters': {k: float(v) for k, v in one.parameters.items()},
             'units': one.effect.units(probe, one.parameters),
         }
-        for one in effects
-    ]
+
+    return [entry(one) for one in effects]
 
 
 def write_effects(path: str | Path, effects: Sequence[AppliedEffect], machine: Machine) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Trial
+from otf_core.effects.free import Free
 from otf_core.model.machine import AXES
 
 
@@ -32,6 +33,16 @@ class ServoMismatch(Effect):
     )
     needs: ClassVar[str] = 'two feeds, forward and reverse; at one feed it looks like backlash'
     trial: ClassVar[Trial] = Trial((Axes('T', 1e-5, most=2),))
+
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(('feed',), (2,), 'the lag is not in proportion to the feed'),
+        Free(('since_stop',), (5,), 'the lag changes while a leg lasts'),
+        Free(
+            ('since_stop', 'feed'),
+            (5, 2),
+            'the lag changes while a leg lasts, and not in proportion to the feed',
+        ),
+    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return T_X, T_Y, T_Z."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.effects.drawing import Drawn, Either, Number, OneOf, Trial
+from otf_core.effects.free import Free
 from otf_core.effects.position import travel_from_reference
 from otf_core.model.machine import AXES
 
@@ -21,6 +22,14 @@ def _drawn(tilt: str) -> Drawn:
     """Tilt about one axis by any one that moves."""
     size = OneOf((-2e-5, 2e-5))
     return Either(tuple((Number(f'tilt_{tilt}_by_{a}', size),) for a in AXES))
+
+
+def tilted(state: State, shape: Shape) -> Terms:
+    """tilt_X_by_X ... tilt_Y_by_Z: displacement by a tilt that depends on the axis named last."""
+    turned = [np.cross(np.eye(3)[k], state.beam) for k in (0, 1)]
+    names = tuple(f'tilt_{AXES[k]}_by_{a}' for k in (0, 1) for a in AXES)
+    columns = np.stack([turned[k] for k in (0, 1) for _ in AXES], axis=2)
+    return Terms(names, ('rad',) * 6, AXES * 2, columns)
 
 
 class TableTilt(Effect):
@@ -39,6 +48,16 @@ class TableTilt(Effect):
     needs: ClassVar[str] = 'a second tracker place, or a level sensor on the table'
     trial: ClassVar[Trial] = Trial(
         (Either(tuple((_drawn(k),) for k in 'XY')),), hard_to_see=True, second_place=4
+    )
+
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(
+            ('{axis}',),
+            (6,),
+            'the tilt is not in proportion to the position',
+            (1,),
+            tilted,
+        ),
     )
 
     def terms(self, state: State, shape: Shape) -> Terms:

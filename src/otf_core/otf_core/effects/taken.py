@@ -105,7 +105,8 @@ class Taken:
         """Inverse variances before these data, for columns of size (size,), m per unit."""
         largest = float(np.max(np.abs(self.known.ravel()) * size[: self.values.size], initial=0.0))
         spread = max(SPREAD[self.how] * largest, LEAST_SPREAD[self.how], 1e-9)
-        own = (size[: self.values.size] / spread) ** 2
+        smaller = np.tile(1.0 + self.effect.orders_of(self.names), len(self.values))
+        own = (size[: self.values.size] * smaller / spread) ** 2
         # what does not act here at all stays as it was
         own = np.maximum(own, 1e-12 * float(own.max(initial=1.0)))
         return np.concatenate([own, [1.0 / w**2 for w in self.widths.values()]])

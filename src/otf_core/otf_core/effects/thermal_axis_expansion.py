@@ -12,13 +12,21 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
+from otf_core.effects.acting import Acting
 from otf_core.effects.base import Contribution, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Trial
+from otf_core.effects.free import Free
 from otf_core.effects.position import travel_from_reference
 from otf_core.model.machine import AXES
 
 AT_ONCE = 1e-6
 """s; time constant of a warming that is complete when the run starts."""
+
+
+def strained(state: State, shape: Shape) -> Terms:
+    """S_X, S_Y, S_Z: displacement by the strain of each axis."""
+    columns = travel_from_reference(state)[:, :, None] * np.eye(3)
+    return Terms(tuple(f'S_{a}' for a in AXES), ('m/m',) * 3, AXES, columns)
 
 
 class ThermalAxisExpansion(drift.DriftingEffect):
@@ -52,6 +60,26 @@ class ThermalAxisExpansion(drift.DriftingEffect):
         ),
     )
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('S', 4e-6)))
+
+    follows: ClassVar[tuple[Acting, ...]] = (strained,)
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(
+            ('time',),
+            (10,),
+            'the strain follows no exponential in time',
+            (1,),
+            acts=strained,
+            zero_at=-1.0,
+        ),
+        Free(
+            ('time', '{axis}'),
+            (6, 2),
+            'the strain is not the same all along the axis, and follows no exponential in time',
+            (1, 0),
+            acts=strained,
+            zero_at=-1.0,
+        ),
+    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return S_X, S_Y, S_Z: strain at ``until``; S_X_2 ...: further functions of time."""

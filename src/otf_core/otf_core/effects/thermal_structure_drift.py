@@ -11,8 +11,10 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
+from otf_core.effects.acting import Acting, vector
 from otf_core.effects.base import Array, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Trial
+from otf_core.effects.free import Free
 from otf_core.model.machine import AXES
 
 
@@ -44,6 +46,18 @@ class ThermalStructureDrift(drift.DriftingEffect):
         'of the tracker, with which it agrees exactly'
     )
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('D')))
+
+    follows: ClassVar[tuple[Acting, ...]] = (vector,)
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(
+            ('time',),
+            (14,),
+            'the drift follows no exponential in time',
+            (1,),
+            vector,
+            zero_at=-1.0,
+        ),
+    )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return D_X, D_Y, D_Z: shift at ``until``; D_X_2 ...: further functions of time."""

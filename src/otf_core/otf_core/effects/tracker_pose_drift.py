@@ -12,8 +12,10 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
+from otf_core.effects.acting import Acting, rigid_tracker
 from otf_core.effects.base import Shape, State, Terms
 from otf_core.effects.drawing import Axes, Either, Trial
+from otf_core.effects.free import Free
 from otf_core.effects.thermal_structure_drift import translation_columns
 from otf_core.model.machine import AXES
 
@@ -44,6 +46,18 @@ class TrackerPoseDrift(drift.DriftingEffect):
     )
     trial: ClassVar[Trial] = Trial(
         (*drift.DRAWN, Either(((_SHIFT,), (_TURN,), (_SHIFT, _TURN)))), second_place=8
+    )
+
+    follows: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(
+            ('time',),
+            (10,),
+            'the drift follows no exponential in time',
+            (1,),
+            rigid_tracker,
+            zero_at=-1.0,
+        ),
     )
 
     def terms(self, state: State, shape: Shape) -> Terms:

@@ -32,7 +32,7 @@ def file_digest(path: str | Path) -> str:
 def write_manifest(manifest: Path, files: Iterable[Path], verb: str) -> None:
     """List files that lie in the folder of the manifest or below it."""
     folder = manifest.parent
-    entries = {str(f.relative_to(folder)): file_digest(f) for f in sorted(files)}
+    entries = {f.relative_to(folder).as_posix(): file_digest(f) for f in sorted(files)}
     data = {'schema': SCHEMA, 'verb': verb, 'version': __version__, 'sha256': entries}
     write_text(manifest, json.dumps(data, indent=1) + '\n')
 

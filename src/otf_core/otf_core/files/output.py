@@ -124,7 +124,7 @@ class OutputFolder:
             return False
         here = Path(os.path.realpath(os.curdir))
         stands = here == final or final in here.parents
-        return stands or final.is_mount() or not os.access(final.parent, os.W_OK | os.X_OK)
+        return stands or os.path.ismount(final) or not os.access(final.parent, os.W_OK | os.X_OK)
 
     def _check_content(self) -> None:
         final = self._final
@@ -199,6 +199,7 @@ class OutputFolder:
         if not final.exists() or not any(final.iterdir()):
             if final.exists():
                 shutil.copymode(final, new)
+                final.rmdir()  # Windows does not rename onto a folder
             os.rename(new, final)
             return
         shutil.copymode(final, new)

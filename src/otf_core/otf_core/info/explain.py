@@ -10,7 +10,7 @@ from otf_core.files.writing import unreadable
 from otf_core.info.array_kinds import DIRECT, POINTS, RESIDUALS
 from otf_core.info.bag_kind import BAG, TABLE
 from otf_core.info.folder_kind import FOLDER
-from otf_core.info.json_kinds import JSON_KINDS
+from otf_core.info.json_kinds import JSON_KINDS, OTHER
 from otf_core.info.kind import Explained, Kind
 from otf_core.info.yaml_kinds import EFFECTS, MACHINE
 
@@ -18,6 +18,7 @@ KINDS: tuple[Kind, ...] = (
     BAG,
     FOLDER,
     *JSON_KINDS,
+    OTHER,
     EFFECTS,
     MACHINE,
     RESIDUALS,

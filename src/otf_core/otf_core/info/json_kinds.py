@@ -138,6 +138,19 @@ def _manifest(data: Data) -> Explained:
     return Explained(rows, {'by': data['verb'], 'files': files})
 
 
+def _loop(data: Data) -> Explained:
+    keys = ('before_um', 'after_um', 'forecast_um')
+    rows = tuple((key.removesuffix('_um'), f'{data[key]:.2f} um') for key in keys)
+    return Explained(rows, {key: data[key] for key in keys})
+
+
+def _fleet(data: Data) -> Explained:
+    failed = {name: run['message'] for name, run in data['runs'].items() if run['exit']}
+    rows: Rows = [('runs', f'{data["done"]} done, {data["failed"]} failed')]
+    rows += [('FAILED', f'{name}: {message}') for name, message in failed.items()]
+    return Explained(tuple(rows), {key: data[key] for key in ('done', 'failed', 'runs')})
+
+
 def _schema(path: Path) -> str:
     data = read_json(path)
     return str(data.get('schema', '')) if isinstance(data, dict) else ''
@@ -192,9 +205,32 @@ JSON_KINDS: tuple[Kind, ...] = (
         'what lies beside a simulated bag',
     ),
     _kind(
+        'otf-loop/1',
+        'loop',
+        _loop,
+        'a simulated machine measured, compensated and measured again',
+    ),
+    _kind('otf-fleet/1', 'fleet', _fleet, 'many runs, and how each of them ended'),
+    _kind(
         'otf-manifest/1',
         'manifest',
         _manifest,
         'which files otf wrote into this folder, by their hash',
     ),
 )
+
+
+def _is_other(path: Path) -> bool:
+    return begins(path, '{') and _schema(path).startswith('otf-')
+
+
+def _other(path: Path) -> Explained:
+    data = read_json(path)
+    rows: Rows = [
+        ('schema', data['schema']),
+        ('holds', ', '.join(k for k in data if k != 'schema')),
+    ]
+    return Explained((*rows, *_about(data)), {'schema': data['schema'], 'keys': list(data)})
+
+
+OTHER = Kind('other result', 'a file of otf that has no explanation of its own', _is_other, _other)

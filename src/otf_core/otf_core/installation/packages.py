@@ -17,9 +17,8 @@ NEEDED = {
     'PyYAML': '6.0',
     'mcap': '1.1',
     'zstandard': '0.18',
-    'rosbags': '0.10',
+    'rosbags': '0.11',
     'threadpoolctl': '3.1',
-    'matplotlib': '3.6',
 }
 """Distributions and their oldest versions, as in setup.py."""
 COMPILED = ('numpy', 'scipy.linalg', 'scipy.sparse', 'zstandard', 'yaml')

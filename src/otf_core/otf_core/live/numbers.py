@@ -26,5 +26,5 @@ def numbers(run: LiveRun) -> dict[str, float]:
         'samples_lost': float(run.progress.lost),
         'progress': run.progress.fraction,
         'time_left': run.progress.time_left,
-        'residual': run.solved.mae_after if run.solved and run.solved.ok else float('nan'),
+        'residual': float('nan') if run.solved is None else run.solved.left,
     }

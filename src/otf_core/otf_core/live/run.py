@@ -62,6 +62,11 @@ class Solved:
     squareness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
+    @property
+    def left(self) -> float:
+        """Mean distance from the path that compensation leaves, m; NaN if nothing is solved."""
+        return self.mae_after if self.motions else math.nan
+
 
 class LiveRun:
     """Takes what the nodes say, in any order.

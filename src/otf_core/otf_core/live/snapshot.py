@@ -27,13 +27,11 @@ def scene(run: LiveRun) -> dict[str, Any]:
         data['path'] = _rounded(thinned(run.path.points, MOST), 5)
     volume = run.volume
     if volume is not None and run.path is not None:
-        error, u = volume.mean
         data['volume'] = {
             'points': _rounded(volume.points, 5),
             'errors_um': _rounded(UM * volume.errors, 3),
             'scale': enlargement(volume.errors, size_of(run.path)),
-            'mean_um': UM * error,
-            'mean_u_um': UM * u,
+            'mean_um': UM * volume.mean,
             'provisional': volume.provisional,
         }
     if run.solved:
@@ -80,7 +78,7 @@ def _solved(solved: Solved) -> dict[str, Any]:
         'ok': solved.ok,
         'message': solved.message,
         'mae_before_um': UM * solved.mae_before,
-        'mae_after_um': UM * solved.mae_after,
+        'mae_after_um': _number(UM * solved.left),
         'residual_rms_um': UM * solved.residual_rms,
         'motions': {name: micro[name] for name in solved.motions},
         'squareness': {name: micro[name] for name in solved.squareness},

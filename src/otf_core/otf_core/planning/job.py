@@ -9,9 +9,11 @@ import numpy as np
 
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
+from otf_core.live.stages import Progress
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.model import NoiseModel
+from otf_core.planning.after import Answer, Question, plan_after
 from otf_core.planning.creator import plan_path
 from otf_core.planning.effects_seen import forecast_effects, forecast_rows
 from otf_core.planning.forecast import Forecast, Setup, forecast
@@ -40,6 +42,9 @@ class PlanRequest:
         m, machine frame.
     noise : NoiseModel, optional
         As specified in machine.yaml if not given.
+    questions : tuple of Question
+        What a diagnosis left open; the shortest path that answers is chosen then, within
+        ``time_budget``.
     """
 
     given: Plan | None = None
@@ -47,6 +52,7 @@ class PlanRequest:
     wanted_uncertainty: float | None = None
     tracker_place: tuple[float, float, float] | None = None
     noise: NoiseModel | None = None
+    questions: tuple[Question, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the wishes go together; ConfigError names those that do not."""
@@ -97,12 +103,28 @@ def _choose(request: PlanRequest, setup: Setup, config: PlannerConfig) -> tuple[
     return best.plan, f'{aim}; {passes}; {_worth(best.efficiency)}'
 
 
+def _chosen(
+    request: PlanRequest, setup: Setup, config: PlannerConfig
+) -> tuple[Plan, str, list[Answer]]:
+    """Plan as requested, after a diagnosis with what it would say to its questions."""
+    if not request.questions:
+        return *_choose(request, setup, config), []
+    plan, answers = plan_after(request.questions, setup, config, request.time_budget)
+    sure = sum(a.sure for a in answers)
+    how = f'after a diagnosis: the shortest path that answers {sure} of {len(answers)} questions'
+    return plan, how, answers
+
+
 def _worth(efficiency: float) -> str:
     return f'{100 * efficiency:.0f} % of the information of an ideal share of the time among lines'
 
 
 def make_plan(
-    machine: Machine, request: PlanRequest, config: PlannerConfig, judged: ForecastConfig
+    machine: Machine,
+    request: PlanRequest,
+    config: PlannerConfig,
+    judged: ForecastConfig,
+    progress: Progress = lambda stage, fraction: None,
 ) -> PlanReport:
     """Make or take a plan and judge it.
 
@@ -112,6 +134,8 @@ def make_plan(
     request : PlanRequest
     config : PlannerConfig
     judged : ForecastConfig
+    progress : callable(stage, fraction)
+        Stages are those of ``live.stages.PLAN``.
 
     Returns
     -------
@@ -119,14 +143,18 @@ def make_plan(
     """
     place = None if request.tracker_place is None else np.array(request.tracker_place)
     setup = Setup.of(machine, place, request.noise, judged)
+    progress('choosing lines', 0.0)
     with one_thread():
-        plan, how = _choose(request, setup, config)
+        plan, how, answers = _chosen(request, setup, config)
         plan = on_increment(plan, machine.lower, machine.upper)
         check_place(plan, setup)
+        progress('forecasting', 0.0)
         found: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
+        progress('comparing places of the tracker', 0.0)
         judge = judge_places(plan, setup, found.solution.accepted)
         places, own = compare_places(plan, setup, judge), judge(setup.place)
+        progress('looking for effects', 0.0)
         planned = planned_solution(plan, setup, found)
         rows = forecast_rows(planned, limit)
         effects = tuple(EffectForecast(e['effect'], e['words'], e) for e in forecast_effects(rows))
@@ -141,4 +169,5 @@ def make_plan(
         tuple(advice(places, own)),
         effects,
         systematic,
+        tuple(answers),
     )

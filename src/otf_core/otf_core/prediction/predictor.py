@@ -16,12 +16,7 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, TablesFile, load_tables
 from otf_core.prediction.covariance import unpack_covariance
-from otf_core.prediction.driven_volume import (
-    DrivenVolume,
-    driven_from_dict,
-    inside,
-    table_ranges,
-)
+from otf_core.prediction.driven_volume import DrivenVolume, driven_from_dict, inside, table_ranges
 from otf_core.prediction.table_prior import (
     MotionPrior,
     growth_variance,

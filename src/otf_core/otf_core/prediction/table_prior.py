@@ -36,12 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.model.kinematics import (
-    lever,
-    motion_influence,
-    squareness_influence,
-    turned,
-)
+from otf_core.model.kinematics import lever, motion_influence, squareness_influence, turned
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
 

@@ -30,12 +30,7 @@ from otf_core.noise.fields import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
 from otf_core.prediction.volumetric import volumetric_error
-from otf_core.reports.budget import (
-    BudgetLine,
-    budget_lines,
-    budget_to_dict,
-    expanded,
-)
+from otf_core.reports.budget import BudgetLine, budget_lines, budget_to_dict, expanded
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_report import calibration_html, calibration_sections
 from otf_core.reports.residuals import write_residuals

@@ -29,6 +29,7 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'sentence': diagnosis.sentence,
         'gap': asdict(diagnosis.gap),
         'causes': [asdict(c) for c in diagnosis.causes],
+        'unnamed': None if diagnosis.unnamed is None else asdict(diagnosis.unnamed),
         'unexplained': {
             'rms_um': diagnosis.unexplained_um,
             'where': diagnosis.unexplained_where,
@@ -82,6 +83,7 @@ def write_diagnosis(
             if not number or applied != first:
                 written.append(folder / effects_file(number))
                 write_effects(written[-1], applied, machine)
+    if first and diagnosis.causes:
         write_calibration(calibration.plain, folder / 'calibration_plain', 'diagnose')
         write_calibration(calibration.result, folder / 'calibration_with_effects', 'diagnose')
         written.append(folder / 'calibration_with_effects')

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,8 @@ from otf_core.files.writing import write_text
 from otf_core.fleet.fleet import FILE, PAGE, fleet_to_dict, results
 from otf_core.fleet.job import Outcome
 from otf_core.model.motions import SQUARENESS
-from otf_core.reports.style import STYLE
+from otf_core.reports.page import Heading, page_html
+from otf_core.reports.section import Section, Table
 
 Row = list[str]
 
@@ -90,37 +90,29 @@ def format_fleet(verb: str, outcomes: Mapping[str, Outcome]) -> str:
     return '\n'.join(lines)
 
 
-def _table(columns: tuple[str, ...], rows: list[Row]) -> str:
-    head = ''.join(f'<th>{escape(c)}</th>' for c in columns)
-    body = '\n'.join(
-        '<tr>'
-        + ''.join(
-            f'<td class="{"number" if "(u" in column else "words"}">{escape(cell)}</td>'
-            for column, cell in zip(columns, row, strict=True)
-        )
-        + '</tr>'
-        for row in rows
-    )
-    return f'<table><tr>{head}</tr>\n{body}</table>'
-
-
 def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> str:
     """Return the page of machines side by side: self-contained HTML."""
     columns, rows, shared = fleet_rows(verb, folder, outcomes)
-    failed = [[n, str(o.exit), o.message] for n, o in outcomes.items() if not o.done]
-    parts = [
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
-        f'<title>Fleet: {escape(verb)}</title><style>{STYLE}</style></head><body>',
-        f'<h1>Fleet: otf {escape(verb)}</h1>',
-        f'<p class="verdict">{len(rows)} of {len(outcomes)} runs done, {len(failed)} failed</p>',
+    numbers = tuple(k for k, column in enumerate(columns) if '(u' in column)
+    failed = tuple((n, str(o.exit), o.message) for n, o in outcomes.items() if not o.done)
+    gates = sum(o.done and o.exit != 0 for o in outcomes.values())
+    sections = [
+        Section('fleet', '', tuple(shared)),
+        Section(
+            'runs', 'Side by side', tables=(Table(columns, tuple(map(tuple, rows)), numbers),)
+        ),
     ]
-    if shared:
-        items = ''.join(f'<li>{escape(text)}</li>' for text in shared)
-        parts.append(f'<h2>Causes that several runs share</h2><ul>{items}</ul>')
     if failed:
-        parts.append('<h2>Failed</h2>' + _table(('run', 'exit', 'message'), failed))
-    parts.append('<h2>Side by side</h2>' + _table(columns, rows))
-    return '\n'.join([*parts, '</body></html>']) + '\n'
+        table = Table(('run', 'exit', 'message'), failed, (1,))
+        sections.insert(1, Section('failed', 'Failed', tables=(table,)))
+    heading = Heading(
+        f'Fleet: otf {verb}',
+        'some failed' if failed else 'all done',
+        f'{len(rows)} of {len(outcomes)} runs done, {len(failed)} failed, {gates} with a quality '
+        f'gate that failed.',
+        'bad' if failed else 'good',
+    )
+    return page_html(heading, sections)
 
 
 def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> list[Path]:

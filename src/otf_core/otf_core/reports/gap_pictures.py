@@ -60,4 +60,4 @@ def group_bars(diagnosis: Diagnosis, parts: Sequence[Grouping], title: str) -> s
             name = group.label if state.kind == 'before' else ''
             size = 1e6 * group.rms
             rows.append(Bar(name, ((size, state.kind),), f'{size:.2f} µm', 1e6 * group.expected))
-    return bars(rows, title, names=190.0, width=480.0)
+    return bars(rows, title, names=158.0)

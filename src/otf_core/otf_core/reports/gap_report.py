@@ -11,6 +11,7 @@ from otf_core.reports.gap_sections import (
     causes,
     conditions,
     frequency,
+    functions,
     hidden,
     next_steps,
     over_time,
@@ -26,6 +27,7 @@ from otf_core.reports.section import Section, sections_to_text
 SECTIONS: tuple[ModuleType, ...] = (
     overview,
     causes,
+    functions,
     where,
     unexplained,
     hidden,
@@ -42,7 +44,8 @@ SECTIONS: tuple[ModuleType, ...] = (
 
 def gap_sections(diagnosis: Diagnosis) -> list[Section]:
     """All sections of one diagnosis; pictures are drawn when a page asks for them."""
-    return [module.section(diagnosis) for module in SECTIONS]
+    sections = [module.section(diagnosis) for module in SECTIONS]
+    return [s for s in sections if s.title or s.words or s.tables or s.text]
 
 
 def report_html(diagnosis: Diagnosis) -> str:

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from otf_core.reports.drawing.style import STYLE
 from otf_core.reports.drawing.typography import text
 from otf_core.reports.section import Cell, Picture, Section, Table
-from otf_core.reports.style import STYLE
 
 COLUMNS = {1: '', 2: ' two', 3: ' three'}
 

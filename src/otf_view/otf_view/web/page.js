@@ -76,10 +76,13 @@ function showSolved() {
   byId('warnings').replaceChildren();
   byId('figures').replaceChildren();
   if (!solved) {
+    byId('alert').hidden = true;
     text('solved', 'The first errors come after the first lap.');
     return;
   }
   text('solved', solved.message);
+  byId('alert').hidden = solved.ok;
+  text('alert', solved.message);
   byId('solved').className = solved.ok ? '' : 'bad';
   for (const words of solved.warnings) {
     byId('warnings').appendChild(document.createElement('li')).textContent = words;
@@ -88,8 +91,7 @@ function showSolved() {
   const figures = [['from the path, as it is', um(solved.mae_before_um)],
     ['compensated', um(solved.mae_after_um)], ['residual, rms', um(solved.residual_rms_um)]];
   if (scene.volume) {
-    figures.push(['predicted in the volume, mean', um(scene.volume.mean_um)],
-      ['its standard uncertainty, mean', um(scene.volume.mean_u_um)]);
+    figures.push(['predicted in the volume, mean', um(scene.volume.mean_um)]);
   }
   byId('figures').replaceChildren(...figures.map(([name, value]) => figure(name, value)));
   badge('which', solved.provisional ? 'work' : 'good', solved.provisional ? 'so far' : 'final');
@@ -130,8 +132,9 @@ function showMotions(solved) {
 function draw() {
   drawSpace(scene, now);
   const count = drawPlot(scene, now);
-  text('plotted', count ? 'Dots: measured along the run. Line: mean that compensation leaves.'
-    : 'Shown once the place of the tracker is known.');
+  const solved = scene && scene.solved && scene.solved.mae_after_um !== null;
+  text('plotted', !count ? 'Shown once the place of the tracker is known.'
+    : 'Dots: measured along the run.' + (solved ? ' Line: mean that compensation leaves.' : ''));
 }
 
 function listen() {

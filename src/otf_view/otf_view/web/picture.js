@@ -111,7 +111,7 @@ function drawPlot(scene, now) {
   const lengths = now ? now.deviations_um.map(d => Math.hypot(...d)) : [];
   if (!lengths.length) return 0;
   const [left, bottom, top] = [44, height - 22, 10];
-  const solved = scene && scene.solved && scene.solved.ok ? scene.solved.mae_after_um : null;
+  const solved = scene && scene.solved ? scene.solved.mae_after_um : null;
   const most = 1.1 * Math.max(...lengths, solved || 0, 0.1);
   const x = k => left + (width - left - 8) * k / Math.max(1, lengths.length - 1);
   const y = v => bottom - (bottom - top) * v / most;

@@ -71,13 +71,14 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
     plain = np.concatenate([c.option.plain for c in causes], axis=1)
     own = np.concatenate([c.option.own for c in causes], axis=1)
     size = np.concatenate([c.option.size for c in causes])
+    width = np.concatenate([c.option.widths for c in causes])
     values = np.zeros(len(rows.deviation))
     for fold in range(FOLDS) if held_out else [-1]:
         fit = rows.fold != fold
         judge = ~fit if held_out else fit
         if not judge.any():
             continue
-        coefficients = estimate(own[fit], size, rows.residual[fit]).value
+        coefficients = estimate(own[fit], size, rows.residual[fit], width).value
         left = rows.left(rows.plain_deviation - plain @ coefficients)
         values[judge] = left[judge]
     return _per_piece(rows, values)

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from otf_core.diagnosis.engine.decoys import DECOY_NAMES, DECOYS
+from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, search
 from otf_core.diagnosis.engine.spectral import Line, strongest_lines
 from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
+from otf_core.effects.free import free_forms
 from otf_core.solving.sample_states import sample_residuals
 
 DETECTABLE = 25.0
@@ -103,12 +104,12 @@ class Found:
     visible: dict[str, Visibility]
 
 
-def search_catalogue(rows: Rows, exclude: Sequence[str]) -> Found:
-    """Search rows for the effects of the catalogue, less the excluded ones, and for decoys."""
+def search_catalogue(rows: Rows, exclude: Sequence[str], own: Sequence[Effect] = ()) -> Found:
+    """Search rows for effects of the catalogue less the excluded ones, for ``own``, and decoys."""
     shapes = shapes_from_lines(spectral_lines(rows))
-    tried, visible = tried_effects(rows, [*effects_without(exclude), *DECOYS], shapes)
+    tried, visible = tried_effects(rows, [*effects_without(exclude), *own, *DECOYS], shapes)
     causes, considered = search(rows, tried)
-    sight = {name: v for name, v in visible.items() if name not in DECOY_NAMES}
+    sight = {name: v for name, v in visible.items() if name in REGISTRY}
     return Found(tuple(causes), tuple(considered), sight)
 
 
@@ -135,6 +136,9 @@ def tried_effects(
         chosen, stand_in = shapes_of(rows, effect, shapes)
         found = tried_shapes(rows, effect, chosen or stand_in)
         tried[effect.name] = found if chosen else []
+        for form in free_forms(effect, rows.states):
+            own = (chosen or ()) if form.form.shaped else ({},)
+            tried[effect.name] += tried_shapes(rows, form, own)
         visible[effect.name] = best_sight([sight_of(t) for t in found])
     return tried, visible
 

@@ -9,12 +9,15 @@ the Bayes factor against 'no effect' is
 
 (the evidence of a linear Gaussian model). The second term is the price of parameters: a flexible
 effect does not win by number. Spreads, shapes and subsets of axes are averaged over.
+
+Coefficients of a free form are the smaller the higher their order, by a power that is averaged
+over as well; they are estimated with the spread and the power that the data make most likely.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +30,8 @@ Array = NDArray[np.float64]
 
 SPREADS = (5e-7, 2e-6, 8e-6)
 """m; sizes of the displacement that an effect may have, each as likely as the other."""
+ROUGHNESS = (1.0, 2.0)
+"""Powers of 1 + order by which the coefficients of a free form become smaller."""
 BLIND = 2e-5
 """m; standard uncertainty of a displacement beyond which a combination is not seen."""
 
@@ -51,6 +56,9 @@ class Option:
         Whitened columns less what tables and poses can follow.
     plain : ndarray, shape (r, k)
         Columns as they are, m per unit.
+    width : ndarray, shape (k,), m
+        Standard deviation of the displacement by each coefficient before the data; empty for a
+        formula, whose coefficients are free.
     """
 
     effect: Effect
@@ -61,6 +69,12 @@ class Option:
     size: Array
     own: Array
     plain: Array
+    width: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def widths(self) -> Array:
+        """``width``, infinite for a formula, shape (k,)."""
+        return self.width if len(self.width) else np.full(len(self.take), np.inf)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -89,8 +103,23 @@ class Estimate:
     gain: float
 
 
-def log_evidence(normal: Array, right: Array, size: Array, variance: float) -> float:
-    """Average over ``SPREADS`` of the Bayes factor, as a logarithm.
+def prior_widths(orders: Array) -> list[Array]:
+    """Standard deviations of the displacement by each coefficient that are averaged over, m.
+
+    Parameters
+    ----------
+    orders : ndarray, shape (k,)
+        Of the functions of a free form; empty for a formula.
+    """
+    if not len(orders):
+        return [np.array(spread) for spread in SPREADS]
+    return [spread * (1.0 + orders) ** -power for spread in SPREADS for power in ROUGHNESS]
+
+
+def log_evidence(
+    normal: Array, right: Array, size: Array, variance: float, orders: Array | None = None
+) -> float:
+    """Average of the Bayes factor over ``prior_widths``, as a logarithm.
 
     Parameters
     ----------
@@ -99,27 +128,49 @@ def log_evidence(normal: Array, right: Array, size: Array, variance: float) -> f
     size : ndarray, shape (k,), m
     variance : float
         Of the noise left in the residual; 1 if it is as assumed.
+    orders : ndarray, shape (k,), optional
+        Of the functions of a free form.
     """
-    scores = []
-    for spread in SPREADS:
-        width = spread / np.maximum(size, 1e-300)
-        matrix = np.eye(len(width)) + normal * np.outer(width, width) / variance
-        scaled = right * width / variance
-        factor = linalg.cholesky(matrix, lower=True)
-        half = linalg.solve_triangular(factor, scaled, lower=True)
-        scores.append(0.5 * float(half @ half) - float(np.log(np.diag(factor)).sum()))
-    return float(logsumexp(scores) - np.log(len(SPREADS)))
+    widths = prior_widths(np.zeros(0) if orders is None else orders)
+    scores = [_evidence(normal, right, w / np.maximum(size, 1e-300), variance) for w in widths]
+    return float(logsumexp(scores) - np.log(len(widths)))
 
 
-def estimate(white: Array, size: Array, residual: Array) -> Estimate:
+def likeliest_width(
+    normal: Array, right: Array, size: Array, variance: float, orders: Array
+) -> Array:
+    """The one of ``prior_widths`` that makes the data most likely, shape (k,), m."""
+    widths = prior_widths(orders)
+    scores = [_evidence(normal, right, w / np.maximum(size, 1e-300), variance) for w in widths]
+    return widths[int(np.argmax(scores))]
+
+
+def _evidence(normal: Array, right: Array, width: Array, variance: float) -> float:
+    matrix = np.eye(len(width)) + normal * np.outer(width, width) / variance
+    scaled = right * width / variance
+    factor = linalg.cholesky(matrix, lower=True)
+    half = linalg.solve_triangular(factor, scaled, lower=True)
+    return 0.5 * float(half @ half) - float(np.log(np.diag(factor)).sum())
+
+
+def estimate(white: Array, size: Array, residual: Array, width: Array | None = None) -> Estimate:
     """Least-squares coefficients; combinations that the data do not see stay zero.
 
     A combination counts as not seen if the data leave its displacement more than ``BLIND``
     uncertain, such as equal servo lag on all axes.
+
+    Parameters
+    ----------
+    white, size, residual
+        See ``Option`` and ``Rows``.
+    width : ndarray, shape (k,), m, optional
+        Standard deviation of the displacement by each coefficient before the data, infinite where
+        nothing is known.
     """
     scale = np.maximum(size, 1e-300)
     scaled = white / scale
-    values, vectors = linalg.eigh(scaled.T @ scaled)
+    known = np.zeros(len(scale)) if width is None else width**-2.0
+    values, vectors = linalg.eigh(scaled.T @ scaled + np.diag(known))
     sure = values > BLIND**-2
     seen = vectors[:, sure]
     inverse = (seen / values[sure]) @ seen.T
@@ -141,6 +192,6 @@ def axis_subsets(terms: Terms) -> list[NDArray[np.int64]]:
     return subsets
 
 
-def average(scores: Sequence[float]) -> float:
+def average(scores: Sequence[float] | Array) -> float:
     """Logarithm of the mean of Bayes factors given by their logarithms."""
     return float(logsumexp(np.array(scores)) - np.log(len(scores)))

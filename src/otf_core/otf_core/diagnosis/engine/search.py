@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES
-from otf_core.diagnosis.engine.evidence import Estimate, Option, average, estimate
+from otf_core.diagnosis.engine.evidence import (
+    Estimate,
+    Option,
+    average,
+    estimate,
+    log_evidence,
+)
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.tried import Tried
 from otf_core.solving.columns import column_size
@@ -31,6 +37,8 @@ NEXT_TO_NOTHING = 1e-9
 """Share of the largest squared singular value."""
 DECOY_DOUBT = 10.0
 """Evidence by which a shape outside the catalogue must be better than any effect in it."""
+FREE_DOUBT = 10.0
+"""Evidence by which a free form must be better than the formula, which is named else."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,7 @@ def noise_variance(rows: Rows, residual: Array) -> float:
 
 def fit_out(option: Option, residual: Array) -> Array:
     """Residual less the best fit of one option."""
-    fit = estimate(option.white, option.size, residual)
+    fit = estimate(option.white, option.size, residual, option.widths)
     return residual - option.white @ fit.value
 
 
@@ -69,23 +77,36 @@ Ranking = list[tuple[float, Tried, Index]]
 """Score of every effect, and its best option: the shape and its terms."""
 
 
+def _pairs(group: Sequence[Tried], variance: float) -> tuple[list[tuple[Tried, Index]], Array]:
+    """Options of an effect, shapes with their terms, and their scores."""
+    pairs = [(tried, take) for tried in group for take in tried.takes]
+    return pairs, np.array([tried.odds(take, variance) for tried, take in pairs])
+
+
 def _ranking(candidates: Candidates, variance: float) -> Ranking:
     """Score and best option of every effect, best first."""
     ranking: Ranking = []
     for group in candidates.values():
-        pairs = [(tried, take) for tried in group for take in tried.takes]
+        pairs, scores = _pairs(group, variance)
         if not pairs:
             continue
-        scores = [tried.odds(take, variance) for tried, take in pairs]
         doubt = DECOY_DOUBT if group[0].effect.name in DECOY_NAMES else 0.0
-        ranking.append((average(scores) - doubt, *pairs[int(np.argmax(scores))]))
+        free = np.array([is_free(tried) for tried, _ in pairs])
+        best = int(np.argmax(scores - FREE_DOUBT * free))
+        kinds = [average(scores[free == kind]) for kind in np.unique(free)]
+        ranking.append((average(kinds) - doubt, *pairs[best]))
     return sorted(ranking, key=lambda entry: -entry[0])
+
+
+def is_free(tried: Tried) -> bool:
+    """Tell whether this is the free form of an effect."""
+    return bool(tried.terms.orders)
 
 
 def _same_trace(best: Option, other: Option, residual: Array) -> bool:
     """Tell whether another effect can leave the trace of the best one."""
-    trace = best.white @ estimate(best.white, best.size, residual).value
-    rest = trace - other.white @ estimate(other.white, other.size, trace).value
+    trace = best.white @ estimate(best.white, best.size, residual, best.widths).value
+    rest = trace - other.white @ estimate(other.white, other.size, trace, other.widths).value
     power = float(trace @ trace)
     return float(rest @ rest) < max(SAME_TRACE * power, 4.0)
 
@@ -107,7 +128,7 @@ def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Optio
 
     def loss(logarithm: float) -> float:
         trial = at(start * float(np.exp(logarithm)))
-        return -estimate(trial.white, trial.size, residual).gain
+        return -estimate(trial.white, trial.size, residual, trial.widths).gain
 
     from scipy.optimize import minimize_scalar  # 0.1 s
 
@@ -116,8 +137,9 @@ def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Optio
         loss, bounds=(-width, width), method='bounded', options={'xatol': width / 200}
     )
     refined = at(start * float(np.exp(best.x)))
-    better = estimate(refined.white, refined.size, residual).gain
-    return refined if better > estimate(option.white, option.size, residual).gain else option
+    better = estimate(refined.white, refined.size, residual, refined.widths).gain
+    now = estimate(option.white, option.size, residual, option.widths).gain
+    return refined if better > now else option
 
 
 def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, float]]]:
@@ -143,12 +165,13 @@ def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, 
         if not first:
             break
         # noise is judged on what the best candidate leaves: its own trace must not count as noise
-        best = _free_of(basis, first[0][1].source.option(first[0][2]))
-        ranking = _ranking(candidates, noise_variance(rows, fit_out(best, residual)))
+        best = _free_of(basis, first[0][1].made(first[0][2], 1.0))
+        variance = noise_variance(rows, fit_out(best, residual))
+        ranking = _ranking(candidates, variance)
         considered = [(t.effect.name, s) for s, t, _ in ranking]
         if ranking[0][0] < NEEDED_EVIDENCE:
             break
-        causes.append(_cause(ranking, basis, rows, residual))
+        causes.append(_cause(ranking, candidates, basis, rows, residual, variance))
         option = causes[-1].option
         group = candidates.pop(option.effect.name)
         if option.effect.wave is not None:  # each axis has a period of its own
@@ -169,10 +192,24 @@ def _other_axes(tried: Tried, axes: Sequence[str]) -> Tried:
     return tried.only([take for take in takes if not set(tried.axes(take)) & set(axes)])
 
 
-def _cause(ranking: Ranking, basis: Array, rows: Rows, residual: Array) -> Cause:
+def _cause(
+    ranking: Ranking,
+    candidates: Candidates,
+    basis: Array,
+    rows: Rows,
+    residual: Array,
+    variance: float,
+) -> Cause:
     """The first of a ranking as a cause, with what is not told from it."""
     score, tried, take = ranking[0]
-    option = _refined(_free_of(basis, tried.source.option(take)), basis, rows, residual)
+    option = _refined(_free_of(basis, tried.made(take, variance)), basis, rows, residual)
+    group = [t for t in candidates[tried.effect.name] if not is_free(t) and t.effect.refine]
+    if is_free(tried) and group:  # it may only make up for the raster of the formula
+        pairs, scores = _pairs(group, variance)
+        near, own = pairs[int(np.argmax(scores))]
+        plain = _refined(_free_of(basis, near.made(own, variance)), basis, rows, residual)
+        gained = _score(option, residual, variance) - _score(plain, residual, variance)
+        option = option if gained > FREE_DOUBT else plain
 
     def same(other: Tried, take: Index) -> bool:
         return _same_trace(option, _free_of(basis, other.source.option(take)), residual)
@@ -181,11 +218,21 @@ def _cause(ranking: Ranking, basis: Array, rows: Rows, residual: Array) -> Cause
         t.effect.name
         for s, t, own in ranking[1:]
         if t.effect.name not in DECOY_NAMES
-        and (s > score - CLOSE_EVIDENCE or (s > NEEDED_EVIDENCE and same(t, own)))
+        and (
+            s > score - CLOSE_EVIDENCE or (s > NEEDED_EVIDENCE and not is_free(t) and same(t, own))
+        )
     ]
     odds = np.array([0.0] + [s for s, _, _ in ranking])
     confidence = float(np.exp(score - np.logaddexp.reduce(odds)))
     return Cause(option, score, confidence, tuple(close[:4]))
+
+
+def _score(option: Option, residual: Array, variance: float) -> float:
+    """Evidence of an option with its columns as they are."""
+    orders = np.array(option.terms.orders)
+    products = option.white.T @ option.white, option.white.T @ residual
+    own = orders[option.take] if len(orders) else orders
+    return log_evidence(*products, option.size, variance, own)
 
 
 def _free_of(basis: Array, option: Option) -> Option:
@@ -204,4 +251,5 @@ def fit_jointly(causes: Sequence[Cause], rows: Rows) -> Estimate:
     """Estimate the coefficients of all causes together, jointly with tables and poses."""
     white = np.concatenate([c.option.own for c in causes], axis=1)
     size = np.concatenate([c.option.size for c in causes])
-    return estimate(white, size, rows.residual)
+    width = np.concatenate([c.option.widths for c in causes])
+    return estimate(white, size, rows.residual, width)

@@ -22,7 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.diagnosis.engine.evidence import Option, axis_subsets, log_evidence
+from otf_core.diagnosis.engine.evidence import (
+    Option,
+    axis_subsets,
+    likeliest_width,
+    log_evidence,
+)
 from otf_core.diagnosis.engine.rows import Pulled, Rows
 from otf_core.effects import Effect, Shape, Terms
 from otf_core.solving.columns import column_size
@@ -88,7 +93,22 @@ class Tried:
     def odds(self, take: Index, variance: float) -> float:
         """Evidence of an option, see ``log_evidence``."""
         place = np.ix_(take, take)
-        return log_evidence(self.normal[place], self.right[take], self.size[take], variance)
+        return log_evidence(
+            self.normal[place], self.right[take], self.size[take], variance, self.orders(take)
+        )
+
+    def orders(self, take: Index) -> Array:
+        """Orders of some terms as functions; empty for a formula."""
+        orders = np.array(self.terms.orders)
+        return orders[take] if len(orders) else orders
+
+    def made(self, take: Index, variance: float) -> Option:
+        """Make the columns of some terms, those of a free form with their likeliest width."""
+        option, orders, place = self.source.option(take), self.orders(take), np.ix_(take, take)
+        if not len(orders):
+            return option
+        products = self.normal[place], self.right[take], self.size[take]
+        return replace(option, width=likeliest_width(*products, variance, orders))
 
     def without(self, pulled: Pulled, amount: Array) -> Tried:
         """Leave out what orthonormal columns can follow, and of y ``amount`` (q,) of them."""

@@ -114,7 +114,7 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
     for unit, label in (('m', 'µm'), ('rad', 'µrad')):
         rows = [_bar(line, names, label) for line in facts.lines if line.unit == unit]
         if rows:
-            parts.append(bars(rows, f'uncertainty in {label}', names=52.0, width=400.0))
+            parts.append(bars(rows, f'uncertainty in {label}', names=52.0))
     key = ''.join(
         f'<span class="s{k}"><span class="key"></span>{text(n)}</span> '
         for k, n in enumerate(names)

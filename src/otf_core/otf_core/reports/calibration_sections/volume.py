@@ -80,7 +80,7 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
     found = contributions(facts)[:12]
     rows = [Bar(n, ((1e6 * v, 'before'),), f'{micro(v)} µm') for n, v in found]
     adds = Picture(
-        (bars(rows, 'contribution of each motion', names=50.0),),
+        (bars(rows, 'contribution of each motion'),),
         'Root mean square over the volume of the error vector that one motion or squareness error '
         'makes alone; the largest ones. They partly cancel, so they do not add up.',
         title='By motion',

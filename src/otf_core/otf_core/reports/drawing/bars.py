@@ -41,7 +41,7 @@ class Bar:
         return sum(size for size, _ in self.parts)
 
 
-def bars(rows: Sequence[Bar], title: str, *, names: float = 70.0, width: float = 480.0) -> str:
+def bars(rows: Sequence[Bar], title: str, *, names: float = 50.0, width: float = 400.0) -> str:
     """Picture of bars on one scale.
 
     Parameters
@@ -53,7 +53,7 @@ def bars(rows: Sequence[Bar], title: str, *, names: float = 70.0, width: float =
         Room for the names.
     width : float, px
     """
-    right = 110.0
+    right = 84.0
     reach = (max(row.size, row.mark or 0.0, *(row.ends or ())) for row in rows)
     top = max([1e-300, *reach])
     scale = (width - names - right) / top

@@ -24,13 +24,22 @@ def heat_classes(values: Array, step: float) -> NDArray[np.int64]:
     return np.clip((values / step).astype(np.int64), 0, LEVELS - 1)
 
 
-def heat_key(step: float, top: float, unit: str) -> str:
-    """Key of the classes up to ``top``, as markup."""
+def _spans(step: float, top: float) -> list[tuple[int, str]]:
     digits = max(0, -int(np.floor(np.log10(step) + 1e-9)))
     used = min(LEVELS, int(top / step) + 1)
+    return [(k, f'{k * step:.{digits}f} to {(k + 1) * step:.{digits}f}') for k in range(used)]
+
+
+def heat_words(step: float, length: Array) -> list[tuple[int, str]]:
+    """Classes up to the longest of lengths (n,), m, and what they stand for, um."""
+    top = 1e6 * float(np.max(length, initial=0.0))
+    return [(k, f'{said} µm') for k, said in _spans(step, top)]
+
+
+def heat_key(step: float, top: float, unit: str) -> str:
+    """Key of the classes up to ``top``, as markup."""
     keys = ''.join(
-        f'<span class="h{k}"><span class="key"></span>{k * step:.{digits}f} to '
-        f'{(k + 1) * step:.{digits}f} {unit}</span> '
-        for k in range(used)
+        f'<span class="h{k}"><span class="key"></span>{said} {unit}</span> '
+        for k, said in _spans(step, top)
     )
     return f'<p class="soft keys">{keys}</p>'

@@ -12,6 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 ROUND = (1.0, 2.0, 5.0, 10.0)
+FINE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
+MOST, FEWEST = 7, 2
+"""Marks on a logarithmic scale beyond which only powers of ten are marked, below which
+more of them."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +54,13 @@ class Scale:
         """Round values on the scale, and how they are written."""
         if self.logarithmic:
             powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
-            found = [m * 10.0**k for k in powers for m in ROUND[:3]]
-            return [(v, f'{v:g}') for v in found if self.low <= v <= self.high]
+            found = [(m, m * 10.0**k) for k in powers for m in ROUND[:3]]
+            inside = [(m, v) for m, v in found if self.low <= v <= self.high]
+            if len(inside) < FEWEST:
+                fine = [m * 10.0**k for k in powers for m in FINE]
+                return [(v, f'{v:g}') for v in fine if self.low <= v <= self.high]
+            few = len(inside) <= MOST or self.high < 10.0 * self.low
+            return [(v, f'{v:g}') for m, v in inside if few or m == 1.0]
         step = round_step((self.high - self.low) / self.marks)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         digits = max(0, -math.floor(math.log10(step) + 1e-9))
@@ -80,3 +89,11 @@ def around(values: ArrayLike, label: str, *, zero: bool = False, marks: int = 4)
     below = 0.0 if zero and low == 0.0 else room
     above = 0.0 if zero and high == 0.0 else room
     return Scale(low - below, high + above, label, marks=marks)
+
+
+def decades(values: ArrayLike, label: str) -> Scale:
+    """Logarithmic scale around positive values."""
+    given = np.asarray(values, dtype=float)
+    given = given[np.isfinite(given) & (given > 0)]
+    low, high = (float(given.min()), float(given.max())) if given.size else (0.1, 1.0)
+    return Scale(low / 1.15, high * 1.15, label, logarithmic=True)

@@ -17,7 +17,7 @@ from otf_core.reports.drawing.panel import arrow_path, svg, words
 
 Array = NDArray[np.float64]
 
-WIDTH, HEIGHT = 420.0, 350.0
+WIDTH, HEIGHT, MARGIN = 460.0, 330.0, 20.0
 AZIMUTH, ELEVATION = math.radians(-58.0), math.radians(24.0)
 """From where the picture is seen first: from the front, a little from the right and above."""
 
@@ -49,17 +49,30 @@ class Dots:
 
 @dataclass(frozen=True)
 class Label:
-    """Text at a point, shape (3,), m."""
+    """Text at a point.
+
+    Attributes
+    ----------
+    point : ndarray, shape (3,), m
+    text : str
+    kind : str
+        Classes, such as 'end' or 'middle'.
+    dx, dy : float, px
+        Off the point.
+    """
 
     point: Array
     text: str
+    kind: str = 'middle'
+    dx: float = 0.0
+    dy: float = 0.0
 
 
 Item = Strokes | Dots | Label
 EDGES = (
-    ('X', (0.5, 0.0, 0.0), (0.0, -1.3, -1.2)),
-    ('Y', (1.0, 0.5, 0.0), (1.3, 0.0, -1.2)),
-    ('Z', (0.0, 0.0, 1.0), (-1.1, -0.9, 1.1)),
+    ('X', (0.5, 0.0, 0.0), 'end', -4.0, 15.0),
+    ('Y', (1.0, 0.5, 0.0), '', 6.0, 15.0),
+    ('Z', (0.0, 0.0, 0.5), 'end', -6.0, 4.0),
 )
 """Where the axes are named: a place on the box, and which way off it."""
 
@@ -72,10 +85,9 @@ def box(low: Array, high: Array) -> list[Item]:
     ]
     size = high - low
     items: list[Item] = [Strokes('grid', low + np.array(pairs) * size)]
-    away = 0.1 * float(size.max())
-    for k, (name, shares, out) in enumerate(EDGES):
-        at = low + np.array(shares) * size + away * np.array(out)
-        items.append(Label(at, f'{name} {low[k] + 0.0:.2f} to {high[k] + 0.0:.2f} m'))
+    for k, (name, shares, kind, dx, dy) in enumerate(EDGES):
+        text = f'{name} {low[k] + 0.0:.2f} to {high[k] + 0.0:.2f} m'
+        items.append(Label(low + np.array(shares) * size, text, kind, dx, dy))
     return items
 
 
@@ -85,7 +97,7 @@ def _projected(points: Array) -> Array:
     ce, se = math.cos(ELEVATION), math.sin(ELEVATION)
     right = np.array([-sa, ca, 0.0])
     up = np.array([-ca * se, -sa * se, ce])
-    half = 0.5 * HEIGHT - 16.0
+    half = 0.5 * HEIGHT - MARGIN
     return np.column_stack(
         [0.5 * WIDTH + half * (points @ right), 0.5 * HEIGHT - half * (points @ up)]
     )
@@ -101,7 +113,9 @@ def _path(item: Strokes | Dots, points: Array) -> str:
     return ('M%.1f %.1fL%.1f %.1f' * len(ends)) % tuple(ends.reshape(-1).tolist())
 
 
-def scene(items: Sequence[Item], low: Array, high: Array, title: str) -> str:
+def scene(
+    items: Sequence[Item], low: Array, high: Array, title: str, *, turns: bool = True
+) -> str:
     """Picture of items in a box from low to high (3,), m; ``SCRIPT`` lets the reader turn it."""
     centre = 0.5 * (low + high)
     size = 0.5 * float(np.linalg.norm(high - low))
@@ -110,7 +124,8 @@ def scene(items: Sequence[Item], low: Array, high: Array, title: str) -> str:
         if isinstance(item, Label):
             point = (item.point - centre) / size
             x, y = _projected(point[None])[0]
-            marks.append(words(x, y, item.text, 'middle soft'))
+            mark = words(x, y, item.text, f'{item.kind} soft')
+            marks.append(mark.replace('<text', f'<text dx="{item.dx:g}" dy="{item.dy:g}"', 1))
             data.append([3, *np.round(point, 3).tolist()])
             continue
         where = item.points if isinstance(item, Dots) else item.ends
@@ -119,8 +134,10 @@ def scene(items: Sequence[Item], low: Array, high: Array, title: str) -> str:
         marks.append(f'<path class="{kind} {item.kind}" d="{_path(item, points)}"/>')
         code = 0 if isinstance(item, Dots) else 2 if item.arrows else 1
         data.append([code, *np.round(points, 4).reshape(-1).tolist()])
-    numbers = html.escape(json.dumps(data, separators=(',', ':')), quote=True)
     picture = svg(WIDTH, HEIGHT, marks, title)
+    if not turns:
+        return picture
+    numbers = html.escape(json.dumps(data, separators=(',', ':')), quote=True)
     return picture.replace('<svg ', f'<svg class="turn" data-scene="{numbers}" ', 1)
 
 
@@ -129,7 +146,7 @@ SCRIPT = """
 for (const svg of document.querySelectorAll('svg.turn')) {
   const items = JSON.parse(svg.dataset.scene);
   const marks = [...svg.children].slice(-items.length);
-  const box = svg.viewBox.baseVal, half = box.height / 2 - 16;
+  const box = svg.viewBox.baseVal, half = box.height / 2 - 20;
   let azimuth = -58 * Math.PI / 180, elevation = 24 * Math.PI / 180, last = null;
   const draw = () => {
     const ca = Math.cos(azimuth), sa = Math.sin(azimuth);

@@ -24,7 +24,7 @@ def section(diagnosis: Diagnosis) -> Section:
             'unknown': 'None named: no effect of the catalogue explains the gap. '
             f'Its structure: {diagnosis.unexplained_where}.',
         }.get(diagnosis.verdict, 'None found.')
-        return Section('causes', 'Causes', (reason,), text=text)
+        return Section('causes', 'Causes', (reason, *_unnamed(diagnosis)), text=text)
     words: tuple[str, ...] = ()
     if diagnosis.table_change_um > 0:
         words = (
@@ -37,11 +37,28 @@ def section(diagnosis: Diagnosis) -> Section:
     return Section('causes', 'Causes', words, tables=(table,), text=text)
 
 
+def _unnamed(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """What is known of a cause without a name."""
+    unnamed = diagnosis.unnamed
+    if unnamed is None:
+        return ()
+    low, high = unnamed.shrink_interval_percent
+    return (
+        f'It {unnamed.words}.',
+        f'An empirical effect of these inputs takes the gap from {unnamed.before_um:.2f} um to '
+        f'{unnamed.after_um:.2f} um on legs that it was not fitted to (95 % interval of the '
+        f'shrink: {low:.0f} % to {high:.0f} %). It stands in effects.yaml for simulate and '
+        f'calibrate.',
+    )
+
+
 def _row(rank: int, cause: NamedCause) -> tuple[Cell, ...]:
     about = effect_cause(cause.effect)
     rivals = ' or '.join(effect_name(r) for r in cause.indistinguishable_from)
     named = [effect_name(cause.effect), *([about] if about else [])]
     sure = [confidence_words(cause.confidence)]
+    if cause.departs:
+        named.append(f'Departs from the formula: {cause.departs}')
     if rivals:
         named.append(f'In these data not told from: {rivals}')
         sure.append('that it is one of these')
@@ -78,6 +95,8 @@ def _text(cause: NamedCause) -> list[str]:
         shown = quantity(value, cause.u.get(name), cause.units.get(name, ''))
         k = ' (k = 2)' if name in cause.u else ''
         lines.append(f'    {name} = {shown}{k}')
+    if cause.departs:
+        lines.append(f'    departs from the formula: {cause.departs}')
     if cause.indistinguishable_from:
         lines.append(f'    not told from {", ".join(cause.indistinguishable_from)}')
     return lines

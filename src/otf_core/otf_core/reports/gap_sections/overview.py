@@ -75,5 +75,5 @@ def _pictures(gap: Gap, causes: bool) -> Sequence[Picture]:
                         ends=(max(low, 0.0), max(high, 0.0))))  # fmt: skip
         caption = 'Stroke: 95 % interval.'
     return [
-        Picture((bars(rows, 'sizes of residuals and gap', names=170.0, width=560.0),), caption)
+        Picture((bars(rows, 'sizes of residuals and gap', names=158.0, width=440.0),), caption)
     ]

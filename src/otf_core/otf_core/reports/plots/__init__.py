@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures; matplotlib is imported only when one is drawn."""
+"""Figures that are files of their own."""

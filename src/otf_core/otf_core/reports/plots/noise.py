@@ -4,44 +4,66 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from otf_core.noise.model import QUANTITIES
 from otf_core.noise.report import NoiseReport
-from otf_core.reports.plots.figure import COLOURS, new_figure, save_figure
+from otf_core.reports.drawing.panel import Panel
+from otf_core.reports.drawing.scale import decades
+from otf_core.reports.drawing.sheet import write_sheet
+
+CAPTION = (
+    'Above: root of the variogram, the scatter of the difference of two samples over root 2, '
+    'against the time between them; dots as seen, line as fitted, band U (k = 2) of the fitted '
+    'level. Below: amplitude spectrum; strokes mark peaks.'
+)
 
 
-def _draw_variogram(axes: Any, report: NoiseReport, quantity: int) -> None:
+def _unit(quantity: int) -> str:
+    return 'µm' if quantity == 0 else 'µrad'
+
+
+def _variogram(report: NoiseReport, quantity: int) -> str:
     seen, noise = report.variogram, tuple(report.measured.noise)[quantity]
     lag = seen.lag / report.rate
-    axes.loglog(lag, 1e6 * np.sqrt(seen.value[quantity]), 'o', ms=3, color=COLOURS[0])
-    time = np.geomspace(lag[0], lag[-1], 200)
+    value = 1e6 * np.sqrt(seen.value[quantity])
+    time = np.geomspace(lag[0], lag[-1], 100)
     rise = 1.0 - np.exp(-time / noise.correlation_time) if noise.correlation_time else 0.0 * time
-    model = np.sqrt(noise.white**2 + noise.slow**2 * rise)
-    axes.loglog(time, 1e6 * model, '-', color=COLOURS[1])
-    axes.set_title(QUANTITIES[quantity])
-    axes.set_xlabel('time between samples (s)')
-    axes.set_ylabel(f'root of the variogram ({"um" if quantity == 0 else "urad"})')
+    model = 1e6 * np.sqrt(noise.white**2 + noise.slow**2 * rise)
+    u = report.u_total[quantity] / noise.level if noise.level > 0 else 0.0
+    wide = 2.0 * float(u) if np.isfinite(u) else 0.0
+    low, high = model * max(1.0 - wide, 0.1), model * (1.0 + wide)
+    panel = Panel(
+        decades(lag, 'time between samples (s)'),
+        decades(np.concatenate([value, low, high]), f'scatter ({_unit(quantity)})'),
+    )
+    marks = [panel.band(time, low, high, 'before band'), panel.line(time, model, 'before'),
+             panel.dots(lag, value, 'after node')]  # fmt: skip
+    return panel.draw(marks, f'variogram of the {QUANTITIES[quantity]}', QUANTITIES[quantity])
 
 
-def _draw_spectrum(axes: Any, report: NoiseReport, quantity: int) -> None:
-    seen = report.spectrum
-    density = 1e6 * np.sqrt(seen.density[quantity])
-    axes.loglog(seen.frequency[1:], density[1:], '-', lw=0.8, color=COLOURS[0])
+def _spectrum(report: NoiseReport, quantity: int) -> str:
+    frequency = report.spectrum.frequency[1:]
+    density = 1e6 * np.sqrt(report.spectrum.density[quantity][1:])
+    panel = Panel(
+        decades(frequency, 'frequency (Hz)'),
+        decades(density, f'{_unit(quantity)} per root Hz'),
+    )
+    marks = [panel.line(frequency, density, 'after thin')]
     for peak in report.peaks:
         if peak.quantity == quantity:
-            axes.axvline(peak.frequency, color=COLOURS[1], lw=0.6)
-    axes.set_xlabel('frequency (Hz)')
-    axes.set_ylabel(f'{"um" if quantity == 0 else "urad"} per root Hz')
+            ends = np.array([peak.frequency]), [panel.y.low], [panel.y.high]
+            marks.append(panel.ranges(*ends, 'before thin'))
+    return panel.draw(marks, f'spectrum of the {QUANTITIES[quantity]}')
 
 
 def draw_noise(report: NoiseReport, folder: str | Path) -> Path:
     """Write noise.svg: one column a quantity, dots as seen, lines as fitted, peaks marked."""
-    figure = new_figure(11, 6)
-    axes = figure.subplots(2, 3)
-    for quantity in range(3):
-        _draw_variogram(axes[0, quantity], report, quantity)
-        _draw_spectrum(axes[1, quantity], report, quantity)
-    return save_figure(figure, folder, 'noise')
+    pictures = [draw(report, k) for draw in (_variogram, _spectrum) for k in range(3)]
+    title = (
+        f'Tracker noise at rest: {report.standstills} standstills, {report.duration:.1f} s at '
+        f'{report.rate:.0f} Hz, beam {report.distance:.2f} m'
+    )
+    key = (('after', 'seen'), ('before', 'fitted, peaks'))
+    return write_sheet(folder, 'noise', pictures, 3, title, CAPTION, key)

@@ -4,56 +4,66 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.model.direct_measurement import DirectMeasurement, motion_readings
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.noise.model import path_frame
-from otf_core.reports.plots.comparison import draw_motion, draw_vectors, draw_volume
-from otf_core.reports.plots.figure import COLOURS, new_figure, save_figure
+from otf_core.reports.drawing.bars import Bar, bars
+from otf_core.reports.drawing.heat import heat_step, heat_words
+from otf_core.reports.drawing.scene import Dots, Item, Strokes, box, scene
+from otf_core.reports.drawing.sheet import write_sheet
+from otf_core.reports.plots.comparison import draw_motion, draw_volume, vectors
 from otf_core.tracking.alignment import align
 from otf_core.validation.run import Validation
 from otf_core.validation.simulative import across_path
 
+Array = NDArray[np.float64]
+
 MOTIONS_SHOWN = ('EXX', 'EYX', 'ECX')
 """Figures 6, 7 and 8."""
+REACH = 0.06
+"""m; length of the axes of path coordinate systems."""
 
 
-def _space(figure: Any, place: Any = 111) -> Any:
-    axes = figure.add_subplot(place, projection='3d')
-    for axis in 'xyz':
-        getattr(axes, f'set_{axis}label')(f'{axis.upper()} (m)')
-    return axes
+def _line(points: Array, kind: str) -> Strokes:
+    return Strokes(kind, np.stack([points[:-1], points[1:]], axis=1))
 
 
-def _line(axes: Any, points: Any, *style: Any, **options: Any) -> None:
-    axes.plot(*np.asarray(points).T, *style, **options)
+def _space(items: list[Item], points: Array, title: str) -> str:
+    low, high = points.min(axis=0), points.max(axis=0)
+    return scene([*box(low, high), *items], low, high, title, turns=False)
 
 
 def draw_path(found: Validation, folder: str | Path) -> Path:
     """Figure 1: path, measured points, points after rough alignment."""
     run = found.example
-    points = run.samples.xyz[:: max(1, len(run.samples) // 4000)]
+    points = run.samples.xyz[:: max(1, len(run.samples) // 3000)]
     pose = align(run.samples, run.plan.path, CalibrationConfig()).T_machine_tracker
-    figure = new_figure(7, 6)
-    axes = _space(figure)
-    _line(axes, run.plan.path.points, '-', color=COLOURS[0], lw=0.6, label='path')
-    _line(axes, points, '.', color=COLOURS[2], ms=1, label='measured, frame of the tracker')
-    _line(axes, pose.apply(points), '.', color=COLOURS[1], ms=1, label='aligned')
-    axes.legend(fontsize=8)
-    return save_figure(figure, folder, 'figure1-path')
+    path, aligned = run.plan.path.points, pose.apply(points)
+    items: list[Item] = [
+        Dots('small x', points),
+        _line(path, 'noise'),
+        Dots('small before', aligned),
+    ]
+    picture = _space(items, np.concatenate([path, points]), 'path and samples')
+    key = (('noise', 'path'), ('x', 'measured, frame of the tracker'), ('before', 'aligned'))
+    title = 'Path and samples before and after alignment'
+    return write_sheet(folder, 'figure1-path', [picture], 1, title, key=key)
 
 
 def draw_reference(found: Validation, folder: str | Path) -> Path:
     """Figure 2: trajectory of the reference points."""
-    figure = new_figure(6, 5)
     points = found.cells[0].reference.reference.path.points
-    _line(_space(figure), points, '.-', color=COLOURS[0], lw=0.4, ms=4)
-    return save_figure(figure, folder, 'figure2-reference-points')
+    picture = _space(
+        [_line(points, 'noise thin'), Dots('after node', points)], points, 'reference points'
+    )
+    title = 'Reference points in the order of driving'
+    return write_sheet(folder, 'figure2-reference-points', [picture], 1, title)
 
 
 def draw_frame(found: Validation, folder: str | Path) -> Path:
@@ -65,17 +75,16 @@ def draw_frame(found: Validation, folder: str | Path) -> Path:
     station, q = pose.translation, solved.q[shown]
     beam = (q - station) / np.linalg.norm(q - station, axis=1, keepdims=True)
     frame = (pieces.direction[shown], *path_frame(pieces.direction[shown], beam))
-    figure = new_figure(7, 6)
-    axes = _space(figure)
-    _line(axes, run.plan.path.points, '-', color='0.8', lw=0.4)
-    for k, start in enumerate(q):
-        _line(axes, [station, start], ':', color='0.5', lw=0.6)
-        for vectors, colour in zip(frame, COLOURS[:3], strict=False):
-            _line(axes, [start, start + 0.06 * vectors[k]], '-', color=colour, lw=1.5)
-    for name, colour in zip(('a1, path', 'a2, towards the beam', 'a3'), COLOURS, strict=False):
-        axes.plot([], [], '-', color=colour, label=name)
-    axes.legend(fontsize=8)
-    return save_figure(figure, folder, 'figure3-path-frame')
+    beams = np.stack([np.broadcast_to(station, q.shape), q], axis=1)
+    items: list[Item] = [_line(run.plan.path.points, 'soft'), Strokes('noise dash thin', beams)]
+    for axes, kind in zip(frame, 'xyz', strict=True):
+        items.append(Strokes(kind, np.stack([q, q + REACH * axes], axis=1), arrows=True))
+    reach = np.concatenate([run.plan.path.points, station[None]])
+    picture = _space(items, reach, 'path coordinate systems')
+    key = (('x', 'a1, along the path'), ('y', 'a2, towards the beam'), ('z', 'a3'),
+           ('noise', 'beam'))  # fmt: skip
+    title = 'Path coordinate systems at some points of the path'
+    return write_sheet(folder, 'figure3-path-frame', [picture], 1, title, key=key)
 
 
 def draw_residuals(found: Validation, folder: str | Path) -> Path:
@@ -83,14 +92,20 @@ def draw_residuals(found: Validation, folder: str | Path) -> Path:
     run = found.example
     solved, tables = run.result.runs[0], run.result.tables
     left = displacement(run.truth, solved.q) - displacement(tables, solved.q)
-    every = slice(None, None, max(1, len(solved.q) // 1500))
+    every = slice(None, None, max(1, len(solved.q) // 1000))
     grid = lattice(run.machine)
     left_grid = displacement(run.truth, grid) - displacement(tables, grid)
-    figure = new_figure(12, 5.5)
-    path = across_path(left, solved.q, solved.axes)
-    draw_vectors(_space(figure, 121), solved.q[every], path[every])
-    draw_vectors(_space(figure, 122), grid, without_rigid_motion(left_grid, grid))
-    return save_figure(figure, folder, 'figure4-residuals')
+    path = across_path(left, solved.q, solved.axes)[every]
+    free = without_rigid_motion(left_grid, grid)
+    sizes = [np.linalg.norm(field, axis=1) for field in (path, free)]
+    step = heat_step(1e6 * np.concatenate(sizes))
+    pictures = [vectors(solved.q[every], path, step), vectors(grid, free, step)]
+    words = (f'mean {1e6 * s.mean():.2f} um, largest {1e6 * s.max():.2f} um' for s in sizes)
+    on_path, on_grid = words
+    caption = f'Left: across the path, {on_path}. Right: on a grid, {on_grid}.'
+    key = [(f'heat h{k}', said) for k, said in heat_words(step, np.concatenate(sizes))]
+    title = 'Errors left after compensation, against the truth'
+    return write_sheet(folder, 'figure4-residuals', pictures, 2, title, caption, key)
 
 
 def draw_prediction(found: Validation, folder: str | Path) -> Path:
@@ -100,14 +115,16 @@ def draw_prediction(found: Validation, folder: str | Path) -> Path:
     for method in tests[0].residual:
         label = method if not method.isdigit() else f'{method} mm/min'
         values[label] = [t.residual[method] for t in tests]
-    heights = [1e6 * float(np.mean(v)) for v in values.values()]
-    spread = [1e6 * np.ptp(v) / 2 for v in values.values()]
-    figure = new_figure(8, 4)
-    axes = figure.subplots()
-    shown = axes.bar(list(values), heights, yerr=spread, capsize=3, color=COLOURS[0])
-    axes.bar_label(shown, fmt='%.2f')
-    axes.set_ylabel('mean error at the reference points (um)')
-    return save_figure(figure, folder, 'figure5-prediction')
+    rows = []
+    for name, own in values.items():
+        size = 1e6 * float(np.mean(own))
+        ends = (1e6 * float(np.min(own)), 1e6 * float(np.max(own)))
+        kind = 'before' if name == 'uncompensated' else 'after'
+        rows.append(Bar(name, ((size, kind),), f'{size:.2f} µm', ends=ends))
+    picture = bars(rows, 'mean error at the reference points', names=110.0)
+    caption = 'Bars: mean over the cells; strokes: from the smallest to the largest cell.'
+    title = 'Mean error at the reference points'
+    return write_sheet(folder, 'figure5-prediction', [picture], 1, title, caption)
 
 
 def draw_validation(

@@ -4,13 +4,44 @@
 Colours are those of Okabe and Ito (2008), told apart by colour-blind readers too.
 """
 
-STYLE = """
+MARKS = """
 :root { color-scheme: light dark; --ink: #1b1f24; --soft: #59636e; --line: #d0d7de;
   --paper: #ffffff; --tile: #f4f6f8; --before: #d55e00; --after: #0072b2; --noise: #808080;
   --x: #0072b2; --y: #d55e00; --z: #009e73; --good: #1a7f37; --bad: #c0260c; --open: #9a6700; }
 @media screen and (prefers-color-scheme: dark) { :root { --ink: #e6e9ec; --soft: #9aa4af;
   --line: #3a424b; --paper: #15181c; --tile: #1f242a; --before: #f08a3c; --after: #4aa3df;
   --x: #4aa3df; --y: #f08a3c; --z: #2fc79b; --good: #4ac26b; --bad: #ff7b72; --open: #d9a520; } }
+svg text { fill: var(--ink); font: 11px system-ui, "Segoe UI", "DejaVu Sans", sans-serif; }
+svg text.soft { fill: var(--soft); font-size: 11px; } svg text.end { text-anchor: end; }
+svg text.middle { text-anchor: middle; } svg text.strong { font-weight: 600; font-size: 12px; }
+.line { fill: none; stroke-width: 1.6; stroke-linejoin: round; } .area { stroke: none; }
+.dots { fill: none; stroke-width: 3; stroke-linecap: round; }
+.grid { fill: none; stroke: var(--line); stroke-width: 0.8; }
+.line.ink, .dots.ink { stroke: var(--ink); } .area.ink { fill: var(--ink); }
+.line.soft, .dots.soft { stroke: var(--soft); stroke-width: 1; } .area.soft { fill: var(--soft); }
+.line.before, .dots.before { stroke: var(--before); } .area.before { fill: var(--before); }
+.line.after, .dots.after { stroke: var(--after); } .area.after { fill: var(--after); }
+.line.noise, .dots.noise { stroke: var(--noise); } .area.noise { fill: var(--noise); }
+.line.x, .dots.x { stroke: var(--x); } .area.x { fill: var(--x); }
+.line.y, .dots.y { stroke: var(--y); } .area.y { fill: var(--y); }
+.line.z, .dots.z { stroke: var(--z); } .area.z { fill: var(--z); }
+.area.band { opacity: 0.28; } .line.thin { stroke-width: 1; } .line.dash {
+  stroke-dasharray: 5 3; } .dots.small { stroke-width: 2; } .dots.node { stroke-width: 4.5; }
+.dots.big { stroke-width: 8; } .line.open { stroke: var(--open); }
+.line.dot { stroke-dasharray: 1.5 3; } .line.thick { stroke-width: 2.4; }
+.s0 { --s: #2c5fa8; } .s1 { --s: #d55e00; } .s2 { --s: #009e73; } .s3 { --s: #cc79a7; }
+.s4 { --s: #e69f00; } .s5 { --s: #56b4e9; } .s6 { --s: #8a6d3b; } .s7 { --s: #7a7f87; }
+.s8 { --s: #a05195; } .s9 { --s: #b5bd4c; } .area.share { fill: var(--s); }
+.h0 { --s: #fbe3c4; } .h1 { --s: #f9c78a; } .h2 { --s: #f4a14f; } .h3 { --s: #e5702c; }
+.h4 { --s: #c9421a; } .h5 { --s: #941f10; } .line.heat { stroke: var(--s); } .area.heat {
+  fill: var(--s); } .dots.heat { stroke: var(--s); } .line.arrow { stroke-width: 1.8; }
+.turn { touch-action: pan-y; cursor: grab; } .turn:active { cursor: grabbing; }
+"""
+"""Colours, and the marks of pictures."""
+
+STYLE = (
+    MARKS
+    + """
 * { box-sizing: border-box; }
 html { -webkit-text-size-adjust: 100%; }
 body { margin: 0 auto; max-width: 68rem; padding: 1.5rem; background: var(--paper);
@@ -53,40 +84,16 @@ td > b { font-weight: 600; }
 @media print, screen and (min-width: 900px) { .pictures.three {
   grid-template-columns: 1fr 1fr 1fr; } .pictures.two { grid-template-columns: 1fr 1fr; } }
 svg { width: 100%; height: auto; color: var(--ink); display: block; }
-svg text { fill: var(--ink); font: 11px system-ui, "Segoe UI", "DejaVu Sans", sans-serif; }
-svg text.soft { fill: var(--soft); font-size: 11px; } svg text.end { text-anchor: end; }
-svg text.middle { text-anchor: middle; } svg text.strong { font-weight: 600; font-size: 12px; }
-.line { fill: none; stroke-width: 1.6; stroke-linejoin: round; } .area { stroke: none; }
-.dots { fill: none; stroke-width: 3; stroke-linecap: round; }
-.grid { fill: none; stroke: var(--line); stroke-width: 0.8; }
-.line.ink, .dots.ink { stroke: var(--ink); } .area.ink { fill: var(--ink); }
-.line.soft, .dots.soft { stroke: var(--soft); stroke-width: 1; } .area.soft { fill: var(--soft); }
-.line.before, .dots.before { stroke: var(--before); } .area.before { fill: var(--before); }
-.line.after, .dots.after { stroke: var(--after); } .area.after { fill: var(--after); }
-.line.noise, .dots.noise { stroke: var(--noise); } .area.noise { fill: var(--noise); }
-.line.x, .dots.x { stroke: var(--x); } .area.x { fill: var(--x); }
-.line.y, .dots.y { stroke: var(--y); } .area.y { fill: var(--y); }
-.line.z, .dots.z { stroke: var(--z); } .area.z { fill: var(--z); }
-.area.band { opacity: 0.28; } .line.thin { stroke-width: 1; } .line.dash {
-  stroke-dasharray: 5 3; } .dots.small { stroke-width: 2; } .dots.node { stroke-width: 4.5; }
-.dots.big { stroke-width: 8; } .line.open { stroke: var(--open); }
-.line.dot { stroke-dasharray: 1.5 3; } .line.thick { stroke-width: 2.4; }
-.s0 { --s: #2c5fa8; } .s1 { --s: #d55e00; } .s2 { --s: #009e73; } .s3 { --s: #cc79a7; }
-.s4 { --s: #e69f00; } .s5 { --s: #56b4e9; } .s6 { --s: #8a6d3b; } .s7 { --s: #7a7f87; }
-.s8 { --s: #a05195; } .s9 { --s: #b5bd4c; } .area.share { fill: var(--s); }
 .keys > span { white-space: nowrap; margin-right: 0.8em; display: inline-block; }
 .key { display: inline-block; width: 0.8em; height: 0.8em; background: var(--s);
   margin-right: 0.35em; }
-.h0 { --s: #fbe3c4; } .h1 { --s: #f9c78a; } .h2 { --s: #f4a14f; } .h3 { --s: #e5702c; }
-.h4 { --s: #c9421a; } .h5 { --s: #941f10; } .line.heat { stroke: var(--s); } .area.heat {
-  fill: var(--s); } .dots.heat { stroke: var(--s); } .line.arrow { stroke-width: 1.8; }
-.turn { touch-action: pan-y; cursor: grab; } .turn:active { cursor: grabbing; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figcaption { font-size: 0.9rem; color: var(--soft); margin-top: 0.2rem; max-width: 52rem; }
 details summary { cursor: pointer; color: var(--soft); }
 li { margin: 0.25rem 0; max-width: 52rem; overflow-wrap: anywhere; }
 @media (max-width: 520px) { body { padding: 1rem 0.8rem; } .verdict { font-size: 1.2rem; }
-  th, td { padding-right: 0.5rem; font-size: 0.9rem; } }
+  th, td { padding-right: 0.5rem; font-size: 0.9rem; }
+  td.number { white-space: normal; } }
 @page { size: A4; margin: 14mm; }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; } nav, .screen {
   display: none; } h2, h3, caption { break-after: avoid; } tr { break-inside: avoid; }
@@ -94,3 +101,5 @@ li { margin: 0.25rem 0; max-width: 52rem; overflow-wrap: anywhere; }
   break-after: avoid; } tbody tr:first-child { break-before: avoid; } figure svg {
   max-height: 13cm; } * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
+)
+"""The whole page."""

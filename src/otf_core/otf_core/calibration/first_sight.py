@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A first look at a run under way: where the tracker stands, whether the path is followed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
+from otf_core.live.layers import driven_part
+from otf_core.live.path_distance import PathDistance
+from otf_core.model.frames import RigidTransform
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.tracking.alignment import align
+
+ASKED = 500
+"""So many samples, evenly spread, are asked for their distance from the path."""
+FOLLOWED = 0.8
+"""Share of the path driven so far that the track has to follow."""
+
+
+@dataclass(frozen=True)
+class FirstSight:
+    """What the samples of a part of a run show.
+
+    Attributes
+    ----------
+    T_machine_tracker : RigidTransform
+    samples : int
+    share : float
+        Of the length of the path, driven so far.
+    distance : float
+        Mean distance of the aligned samples from the path, m.
+    """
+
+    T_machine_tracker: RigidTransform
+    samples: int
+    share: float
+    distance: float
+
+    @property
+    def words(self) -> str:
+        """One sentence."""
+        return (
+            f'the tracker is found and the target follows the path, '
+            f'{1e6 * self.distance:.3g} um from it in the mean on {100 * self.share:.0f} % '
+            f'of its length; errors come after the first lap'
+        )
+
+
+def first_sight(
+    samples: Samples, path: NominalPath, travelled: float, config: CalibrationConfig
+) -> FirstSight:
+    """Align what was driven so far with the beginning of the path.
+
+    With the whole path it could not be: parts of a path often repeat elsewhere in the volume.
+
+    Parameters
+    ----------
+    samples : Samples
+    path : NominalPath
+    travelled : float
+        Length driven so far, m.
+    config : CalibrationConfig
+
+    Raises
+    ------
+    InputError
+        If the samples do not follow the path, or do not yet determine the place of the tracker;
+        says why.
+    """
+    beginning = NominalPath(driven_part(path, travelled))
+    found = align(samples, beginning, config)
+    if found.coverage < FOLLOWED:
+        raise InputError(
+            f'the target has travelled {travelled:.2f} m and followed only '
+            f'{100 * found.coverage:.0f} % of the first {beginning.length:.2f} m of the path'
+        )
+    few = np.unique(np.linspace(0, len(samples) - 1, ASKED).astype(int))
+    points = found.T_machine_tracker.apply(samples.xyz[few])
+    away = np.linalg.norm(PathDistance(path).deviation(points), axis=1)
+    share = min(1.0, travelled / path.length)
+    return FirstSight(found.T_machine_tracker, len(samples), share, float(away.mean()))

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Structure of a gap that no effect explains: which inputs it depends on, and how it acts.
+
+Smooth functions of every input, and of every two, are compared. A score test screens them: with
+the scores h of the whitened residual (what a shift of every piece would gain), a function Phi
+would gain about g' N^-1 g, g = Phi' h, N the information without tables and poses. The best are
+fitted exactly and priced as effects are; then the way to act, the same for all until then, is
+chosen in the same way. Looking at many costs the logarithm of their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.engine.evidence import Option, estimate
+from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
+from otf_core.diagnosis.engine.tried import Tried, tried_shapes
+from otf_core.effects.acting import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
+from otf_core.effects.empirical import Empirical
+from otf_core.effects.free import Free, FreeForm
+from otf_core.effects.inputs import SIGNAL, Span, input_values, scaled_input, span_of
+from otf_core.solving.whitener import Whitener
+
+Array = NDArray[np.float64]
+
+INPUTS = (
+    'time', 'x', 'y', 'z', 'sense_x', 'sense_y', 'sense_z', 'feed', 'acceleration', 'since_stop',
+    'since_reversal_x', 'since_reversal_y', 'since_reversal_z', 'lap', 'range', 'azimuth',
+    'elevation',
+)  # fmt: skip
+ALONE, IN_PAIR = 6, 3
+"""Highest order of a function of one input, and of each of two."""
+ORDERS = {'time': 20, 'feed': 2, 'acceleration': 3, 'sense_x': 2, 'sense_y': 2, 'sense_z': 2}
+"""Highest orders of functions of one input, where they differ."""
+SCREENED = 14
+"""Pairs of inputs that are fitted exactly; single inputs all are."""
+ENOUGH = 0.95
+"""Share of the evidence for two inputs that one of them must reach to be enough."""
+ONE_DIRECTION = 0.9
+"""Share of the squared displacement along one direction from which that alone is tried."""
+RIDGE = 1e-4
+"""Of the scaled information, against functions that the data hardly tell apart."""
+NEEDED = 12.0
+"""Logarithm of the odds that a structure needs."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A structure that was found.
+
+    Attributes
+    ----------
+    cause : Cause
+        As a cause without a name.
+    effect : FreeForm
+    """
+
+    cause: Cause
+
+    @property
+    def effect(self) -> FreeForm:
+        """The empirical effect."""
+        effect = self.cause.option.effect
+        assert isinstance(effect, FreeForm)
+        return effect
+
+
+def find_structure(rows: Rows) -> Structure | None:
+    """Find what a gap depends on, and how it acts; None if no structure has the odds."""
+    inputs = _inputs(rows)
+    alone = [_form((name,)) for name in inputs]
+    pairs = [_form(names) for names in combinations(inputs, 2)]
+    spans = {name: span_of(rows.states, name) for name in inputs}
+    best = np.argsort(_screened(rows, pairs, spans))[::-1][:SCREENED]
+    empirical = Empirical()
+
+    def tried(free: Free) -> Tried:
+        own = {name: spans[name] for name in free.inputs}
+        return tried_shapes(rows, FreeForm(empirical, free, own), [{}])[0]
+
+    looked = float(np.log(len(alone) + len(pairs)))
+    ranked = [tried(form) for form in (*alone, *(pairs[k] for k in best))]
+    variance = noise_variance(rows, _left(_likeliest(ranked, 1.0), rows))
+    first = _simplest(ranked, variance)
+    ways = [first, *(tried(f) for f in _ways(first, rows, variance))]
+    found = _likeliest(ways, variance)
+    take = np.arange(len(found.size))
+    score = found.odds(take, variance) - looked
+    if score < NEEDED:
+        return None
+    return Structure(Cause(found.made(take, variance), score, 1.0, ()))
+
+
+def _inputs(rows: Rows) -> list[str]:
+    """Inputs that change in the runs."""
+    signals = dict.fromkeys(n for s in rows.states for n in s.more if n.startswith(SIGNAL))
+    found = []
+    for name in (*INPUTS, *signals):
+        known = [s for s in rows.states if name not in signals or name in s.more]
+        if len(known) < len(rows.states):
+            continue
+        values = np.concatenate([input_values(s, name) for s in known])
+        if np.ptp(values) > 0.0:
+            found.append(name)
+    return found
+
+
+def _form(names: tuple[str, ...], acts: Acting = vector) -> Free:
+    most = ALONE if len(names) == 1 else IN_PAIR
+    orders = (ORDERS.get(n, most) if len(names) == 1 else min(ORDERS.get(n, most), most)
+              for n in names)  # fmt: skip
+    return Free(names, tuple(orders), acts=acts)
+
+
+def _screened(rows: Rows, forms: Sequence[Free], spans: dict[str, Span]) -> Array:
+    """About what each structure would gain as a vector, shape (f,)."""
+    pulled = rows.by_run(rows.pulled(rows.residual[:, None]).plain)
+    axes = [s.system.axes for s in rows.done.runs]
+    scores = np.concatenate([
+        np.einsum('cpk,cp->pk', a, part[..., 0]) for a, part in zip(axes, pulled, strict=True)
+    ])  # fmt: skip
+    weights = np.concatenate([_information(w) for w in rows.whiteners], axis=1)
+    whole = np.concatenate(axes, axis=1)
+    tables = {
+        name: legendre.legvander(
+            np.concatenate([scaled_input(name, input_values(s, name), spans[name])
+                            for s in rows.states]),
+            ORDERS.get(name, ALONE),
+        )
+        for name in spans
+    }  # fmt: skip
+    information = np.einsum('cpi,cpj,cp->ijp', whole, whole, weights)
+    return np.array([_gain(f, tables, scores, information) for f in forms])
+
+
+def _information(whitener: Whitener) -> Array:
+    """Weight of a slow displacement of every piece, shape (c, p), 1/m^2."""
+    bounds = whitener.bounds
+    inverses = whitener.inverses
+    found = np.empty((len(inverses[0]), bounds[-1][1]))
+    for (low, high), leg in zip(bounds, inverses, strict=True):
+        for component, inverse in enumerate(leg):
+            found[component, low:high] = np.sum(inverse.sum(axis=1) ** 2) / (high - low)
+    return found
+
+
+def _gain(form: Free, tables: dict[str, Array], scores: Array, information: Array) -> float:
+    """Half the fall of the sum of squares by a structure, less a price of its coefficients."""
+    columns = []
+    for number in form.numbers:
+        own = [tables[n][:, k] for n, k in zip(form.inputs, number, strict=True)]
+        columns.append(np.prod(own, axis=0))
+    functions = np.stack(columns[1:], axis=1)
+    right = (functions.T @ scores).T.ravel()
+    matrix = np.block([
+        [functions.T @ (information[i, j][:, None] * functions) for j in range(3)]
+        for i in range(3)
+    ])  # fmt: skip
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    whole = scale[:, None] * matrix * scale + RIDGE * np.eye(right.size)
+    scaled = scale * right
+    gain = float(scaled @ np.linalg.solve(whole, scaled))
+    return 0.5 * gain - 0.5 * right.size * float(np.log(max(len(scores) / right.size, 2.0)))
+
+
+def _likeliest(ranked: Sequence[Tried], variance: float) -> Tried:
+    return max(ranked, key=lambda t: t.odds(np.arange(len(t.size)), variance))
+
+
+def _simplest(ranked: Sequence[Tried], variance: float) -> Tried:
+    """The likeliest, or one of its inputs alone where that is about as good."""
+    best = _likeliest(ranked, variance)
+    score = best.odds(np.arange(len(best.size)), variance)
+    names = set(_inputs_of(best))
+    inner = [t for t in ranked if set(_inputs_of(t)) < names]
+    enough = [t for t in inner if t.odds(np.arange(len(t.size)), variance) > ENOUGH * score]
+    return _likeliest(enough, variance) if enough else best
+
+
+def _inputs_of(tried: Tried) -> tuple[str, ...]:
+    effect = tried.effect
+    assert isinstance(effect, FreeForm)
+    return effect.form.inputs
+
+
+def _left(tried: Tried, rows: Rows) -> Array:
+    """Residual less the best fit."""
+    return fit_out(tried.made(np.arange(len(tried.size)), 1.0), rows.residual)
+
+
+def _ways(first: Tried, rows: Rows, variance: float) -> list[Free]:
+    """The same inputs acting in other ways."""
+    names = _inputs_of(first)
+    ways: list[Acting] = [ACTING[RIGID_TRACKER], ACTING[RIGID_TABLE]]
+    main, share = _main_direction(first.made(np.arange(len(first.size)), variance), rows)
+    if share > ONE_DIRECTION:
+        ways.append(Along((float(main[0]), float(main[1]), float(main[2]))))
+    return [_form(names, way) for way in ways]
+
+
+def _main_direction(option: Option, rows: Rows) -> tuple[Array, float]:
+    """Main direction of a fitted vector, and its share of the squared displacement."""
+    value = estimate(option.own, option.size, rows.residual, option.widths).value
+    per = value.reshape(3, -1) * option.size.reshape(3, -1)
+    per = per[:, 1:] if per.shape[1] > 1 else per
+    left, size, _ = np.linalg.svd(per, full_matrices=False)
+    main = left[:, 0] * (np.sign(left[np.argmax(np.abs(left[:, 0])), 0]) or 1.0)
+    return main, float(size[0] ** 2 / max(float(np.sum(size**2)), 1e-300))

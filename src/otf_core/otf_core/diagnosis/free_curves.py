@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The function that a free form found: its curves with their uncertainty, and words on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.fitted import FittedCause
+from otf_core.effects.free import FreeForm, coefficient_name
+from otf_core.effects.inputs import SIGNAL, unit_of_input, unscaled_input
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+POINTS = 41
+"""Points of a curve."""
+LEAST_SHARE = 0.1
+"""Curves smaller than this share of the largest one are left out."""
+SCALES = {'m': (1e6, 'um'), 'rad': (1e6, 'urad'), 'm/m': (1e6, 'um/m'), 's': (1e3, 'ms')}
+"""Factor and unit for words, by the SI unit of a curve."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve of a free form, the other inputs in the middle of their ranges.
+
+    Attributes
+    ----------
+    term : str
+        Direction, rotation or coefficient of the formula that follows it.
+    axis : str
+        Machine axis of the term, if any.
+    input, input_unit : str
+    at : tuple of float
+        Values of the input, SI.
+    value, u : tuple of float
+        Value and its standard uncertainty, in ``unit``.
+    unit : str
+    held : mapping of str to float
+        Values of the other inputs.
+    """
+
+    term: str
+    axis: str
+    input: str
+    input_unit: str
+    at: tuple[float, ...]
+    value: tuple[float, ...]
+    u: tuple[float, ...]
+    unit: str
+    held: dict[str, float]
+
+
+def curves_of(part: FittedCause) -> tuple[Curve, ...]:
+    """Curves of a free form, the largest first; none of a formula.
+
+    Where a function has two inputs, it is shown along each at the middle of the other, and along
+    the first at both ends of the second.
+    """
+    effect, option = part.cause.option.effect, part.cause.option
+    if not isinstance(effect, FreeForm):
+        return ()
+    count = option.terms.columns.shape[2]
+    per_term = len(effect.form.numbers)
+    found: list[tuple[float, Curve]] = []
+    for first in range(0, count, per_term):
+        place = np.flatnonzero((option.take >= first) & (option.take < first + per_term))
+        if place.size != per_term:
+            continue
+        term = option.terms.names[first].rsplit('_', len(effect.form.orders))[0]
+        assert option.terms.names[first] == coefficient_name(term, effect.form.numbers[0])
+        for curve in _curves(part, effect, place, term):
+            size = float(np.sqrt(np.mean(np.square(curve.value)))) * float(option.size[place[0]])
+            found.append((size, curve))
+    largest = max((size for size, _ in found), default=0.0)
+    kept = [(s, c) for s, c in found if s > LEAST_SHARE * largest]
+    return tuple(c for _, c in sorted(kept, key=lambda pair: -pair[0]))
+
+
+def _curves(part: FittedCause, effect: FreeForm, place: Index, term: str) -> list[Curve]:
+    option = part.cause.option
+    axis = option.terms.axes[option.take[place[0]]]
+    inputs = effect.inputs_of(term, axis)
+    value, covariance = part.value[place], part.covariance[np.ix_(place, place)]
+    along = np.linspace(-1.0, 1.0, POINTS)
+    levels = (0.0,) if len(inputs) == 1 else (-1.0, 0.0, 1.0)
+    curves = []
+    for level in levels:
+        places = [along, *(np.full(POINTS, level) for _ in inputs[1:])]
+        table = effect.functions(places)
+        u = np.sqrt(np.maximum(np.einsum('ij,jk,ik->i', table, covariance, table), 0.0))
+        held = {
+            n: float(unscaled_input(n, np.array([level]), effect.spans[n])[0]) for n in inputs[1:]
+        }
+        at = unscaled_input(inputs[0], along, effect.spans[inputs[0]])
+        curves.append(
+            Curve(
+                term,
+                axis,
+                inputs[0],
+                unit_of_input(inputs[0]),
+                tuple(at.tolist()),
+                tuple((table @ value).tolist()),
+                tuple(u.tolist()),
+                option.terms.units[option.take[place[0]]],
+                held,
+            )
+        )
+    return curves
+
+
+def number_words(value: float, unit: str) -> str:
+    """Value with a unit that is easy to read."""
+    factor, name = SCALES.get(unit, (1.0, unit))
+    if unit == 'm' and abs(value) >= 1e-3:
+        factor, name = 1e3, 'mm'
+    return f'{factor * value:.3g} {name}'.rstrip()
+
+
+def departs_words(part: FittedCause) -> str:
+    """How a free form departs from the formula, in words; empty for a formula."""
+    effect, curves = part.cause.option.effect, curves_of(part)
+    if not isinstance(effect, FreeForm) or not curves:
+        return ''
+    return f'{effect.form.words}: {range_words(curves[0])}'
+
+
+def range_words(curve: Curve) -> str:
+    """Where a curve is lowest and highest, in words."""
+    low, high = int(np.argmin(curve.value)), int(np.argmax(curve.value))
+    ends = ' to '.join(
+        f'{number_words(curve.value[k], curve.unit)} at {curve.input} = '
+        f'{_input_words(curve.at[k], curve.input_unit)}'
+        for k in sorted((low, high), key=lambda k: curve.at[k])
+    )
+    held = ', '.join(f'{n} = {_input_words(v, unit_of_input(n))}' for n, v in curve.held.items())
+    words = f'{curve.term} goes from {ends}' + (f' ({held})' if held else '')
+    return words + _slope_words(curve)
+
+
+def _slope_words(curve: Curve) -> str:
+    """How much a curve that follows a signal changes per unit of it."""
+    width = curve.at[-1] - curve.at[0]
+    if not curve.input.startswith(SIGNAL) or curve.held or width <= 0.0:
+        return ''
+    slope, u = (curve.value[-1] - curve.value[0]) / width, curve.u[-1] / width
+    factor, unit = SCALES.get(curve.unit, (1.0, curve.unit))
+    return f'; {factor * slope:.3g} +/- {factor * u:.1g} {unit} (k = 1) per unit of the signal'
+
+
+def _input_words(value: float, unit: str) -> str:
+    """Value of an input in words."""
+    return f'{1e3 * value:.3g} mm' if unit == 'm' else f'{value:.3g} {unit}'.rstrip()

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of a gap without a name: what it depends on, how it acts, what behaves so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from otf_core.diagnosis.engine.assess import (
+    gap_um,
+    residuals_with,
+    shrink_interval,
+    shrink_percent,
+)
+from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.unnamed import Structure, find_structure
+from otf_core.diagnosis.explanation import Explanation
+from otf_core.diagnosis.fitted import fitted_causes
+from otf_core.diagnosis.free_curves import Curve, curves_of, range_words
+from otf_core.effects import AppliedEffect
+from otf_core.effects.acting import (
+    RIGID_TABLE,
+    RIGID_TRACKER,
+    VECTOR,
+    Along,
+    acting_name,
+)
+from otf_core.effects.inputs import SIGNAL
+from otf_core.model.machine import AXES
+
+FAR_BETTER = 0.5
+"""Share of the gap that the named causes leave, below which a cause without a name beats them."""
+LEAST_SHRINK = 20.0
+"""Percent; a structure that takes less of the gap is not worth stating."""
+WORDS = {
+    'time': 'time', 'x': 'the position of X', 'y': 'the position of Y', 'z': 'the position of Z',
+    'feed': 'the feed', 'acceleration': 'the acceleration along the path',
+    'since_stop': 'the time since the last stop', 'lap': 'the lap', 'leg': 'the leg',
+    'range': 'the length of the beam', 'azimuth': 'the azimuth of the beam',
+    'elevation': 'the elevation of the beam',
+}  # fmt: skip
+ACTS = {
+    VECTOR: 'a shift of the target',
+    RIGID_TRACKER: 'a shift and turn of all that the tracker sees',
+    RIGID_TABLE: 'a shift and turn of the table',
+}
+ALMOST = 0.95
+"""Component of a unit vector from which it counts as along an axis."""
+MECHANISMS = (
+    ({'range', 'azimuth', 'elevation'}, 'air along the beam, the tracker or its stand'),
+    ({'sense_x', 'sense_y', 'sense_z'}, 'friction, play or clamps of the drives that reverse'),
+    (
+        {'since_reversal_x', 'since_reversal_y', 'since_reversal_z'},
+        'wind-up and friction that are taken up after a reversal',
+    ),
+    ({'since_stop', 'acceleration'}, 'inertia and settling after changes of speed'),
+    ({'feed'}, 'forces or films that grow with speed: oil film, air drag, control'),
+    ({'lap'}, 'something that changed between the laps'),
+    ({'time'}, 'warming, settling or something that switches while the run lasts'),
+    ({'x', 'y', 'z'}, 'a structure that bends with the place of its slides'),
+)
+"""Kinds of mechanism that depend on any of some inputs."""
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """Cause without a name (INTERFACES section 8).
+
+    Attributes
+    ----------
+    depends_on : tuple of str
+    acts_as : str
+        'vector', 'direction', 'rigid_tracker' or 'rigid_table'.
+    words : str
+    before_um, after_um : float
+        Gap without and with it, on legs it was not fitted on.
+    shrink_percent : float
+    shrink_interval_percent : tuple of two floats
+        95 % interval over legs.
+    curves : tuple of Curve
+    """
+
+    depends_on: tuple[str, ...]
+    acts_as: str
+    words: str
+    before_um: float
+    after_um: float
+    shrink_percent: float
+    shrink_interval_percent: tuple[float, float]
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True)
+class Nameless:
+    """A cause without a name, and the empirical effect that reproduces it in every run."""
+
+    said: Unnamed
+    applied: tuple[AppliedEffect, ...]
+
+
+def find_unnamed(rows: Rows, explained: Explanation, verdict: str) -> Nameless | None:
+    """Look for a cause without a name where the named ones leave a gap.
+
+    Parameters
+    ----------
+    rows : Rows
+    explained : Explanation
+    verdict : str
+        By the effects of the catalogue.
+
+    Returns
+    -------
+    Nameless or None
+        None if nothing is left to explain, if no structure explains it, or if the named causes
+        are about as good.
+    """
+    if verdict not in ('unknown', 'partly_explained'):
+        return None
+    structure = find_structure(rows)
+    if structure is None:
+        return None
+    found = _said(rows, explained, structure)
+    if found.said.shrink_percent < LEAST_SHRINK:
+        return None
+    if verdict == 'partly_explained' and found.said.after_um > FAR_BETTER * explained.after_um:
+        return None
+    return found
+
+
+def _said(rows: Rows, explained: Explanation, structure: Structure) -> Nameless:
+    before, after = explained.steps[0], residuals_with(rows, [structure.cause])
+    simulated = explained.simulated_um
+    sizes = [gap_um(r.rms_um, simulated) for r in (before, after)]
+    (part,) = fitted_causes([structure.cause], rows)
+    form, curves = structure.effect.form, curves_of(part)
+    said = Unnamed(
+        depends_on=form.inputs,
+        acts_as=acting_name(form.acts),
+        words=_words(form.inputs, structure, curves),
+        before_um=sizes[0],
+        after_um=sizes[1],
+        shrink_percent=shrink_percent(*sizes),
+        shrink_interval_percent=shrink_interval(before, after, simulated),
+        curves=curves,
+    )
+    return Nameless(said, tuple(part.applied(k) for k in range(len(rows.runs))))
+
+
+def input_words(name: str) -> str:
+    """Name of an input in words."""
+    if name.startswith(SIGNAL):
+        return f'the signal {name.removeprefix(SIGNAL)}'
+    head, _, axis = name.rpartition('_')
+    of_axis = {
+        'sense': 'the sense of travel of',
+        'since_reversal': 'the travel since a reversal of',
+    }
+    return WORDS.get(name) or f'{of_axis[head]} {axis.upper()}'
+
+
+def _words(inputs: Sequence[str], structure: Structure, curves: Sequence[Curve]) -> str:
+    depends = ' and '.join(input_words(n) for n in inputs)
+    acts = structure.effect.form.acts
+    moved = f'a shift along {_direction_words(acts)}' if isinstance(acts, Along) else ''
+    moved = moved or ACTS[acting_name(acts)]
+    sizes = f', {range_words(curves[0])}' if curves else ''
+    signals = any(n.startswith(SIGNAL) for n in inputs)
+    kinds = [words for names, words in MECHANISMS if names & set(inputs)][:2]
+    kinds = ['what that signal measures'] if signals else kinds
+    return f'depends on {depends}: {moved}{sizes}; what behaves so: {", or ".join(kinds)}'
+
+
+def _direction_words(acts: Along) -> str:
+    main = int(np.argmax(np.abs(acts.direction)))
+    if abs(acts.direction[main]) > ALMOST:
+        return AXES[main]
+    return f'X, Y, Z = ({", ".join(f"{v:.2f}" for v in acts.direction)})'

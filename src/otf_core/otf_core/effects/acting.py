@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a smooth function of inputs may act on the measured point: columns per unit of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from otf_core.effects.base import Array, Shape, State, Terms
+from otf_core.model.machine import AXES
+
+Acting = Callable[[State, Shape], Terms]
+"""What the function is multiplied with, one term for every direction or rotation."""
+
+VECTOR, DIRECTION, RIGID_TRACKER, RIGID_TABLE = (
+    'vector',
+    'direction',
+    'rigid_tracker',
+    'rigid_table',
+)
+
+
+def _unit_columns(state: State) -> Array:
+    return np.broadcast_to(np.eye(3), (len(state), 3, 3))
+
+
+def vector(state: State, shape: Shape) -> Terms:
+    """Shifts along X, Y, Z."""
+    return Terms(AXES, ('m',) * 3, AXES, _unit_columns(state))
+
+
+def rigid_tracker(state: State, shape: Shape) -> Terms:
+    """Shifts, and turns about the tracker."""
+    return _rigid(state, state.beam)
+
+
+def rigid_table(state: State, shape: Shape) -> Terms:
+    """Shifts, and turns about the zero point of the machine."""
+    return _rigid(state, state.q)
+
+
+def _rigid(state: State, arm: Array) -> Terms:
+    turned = np.stack([np.cross(e, arm) for e in np.eye(3)], axis=2)
+    names = (*(f'M_{a}' for a in AXES), *(f'W_{a}' for a in AXES))
+    columns = np.concatenate([_unit_columns(state), turned], axis=2)
+    return Terms(names, ('m',) * 3 + ('rad',) * 3, ('',) * 6, columns)
+
+
+ACTING: dict[str, Acting] = {
+    VECTOR: vector,
+    RIGID_TRACKER: rigid_tracker,
+    RIGID_TABLE: rigid_table,
+}
+"""Ways to act that need no effect."""
+
+
+@dataclass(frozen=True)
+class Along:
+    """Shift along one direction.
+
+    Attributes
+    ----------
+    direction : tuple of three floats
+        Unit vector, machine frame.
+    """
+
+    direction: tuple[float, float, float]
+
+    def __call__(self, state: State, shape: Shape) -> Terms:
+        """Return the one term."""
+        column = np.broadcast_to(np.array(self.direction)[:, None], (len(state), 3, 1))
+        return Terms(('along',), ('m',), ('',), column)
+
+
+def acting_name(acts: Acting | None) -> str:
+    """Name of a way to act, as files have it."""
+    if isinstance(acts, Along):
+        return DIRECTION
+    return next(name for name, known in ACTING.items() if known is acts)

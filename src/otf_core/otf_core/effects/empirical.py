@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effect without a formula: a tabulated smooth function of inputs, as a diagnosis found it.
+
+The table holds values at nodes of each input; between them the function is the polynomial through
+the nodes in the scaled inputs, so table and coefficients of a free form say the same to the last
+digits. Beyond the range of an input it stays as at its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from otf_core.effects.acting import Acting
+from otf_core.effects.applied import AppliedEffect
+from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.free import Free, FreeForm, coefficient_name
+from otf_core.effects.inputs import Span, scaled_input, unscaled_input
+
+EMPIRICAL = 'empirical'
+CONDITION = 1e8
+"""Nodes so close that digits are lost are refused; the condition number of their polynomials."""
+
+
+class Empirical(Effect):
+    """What carries a tabulated function; it does nothing by itself."""
+
+    name: ClassVar[str] = EMPIRICAL
+    cause: ClassVar[str] = 'not known; found in data'
+    equation: ClassVar[str] = 'tabulated function of inputs'
+    coefficients: ClassVar[str] = 'values of Legendre polynomials of the scaled inputs'
+    typical: ClassVar[str] = 'as tabulated'
+    source: ClassVar[str] = 'a diagnosis'
+    signature: ClassVar[str] = 'as tabulated'
+    needs: ClassVar[str] = 'runs that differ in the inputs'
+
+    def __init__(self, name: str = EMPIRICAL) -> None:
+        vars(self)['name'] = name
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return nothing: only its free form acts."""
+        return Terms((), (), (), np.zeros((len(state), 3, 0)))
+
+
+def nodes_of(order: int) -> Array:
+    """Places in [-1, 1] at which a polynomial of an order is tabulated (Chebyshev-Lobatto)."""
+    if not order:
+        return np.zeros(1)
+    return np.asarray(-np.cos(np.pi * np.arange(order + 1) / order))
+
+
+def tabulated(one: AppliedEffect) -> tuple[dict[str, list[float]], dict[str, Array]]:
+    """Nodes of every input, SI, and the values of every term on their grid.
+
+    Parameters
+    ----------
+    one : AppliedEffect
+        Of a ``FreeForm`` whose inputs do not depend on the term.
+    """
+    effect = one.effect
+    assert isinstance(effect, FreeForm)
+    form = effect.form
+    places = [nodes_of(order) for order in form.orders]
+    grid = np.meshgrid(*places, indexing='ij')
+    table = effect.functions([g.ravel() for g in grid])
+    names = list(effect.spans)
+    nodes = {
+        n: unscaled_input(n, p, effect.spans[n]).tolist()
+        for n, p in zip(names, places, strict=True)
+    }
+    values = {}
+    terms = {n.rsplit('_', len(form.orders))[0] for n in one.parameters}
+    for term in sorted(terms):
+        own = [one.parameters.get(coefficient_name(term, k), 0.0) for k in form.numbers]
+        values[term] = (table @ np.array(own)).reshape([len(p) for p in places])
+    return nodes, values
+
+
+def of_table(
+    name: str, acts: Acting, nodes: Mapping[str, Sequence[float]], values: Mapping[str, Array]
+) -> AppliedEffect:
+    """Build the effect of a table.
+
+    Parameters
+    ----------
+    name : str
+    acts : Acting
+    nodes : mapping of input to sequence of float
+        Ascending, the first and the last are the range.
+    values : mapping of term to ndarray
+        On the grid of the nodes.
+
+    Raises
+    ------
+    ValueError
+        If the nodes of an input are too close or not apart.
+    """
+    spans: dict[str, Span] = {n: (float(v[0]), float(v[-1])) for n, v in nodes.items()}
+    form = Free(tuple(nodes), tuple(len(v) - 1 for v in nodes.values()), acts=acts)
+    inverses = []
+    for n, own in nodes.items():
+        place = scaled_input(n, np.array(own, dtype=float), spans[n])
+        matrix = legendre.legvander(place, len(own) - 1)
+        if not np.linalg.cond(matrix) < CONDITION:
+            raise ValueError(f'{n}: the nodes are too close to each other or not ascending')
+        inverses.append(np.linalg.inv(matrix))
+    parameters = {}
+    for term, value in values.items():
+        found = np.asarray(value, dtype=float)
+        for k, inverse in enumerate(inverses):
+            found = np.moveaxis(np.tensordot(inverse, found, axes=(1, k)), 0, k)
+        for number in form.numbers:
+            parameters[coefficient_name(term, number)] = float(found[number])
+    return AppliedEffect(FreeForm(Empirical(name), form, spans), parameters)
+
+
+class Kept(Empirical):
+    """A cause of one's own: an empirical effect with a name, its size free.
+
+    Its free form depends on the same inputs in the same way.
+
+    Parameters
+    ----------
+    one : AppliedEffect
+        As read from a file.
+    """
+
+    coefficients: ClassVar[str] = 'size: 1 is as tabulated'
+
+    def __init__(self, one: AppliedEffect) -> None:
+        super().__init__(one.effect.name)
+        assert isinstance(one.effect, FreeForm)
+        self.one = one
+        form = replace(one.effect.form, words='the function is another one of the same inputs')
+        vars(self)['free'] = (form,)
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return size."""
+        moved = self.one.effect.displacement(state, self.one.parameters)
+        return Terms(('size',), ('',), ('',), moved[:, :, None])
+
+    def sized(self, parameters: Shape) -> AppliedEffect:
+        """The table times a size."""
+        size = parameters.get('size', 0.0)
+        scaled = {name: size * value for name, value in self.one.parameters.items()}
+        return AppliedEffect(self.one.effect, scaled)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Free forms and empirical effects as entries of an effects.yaml.
+
+- effect: backlash
+  form: free
+  inputs: {time: [0.0, 300.0]}        # range of every input
+  parameters: {B_X_0: 5.0e-06, B_X_1: 2.0e-06}
+- effect: empirical
+  name: sinking_corner                # may be left out
+  acts_as: direction                  # vector, direction, rigid_tracker or rigid_table
+  direction: [0.0, 0.0, 1.0]          # of acts_as direction
+  nodes: {time: [0.0, 150.0, 300.0]}  # of every input; the ends are its range
+  table: {along: [0.0, 1.0e-06, 4.0e-06]}
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from otf_core.effects import REGISTRY
+from otf_core.effects.acting import ACTING, DIRECTION, Acting, Along, acting_name
+from otf_core.effects.applied import AppliedEffect
+from otf_core.effects.base import Effect
+from otf_core.effects.empirical import EMPIRICAL, Empirical, of_table, tabulated
+from otf_core.effects.free import FreeForm, follower
+from otf_core.effects.inputs import SIGNAL, Span, known_input
+from otf_core.effects.state import probe_state
+from otf_core.files.strict_yaml import Fields
+from otf_core.model.machine import Machine
+
+FREE = 'free'
+
+
+def _numbers(value: Any, fields: Fields, key: str) -> list[float]:
+    found = value if isinstance(value, list) else [value]
+    plain = [isinstance(v, (int, float)) and not isinstance(v, bool) for v in found]
+    if not found or not all(plain) or not np.all(np.isfinite(np.array(found, dtype=float))):
+        fields.fail(key, 'expected a list of plain numbers in SI units')
+    return [float(v) for v in found]
+
+
+def _ranges(fields: Fields, key: str) -> dict[str, list[float]]:
+    value = fields.take(key)
+    if not isinstance(value, dict) or not value:
+        fields.fail(key, 'expected names of inputs and lists of numbers')
+    found = {}
+    for name, own in value.items():
+        if not known_input(str(name)):
+            fields.fail(key, f"input '{name}' is unknown")
+        found[str(name)] = _numbers(own, fields, f'{key}: {name}')
+        if found[str(name)] != sorted(found[str(name)]):
+            fields.fail(f'{key}: {name}', 'the numbers must be ascending')
+    return found
+
+
+def free_form_of(name: str, fields: Fields, machine: Machine) -> Effect:
+    """Read which free form of an effect of the catalogue is meant, with the ranges of its inputs.
+
+    Raises
+    ------
+    ConfigError
+        If the effect has no free form of these inputs.
+    """
+    effect, ranges = REGISTRY[name], _ranges(fields, 'inputs')
+    spans: dict[str, Span] = {}
+    for key, own in ranges.items():
+        if len(own) != 2:
+            fields.fail(f'inputs: {key}', 'expected the smallest and the largest value')
+        spans[key] = (own[0], own[1])
+    if len(spans) == 1 and (signal := next(iter(spans))).startswith(SIGNAL) and effect.follows:
+        return FreeForm(effect, follower(effect.follows[0], signal), spans)
+    probe, known = probe_state(machine), []
+    for free in effect.free:
+        bound = FreeForm.bound(effect, free, [probe])
+        known.append(', '.join(bound.spans))
+        if set(bound.spans) == set(spans):
+            return FreeForm(effect, free, spans)
+    listed = '; '.join(known) or 'none'
+    fields.fail('inputs', f'{name} has no free form of these inputs; possible: {listed}')
+
+
+def empirical_of(fields: Fields) -> AppliedEffect:
+    """Read an empirical effect; what is wrong is a ConfigError that names the key."""
+    name = fields.text('name') if fields.has('name') else EMPIRICAL
+    acts = _acts_of(fields)
+    nodes, table = _ranges(fields, 'nodes'), fields.take('table')
+    fields.done()
+    if not isinstance(table, dict) or not table:
+        fields.fail('table', 'expected the values of each direction or rotation')
+    shape = tuple(len(v) for v in nodes.values())
+    values = {}
+    for term, own in table.items():
+        try:
+            values[str(term)] = np.array(own, dtype=float)
+        except (TypeError, ValueError):
+            fields.fail(f'table: {term}', 'expected numbers')
+        if values[str(term)].shape != shape or not np.all(np.isfinite(values[str(term)])):
+            wanted = ' x '.join(map(str, shape))
+            fields.fail(f'table: {term}', f'expected {wanted} finite numbers, as many as nodes')
+    try:
+        return of_table(name, acts, nodes, values)
+    except ValueError as error:
+        fields.fail('nodes', str(error))
+
+
+def _acts_of(fields: Fields) -> Acting:
+    acts_as = fields.text('acts_as')
+    if acts_as == DIRECTION:
+        found = _numbers(fields.take('direction'), fields, 'direction')
+        size = float(np.linalg.norm(found))
+        if len(found) != 3 or not size > 0.0:
+            fields.fail('direction', 'expected three numbers, not all zero')
+        x, y, z = (v / size for v in found)
+        return Along((x, y, z))
+    if acts_as not in ACTING:
+        known = ', '.join((*ACTING, DIRECTION))
+        fields.fail('acts_as', f"'{acts_as}' is unknown; possible: {known}")
+    return ACTING[acts_as]
+
+
+def free_entry(one: AppliedEffect, machine: Machine) -> dict[str, Any]:
+    """Return a free form or an empirical effect as plain data."""
+    effect = one.effect
+    assert isinstance(effect, FreeForm)
+    if isinstance(effect.parent, Empirical):
+        nodes, values = tabulated(one)
+        entry: dict[str, Any] = {'effect': EMPIRICAL}
+        if effect.name != EMPIRICAL:
+            entry['name'] = effect.name
+        entry['acts_as'] = acting_name(effect.form.acts)
+        if isinstance(effect.form.acts, Along):
+            entry['direction'] = list(effect.form.acts.direction)
+        return {**entry, 'nodes': nodes, 'table': {k: v.tolist() for k, v in values.items()}}
+    parameters = {k: float(v) for k, v in one.parameters.items()}
+    return {
+        'effect': effect.name,
+        'form': FREE,
+        'inputs': {name: list(span) for name, span in effect.spans.items()},
+        'parameters': parameters,
+        'units': effect.units(probe_state(machine), parameters),
+    }

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happened before on the path: travel since a reversal, time since a stop, laps.
+
+Between corners the target moves along straight lines, so the travel of an axis since it last
+reversed is known from the path alone; the moment at which a leg began is that of its first point
+less the way from the corner at the speed there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.machine import AXES
+from otf_core.model.path import MOVING
+from otf_core.tracking.curves import Lines
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SLOWEST = 1e-3
+"""m/s; least speed with which the way from a corner is turned into a time."""
+SAME_POINT = 1e-4
+"""m; raster by which lines are told apart when laps are counted."""
+
+
+def travel_at_start(unit: Array, length: Array) -> Array:
+    """Travel of each axis since it last reversed, where each leg begins, shape (m, 3), m.
+
+    Parameters
+    ----------
+    unit : ndarray, shape (m, 3)
+        Unit directions of the legs in driving order.
+    length : ndarray, shape (m,), m
+    """
+    sense = np.where(np.abs(unit) > MOVING, np.sign(unit), 0.0)
+    found = np.zeros_like(unit)
+    for axis in range(3):
+        last, travel = 0.0, 0.0
+        for leg, now in enumerate(sense[:, axis].tolist()):
+            if now and now != last:
+                last, travel = now, 0.0
+            found[leg, axis] = travel
+            travel += abs(float(unit[leg, axis])) * float(length[leg])
+    return found
+
+
+def lap_numbers(corners: Array) -> Array:
+    """How often the line of each leg was driven before, in either sense, shape (m,)."""
+    raster = np.rint(corners / SAME_POINT).astype(np.int64).tolist()
+    seen: dict[frozenset[tuple[int, ...]], int] = {}
+    found = np.zeros(max(len(raster) - 1, 0))
+    for leg in range(len(found)):
+        line = frozenset((tuple(raster[leg]), tuple(raster[leg + 1])))
+        found[leg] = seen.get(line, 0)
+        seen[line] = seen.get(line, 0) + 1
+    return found
+
+
+def path_history(
+    lines: Lines, leg: Index, q: Array, speed: Array, time: Array
+) -> dict[str, Array]:
+    """Inputs of points on a path that depend on what was driven before.
+
+    Parameters
+    ----------
+    lines : Lines
+    leg : ndarray of int64, shape (n,)
+        In driving order.
+    q : ndarray, shape (n, 3), m
+    speed, time : ndarray, shape (n,), m/s and s
+    """
+    if not len(leg):
+        return {}
+    along = np.clip(lines.along(q, leg), 0.0, lines.length[leg])
+    start = travel_at_start(lines.unit, lines.length)
+    since = start[leg] + np.abs(lines.unit[leg]) * along[:, None]
+    bounds = np.flatnonzero(np.diff(leg, prepend=leg[0] - 1))
+    count = np.diff(np.append(bounds, len(leg)))
+    began = time[bounds] - along[bounds] / np.maximum(speed[bounds], SLOWEST)
+    change = (
+        np.gradient(speed, time) if len(time) > 1 and np.all(np.diff(time) > 0) else 0.0 * time
+    )
+    change[bounds], change[np.append(bounds[1:], len(leg)) - 1] = 0.0, 0.0
+    return {
+        **{f'since_reversal_{a.lower()}': since[:, k] for k, a in enumerate(AXES)},
+        'since_stop': np.maximum(time - np.repeat(began, count), 0.0),
+        'acceleration': change,
+        'lap': lap_numbers(lines.corners)[leg],
+        'leg': leg.astype(np.float64),
+    }

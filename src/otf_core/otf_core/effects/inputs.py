@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs that a smooth function may depend on, by name, and how they are scaled to [-1, 1].
+
+Time, axis positions, sense of travel, feed, what happened since the last stop or reversal, place
+in the path, direction and length of the beam, signals recorded beside the samples. A distance or a
+time since something is compressed to s / (s + s0), so that what dies out needs few functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from otf_core.effects.base import Array, State
+from otf_core.errors import ConfigError
+from otf_core.model.machine import AXES
+from otf_core.model.path import MOVING
+
+SIGNAL = 'signal:'
+"""Head of the names of signals recorded beside the samples."""
+CORNER_LENGTH, REVERSAL_LENGTH, STOP_TIME = 0.03, 0.03, 0.5
+"""m, m and s; s0 of distances from corners, of travel since a reversal, of time since a stop."""
+UNITS = {
+    'time': 's', 'feed': 'm/s', 'acceleration': 'm/s^2', 'since_stop': 's', 'lap': '', 'leg': '',
+    'range': 'm', 'azimuth': 'rad', 'elevation': 'rad', 'from_corner': 'm', 'to_corner': 'm',
+    'from_turn': '', 'to_turn': '',
+}  # fmt: skip
+"""Units of the inputs that do not belong to an axis."""
+OF_AXIS = {'sense': '', 'since_reversal': 'm'}
+"""The same for inputs such as ``sense_x``; positions are ``x``, ``y``, ``z``."""
+_LETTERS = {a.lower(): k for k, a in enumerate(AXES)}
+
+
+def known_input(name: str) -> bool:
+    """Tell whether a name is one of an input."""
+    head, _, axis = name.rpartition('_')
+    own = head in OF_AXIS and axis in _LETTERS
+    return own or name in UNITS or name in _LETTERS or name.startswith(SIGNAL)
+
+
+def unit_of_input(name: str) -> str:
+    """Unit of an input; signals have those of their topic, which are not known here."""
+    if name in _LETTERS:
+        return 'm'
+    return UNITS.get(name, OF_AXIS.get(name.rpartition('_')[0], ''))
+
+
+def compression(name: str) -> float:
+    """Distance or time s0 over which an input is compressed; 0 for none."""
+    if name.endswith('_corner'):
+        return CORNER_LENGTH
+    if name.startswith('since_reversal'):
+        return REVERSAL_LENGTH
+    return STOP_TIME if name == 'since_stop' else 0.0
+
+
+def input_values(state: State, name: str) -> Array:
+    """Values of an input, shape (n,), SI.
+
+    Raises
+    ------
+    ConfigError
+        If the name is unknown, or a signal is not in the recording.
+    """
+    if name in _LETTERS:
+        return np.asarray(state.q[:, _LETTERS[name]])
+    head, _, axis = name.rpartition('_')
+    if head == 'sense' and axis in _LETTERS:
+        own = state.direction[:, _LETTERS[axis]]
+        return np.where(np.abs(own) > MOVING, np.sign(own), 0.0)
+    if name in state.more:
+        return state.more[name]
+    if name in _PLAIN:
+        return np.asarray(_PLAIN[name](state))
+    if name.startswith(SIGNAL):
+        raise ConfigError(f'{name}: not among the signals of this run')
+    raise ConfigError(f"input '{name}' is unknown")
+
+
+def _turn(first: Array, second: Array) -> Array:
+    return np.asarray(np.linalg.norm(second - first, axis=1))
+
+
+_PLAIN: dict[str, Callable[[State], Array]] = {
+    'time': lambda s: s.time,
+    'feed': lambda s: s.speed,
+    'from_corner': lambda s: s.from_corner,
+    'to_corner': lambda s: s.to_corner,
+    'from_turn': lambda s: _turn(s.before, s.direction),
+    'to_turn': lambda s: _turn(s.direction, s.after),
+    'range': lambda s: np.asarray(np.linalg.norm(s.beam, axis=1)),
+    'azimuth': lambda s: np.arctan2(s.beam[:, 1], s.beam[:, 0]),
+    'elevation': lambda s: np.arctan2(s.beam[:, 2], np.hypot(s.beam[:, 0], s.beam[:, 1])),
+}
+
+Span = tuple[float, float]
+"""Smallest and largest value of an input for which a function is known."""
+
+
+def span_of(states: Sequence[State], name: str) -> Span:
+    """Range of an input over runs; of an azimuth about its mean direction."""
+    if compression(name):
+        return 0.0, float(max(input_values(s, name).max(initial=0.0) for s in states))
+    if name in _LETTERS:
+        machine, k = states[0].machine, _LETTERS[name]
+        return float(machine.lower[k]), float(machine.upper[k])
+    if name == 'time':
+        return 0.0, max(s.end for s in states)
+    values = np.concatenate([input_values(s, name) for s in states])
+    if name == 'azimuth':
+        middle = float(np.angle(np.exp(1j * values).mean()))
+        values = middle + np.angle(np.exp(1j * (values - middle)))
+    return float(values.min(initial=0.0 if not len(values) else np.inf)), float(values.max())
+
+
+def scaled_input(name: str, values: Array, span: Span) -> Array:
+    """Values scaled so that the range becomes [-1, 1]; beyond it the ends."""
+    low, high = span
+    if name == 'azimuth':
+        middle = 0.5 * (low + high)
+        values = middle + np.angle(np.exp(1j * (values - middle)))
+    bend = compression(name)
+    if bend:
+        low, high = low / (low + bend), 1.0
+        values = values / (values + bend)
+    width = high - low
+    if width <= 0.0:
+        return np.zeros_like(values)
+    return np.clip(2.0 * (values - low) / width - 1.0, -1.0, 1.0)
+
+
+def unscaled_input(name: str, place: Array, span: Span) -> Array:
+    """Values of an input at places in [-1, 1]: the inverse of ``scaled_input``."""
+    low, high = span
+    bend = compression(name)
+    if bend:
+        share = 0.5 * (place + 1.0)
+        return np.asarray(np.minimum(share * bend / np.maximum(1.0 - share, 1e-9), high))
+    return np.asarray(low + 0.5 * (place + 1.0) * (high - low))

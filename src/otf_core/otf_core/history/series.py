@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibrations of one machine in one convention: vectors over time with their covariances.
+
+A vector holds the motions that all runs know, at their common positions (see
+``comparison.convention``), then C0Y, B0Z, A0Z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.comparison.compare import GRID, source_of_tables
+from otf_core.comparison.convention import Common, common_ground, operator
+from otf_core.history.store import StoredRun
+from otf_core.model.evaluation import free_rows
+from otf_core.model.machine import AXES
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.prediction.covariance import unpack_covariance
+from otf_core.prediction.uncertainty import prediction_rows
+
+Array = NDArray[np.float64]
+
+DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class Series:
+    """Runs of one machine.
+
+    Attributes
+    ----------
+    runs : tuple of StoredRun
+        In the order of time.
+    common : Common
+    values : ndarray, shape (r, m), m or rad
+    covariances : ndarray, shape (r, m, m)
+    """
+
+    runs: tuple[StoredRun, ...]
+    common: Common
+    values: Array
+    covariances: Array
+
+    @property
+    def days(self) -> Array:
+        """Time of the runs, days since the first, shape (r,)."""
+        first = self.runs[0].at
+        return np.array([(run.at - first).total_seconds() / DAY for run in self.runs])
+
+    @cached_property
+    def parts(self) -> dict[str, slice]:
+        """Place of every motion and squareness error in the vectors."""
+        parts, start = {}, 0
+        for motion in self.common.motions:
+            stop = start + len(self.common.position[motion.axis])
+            parts[str(motion)] = slice(start, stop)
+            start = stop
+        for k, name in enumerate(SQUARENESS):
+            parts[name] = slice(start + k, start + k + 1)
+        return parts
+
+    @cached_property
+    def grid(self) -> Array:
+        """Lattice over the common range, shape (n, 3), m."""
+        ends = [np.linspace(*self._ends(a), GRID) for a in AXES]
+        return np.stack([g.ravel() for g in np.meshgrid(*ends, indexing='ij')], axis=1)
+
+    def _ends(self, axis: str) -> tuple[float, float]:
+        position, limits = self.common.position[axis], self.common.machine.axes[axis]
+        if len(position):
+            return float(position[0]), float(position[-1])
+        return limits.min, limits.max
+
+    @cached_property
+    def field_rows(self) -> Array:
+        """From a vector to the errors on the grid without rigid motion, shape (3 n, m)."""
+        return free_rows(self.rows(self.grid).reshape(3 * len(self.grid), -1), self.grid)
+
+    def rows(self, q: Array) -> Array:
+        """From a vector to the errors at positions (n, 3), m; shape (n, 3, m)."""
+        nodes = {m: self.common.position[m.axis] for m in self.common.motions}
+        padded: dict[str, Array] = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
+        rows = prediction_rows(self.common.machine, padded, q)
+        keep: list[int] = []
+        start = len(SQUARENESS)
+        for motion in MOTIONS:
+            if motion in nodes:
+                keep += range(start, start + len(padded[motion]))
+            start += len(padded[motion])
+        keep += range(len(SQUARENESS))
+        return np.asarray(rows[:, :, np.array(keep)])
+
+    def lengths(self, vector: Array) -> Array:
+        """Lengths of the error vectors on the grid, shape (n,), m."""
+        return np.asarray(np.linalg.norm((self.field_rows @ vector).reshape(-1, 3), axis=1))
+
+    def since(self, first: int) -> Series:
+        """The runs from one on."""
+        return Series(
+            self.runs[first:], self.common, self.values[first:], self.covariances[first:]
+        )
+
+
+def series_of(runs: Sequence[StoredRun]) -> Series:
+    """Bring runs of one machine to one convention.
+
+    Raises
+    ------
+    ConfigError
+        If they are of different machines or share nothing.
+    """
+    packed = []
+    for run in runs:
+        tables = run.content.tables
+        size = len(SQUARENESS) + sum(len(tables.motions[m].position) for m in MOTIONS)
+        packed.append(unpack_covariance(run.content.extra.get('covariance'), size))
+    sources = [
+        source_of_tables(run.name, run.content.tables, known)
+        for run, known in zip(runs, packed, strict=True)
+    ]
+    common = common_ground(sources)
+    values, covariances = [], []
+    for run, source, known in zip(runs, sources, packed, strict=True):
+        square = run.content.tables.squareness
+        matrix = operator(source, common)
+        full = np.zeros((matrix.shape[0] + 3, matrix.shape[1] + 3))
+        full[:-3, 3:], full[-3:, :3] = matrix, np.eye(3)
+        if known is None:
+            known = np.zeros((full.shape[1], full.shape[1]))
+            known[:3, :3] = np.diag([square[k].u ** 2 for k in SQUARENESS])
+            known[3:, 3:] = source.covariance
+        vector = np.concatenate([[square[k].value for k in SQUARENESS], source.values])
+        values.append(full @ vector)
+        covariances.append(full @ known @ full.T)
+    return Series(tuple(runs), common, np.array(values), np.array(covariances))

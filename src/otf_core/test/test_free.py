@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Free forms: what they compute, how files keep them, when they are named beside a formula."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from core_cells import some_machine
+from effect_cells import driven_state
+from engine_cells import holding, noise, rms_um, solved_rows
+
+from otf_core.diagnosis.engine.catalogue import tried_effects
+from otf_core.diagnosis.engine.search import search
+from otf_core.diagnosis.engine.unnamed import find_structure
+from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects.acting import Along, rigid_tracker, vector
+from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
+from otf_core.effects.empirical import of_table, tabulated
+from otf_core.effects.free import Free, FreeForm, free_forms
+from otf_core.effects.history import lap_numbers, travel_at_start
+from otf_core.effects.inputs import scaled_input, unscaled_input
+from otf_core.effects.taken import taken
+from otf_core.errors import ConfigError
+
+EVERY = [(name, k) for name, e in REGISTRY.items() for k in range(len(e.free))]
+every_form = pytest.mark.parametrize(('name', 'number'), EVERY)
+
+
+@pytest.fixture(scope='module')
+def state():
+    return driven_state()
+
+
+def form_of(name, number, state):
+    effect = REGISTRY[name]
+    return FreeForm.bound(effect, effect.free[number], [state])
+
+
+def parameters_of(form, state, seed=1):
+    """Small random coefficients, and the first shape."""
+    wave = form.wave
+    shape = form.complete_shape({wave.parameter: wave.probe} if wave else form.shapes(state)[0])
+    names = form.terms(state.part(slice(0, 1)), shape).names
+    values = 1e-6 * np.random.default_rng(seed).standard_normal(len(names))
+    return {**shape, **dict(zip(names, values.tolist(), strict=True))}
+
+
+# ---------------------------------------------------------------- what they compute
+
+
+@every_form
+def test_form_says_what_departs_and_how_smooth_each_term_is(name, number, state):
+    form = form_of(name, number, state)
+    terms = form.terms(state, form.complete_shape(parameters_of(form, state)))
+    assert form.name == name and len(form.form.words) > 10
+    assert len(terms.orders) == len(terms.names) == terms.columns.shape[2]
+    assert min(terms.orders) == 0.0 and max(terms.orders) >= 1.0
+    assert np.all(np.isfinite(terms.columns))
+    assert list(form.orders_of(terms.names)) == list(terms.orders)
+
+
+@every_form
+def test_file_keeps_a_free_form_to_the_last_digit(name, number, state):
+    form, machine = form_of(name, number, state), some_machine('w-Y-b-X-Z-t')
+    given = AppliedEffect(form, parameters_of(form, state))
+    text = yaml.safe_dump(effects_to_data([given], machine))
+    (again,) = effects_from_data(yaml.safe_load(text), 'file', machine)
+    assert again == given
+    assert np.array_equal(
+        again.effect.displacement(state, again.parameters),
+        form.displacement(state, given.parameters),
+    )
+
+
+def test_play_that_changes_with_time_is_the_formula_times_a_polynomial(state):
+    form = form_of('backlash', 0, state)
+    moved = form.displacement(state, {'held': 1.0, 'B_Y_0': 4e-6, 'B_Y_2': 2e-6})
+    u = 2 * state.time / state.end - 1
+    wanted = 0.5 * state.side[:, 1] * (4e-6 + 2e-6 * 0.5 * (3 * u**2 - 1))
+    assert np.allclose(moved[:, 1], wanted, atol=1e-12)
+    assert not np.any(moved[:, [0, 2]])
+
+
+def test_rounding_vanishes_far_from_corners(state):
+    form = form_of('corner_rounding', 0, state)
+    far = replace(state, to_corner=np.full(len(state), 1e9))
+    assert np.allclose(form.displacement(far, {'to_3': 1e-5}), 0.0, atol=1e-9)
+
+
+def test_travel_since_a_reversal_is_carried_across_corners():
+    unit = np.array([[1.0, 0, 0], [0, 1, 0], [0.6, 0.8, 0], [-1, 0, 0]])
+    length = np.array([0.3, 0.2, 0.1, 0.3])
+    found = travel_at_start(unit, length)
+    assert np.allclose(found[:, 0], [0.0, 0.3, 0.3, 0.0])
+    assert np.allclose(found[:, 1], [0.0, 0.0, 0.2, 0.28])
+
+
+def test_laps_are_counted_in_either_sense():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0.0]])
+    assert lap_numbers(corners).tolist() == [0, 0, 1, 1, 2]
+
+
+@pytest.mark.parametrize('name', ['time', 'x', 'since_stop', 'from_corner', 'azimuth'])
+def test_scaling_turns_back(name):
+    span = (0.0, 2.0)
+    values = np.linspace(0.0, 2.0, 9)
+    place = scaled_input(name, values, span)
+    assert np.all(np.abs(place) <= 1.0) and np.all(np.diff(place) > 0)
+    assert np.allclose(unscaled_input(name, place, span), values, atol=1e-9)
+
+
+# ---------------------------------------------------------------- empirical effects
+
+
+def test_table_is_met_at_its_nodes_and_kept_by_the_file(state):
+    machine = state.machine
+    nodes = {'time': [0.0, 40.0, 100.0], 'x': [0.0, 0.1, 0.3, 0.5]}
+    values = {'Z': 1e-6 * np.arange(12.0).reshape(3, 4) ** 1.5}
+    one = of_table('sinking', vector, nodes, values)
+    probe = state.part(slice(0, 12))
+    t, x = np.meshgrid(nodes['time'], nodes['x'], indexing='ij')
+    q = np.zeros((12, 3))
+    q[:, 0] = x.ravel()
+    at = replace(probe, time=t.ravel(), q=q)
+    moved = one.effect.displacement(at, one.parameters)
+    assert np.allclose(moved[:, 2], values['Z'].ravel(), atol=1e-15)
+    assert not np.any(moved[:, :2])
+    (entry,) = effects_to_data([one], machine)
+    assert entry['effect'] == 'empirical' and entry['name'] == 'sinking'
+    (again,) = effects_from_data([yaml.safe_load(yaml.safe_dump(entry))], 'file', machine)
+    again_moved = again.effect.displacement(state, again.parameters)
+    assert np.allclose(again_moved, one.effect.displacement(state, one.parameters), atol=1e-14)
+
+
+def test_table_of_a_free_function_says_the_same():
+    form = Free(('time',), (6,), least=(1,), acts=rigid_tracker)
+    effect = FreeForm(of_table('a', vector, {'time': [0, 1]}, {'X': [0, 0]}).effect.parent, form,
+                      {'time': (0.0, 90.0)})  # fmt: skip
+    one = AppliedEffect(effect, {'M_X_2': 1e-6, 'W_Z_5': 3e-6})
+    nodes, values = tabulated(one)
+    at = np.array(nodes['time'])
+    u = at / 45.0 - 1.0
+    assert np.allclose(values['M_X'], 1e-6 * 0.5 * (3 * u**2 - 1), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'acts_as': 'wobble'}, "acts_as: 'wobble' is unknown"),
+        ({'nodes': {'moon': [0, 1]}}, "input 'moon' is unknown"),
+        ({'nodes': {'time': [1, 0]}}, 'must be ascending'),
+        ({'nodes': {'time': [0.0, 0.0]}}, 'too close'),
+        ({'table': {'along': [1.0]}}, 'expected 2 finite numbers'),
+        ({'direction': [0, 0, 0]}, 'not all zero'),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_named(change, words):
+    entry = {
+        'effect': 'empirical', 'acts_as': 'direction', 'direction': [0, 0, 1],
+        'nodes': {'time': [0.0, 10.0]}, 'table': {'along': [0.0, 1e-6]},
+    }  # fmt: skip
+    with pytest.raises(ConfigError, match=words):
+        effects_from_data([entry | change], 'file', some_machine())
+
+
+def test_file_that_asks_for_an_unknown_form_is_refused():
+    entry = {'effect': 'backlash', 'form': 'free', 'inputs': {'range': [0, 1]}, 'parameters': {}}
+    with pytest.raises(ConfigError, match='no free form of these inputs; possible: time;'):
+        effects_from_data([entry], 'file', some_machine())
+
+
+def test_rougher_coefficients_are_held_tighter_when_taken_off(state):
+    form = form_of('backlash', 0, state)
+    one = taken([AppliedEffect(form, parameters_of(form, state))], 'found')
+    precision = one.precision(np.ones(one.size))
+    orders = form.orders_of(one.names)
+    assert precision[orders == 3] == pytest.approx(16 * precision[orders == 0])
+
+
+# ---------------------------------------------------------------- in a search
+
+
+def found_of(displacement, names, seed=3):
+    """Causes that a search of some effects finds in noise and a displacement of the pieces."""
+    rows = solved_rows()
+    parts = []
+    for run, state in zip(rows.done.runs, rows.states, strict=True):
+        parts.append(np.einsum('cpk,pk->cp', run.system.axes, displacement(state)).ravel())
+    rows = holding(noise(seed) + np.concatenate(parts))
+    tried, _ = tried_effects(rows, [REGISTRY[n] for n in names], {})
+    return search(rows, tried)[0]
+
+
+def play(size):
+    return lambda s: 0.5 * (size(s) * np.sign(np.round(s.direction[:, 0], 6)))[:, None] * [1, 0, 0]
+
+
+def test_formula_is_named_where_it_is_as_good():
+    causes = found_of(play(lambda s: np.full(len(s.time), 6e-6)), ['backlash', 'cross_coupling'])
+    assert [c.option.effect for c in causes] == [REGISTRY['backlash']]
+
+
+def test_free_form_is_named_where_play_departs_from_the_formula():
+    warm = play(lambda s: 6e-6 * (1.5 - 1.2 * (s.time / s.end - 0.3) ** 2))
+    (cause,) = found_of(warm, ['backlash', 'servo_mismatch', 'cross_coupling'])
+    assert cause.option.effect.name == 'backlash'
+    assert list(cause.option.effect.spans) == ['time']
+    assert set(cause.option.axes) == {'X'}
+
+
+def test_free_forms_name_nothing_in_noise():
+    names = ['backlash', 'servo_mismatch', 'table_tilt', 'corner_rounding']
+    for seed in (21, 22):
+        assert found_of(lambda s: np.zeros((len(s), 3)), names, seed) == []
+
+
+def test_structure_of_a_gap_without_a_name_is_found():
+    rows = solved_rows()
+
+    def sinking(s):
+        u = 2 * s.q[:, 0] / s.machine.upper[0] - 1
+        return (8e-6 * (s.time / s.end) ** 2 * np.tanh(2 * u))[:, None] * [0, 0, 1]
+
+    parts = [
+        np.einsum('cpk,pk->cp', run.system.axes, sinking(state)).ravel()
+        for run, state in zip(rows.done.runs, rows.states, strict=True)
+    ]
+    given = np.concatenate(parts)
+    found = find_structure(holding(noise(5) + given))
+    assert set(found.effect.form.inputs) == {'time', 'x'}
+    assert isinstance(found.effect.form.acts, Along)
+    assert abs(found.effect.form.acts.direction[2]) > 0.98
+    assert rms_um(given) > 1.0
+
+
+def test_free_forms_are_bound_to_the_ranges_of_the_runs():
+    states = solved_rows().states
+    (form, *_) = free_forms(REGISTRY['thermal_structure_drift'], states)
+    assert form.spans == {'time': (0.0, max(s.end for s in states))}

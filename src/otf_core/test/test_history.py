@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibrations of years: store, drift that is there and that is not, next calibration."""
+
+import json
+import re
+from datetime import datetime, timedelta, timezone
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from cli_cells import run
+from core_cells import error_of
+
+from otf_core.errors import ConfigError, InputError
+from otf_core.history.interim_check import interim_check
+from otf_core.history.interim_path import interim_path
+from otf_core.history.judged import history_of
+from otf_core.history.series import series_of
+from otf_core.history.store import add_event, add_run, read_store
+from otf_core.model.evaluation import mean_length, without_rigid_motion
+from otf_core.model.machine import AXES
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import load_tables, tables_from_dict
+from otf_core.pieces.runs import Recording
+from otf_core.reports.calibration import result_to_dict
+
+START = datetime(2026, 1, 1, tzinfo=timezone.utc)
+
+
+@pytest.fixture(scope='module')
+def found(calibrated):
+    """Plain data of a real calibration, and the root of its covariance."""
+    values, vectors = np.linalg.eigh(calibrated.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return SimpleNamespace(data=json.loads(json.dumps(result_to_dict(calibrated))), root=root)
+
+
+def moved(data, size):
+    """The same tables with EXX stretched by ``size``, m over the range, and C0Y turned, rad."""
+    data = json.loads(json.dumps(data))
+    table = data['motions']['EXX']
+    position = np.array(table['position'])
+    table['value'] = (np.array(table['value']) + size * position / np.ptp(position)).tolist()
+    data['squareness']['C0Y']['value'] += size
+    return data
+
+
+def written(folder, found, sizes, seed, days=30.0):
+    """Calibrations of a machine that changed, each with its own noise; paths of the files."""
+    rng, files = np.random.default_rng(seed), []
+    folder.mkdir(exist_ok=True)
+    for k, size in enumerate(sizes):
+        data = moved(found.data, size)
+        noise = found.root @ rng.standard_normal(len(found.root))
+        for j, name in enumerate(SQUARENESS):
+            data['squareness'][name]['value'] += noise[j]
+        start = len(SQUARENESS)
+        for name in MOTIONS:
+            table = data['motions'][name]
+            stop = start + len(table['value'])
+            if table['identifiable']:
+                table['value'] = (np.array(table['value']) + noise[start:stop]).tolist()
+            start = stop
+        at = (START + timedelta(days=days * k)).isoformat()
+        data['provenance']['measured'] = {'first': at, 'last': at}
+        files.append(folder / f'{k}.json')
+        files[-1].write_text(json.dumps(data))
+    return files
+
+
+def history(folder, found, sizes, seed, limit=None):
+    for file in written(folder, found, sizes, seed):
+        add_run(folder / 'store', file)
+    store = read_store(folder / 'store')
+    return history_of(store, store.machines[0], limit)
+
+
+def test_what_is_added_twice_is_there_once_and_nothing_is_rewritten(found, tmp_path):
+    (file,) = written(tmp_path, found, [0.0], 1)
+    name, new = add_run(tmp_path / 'store', file)
+    (entry,) = (tmp_path / 'store').iterdir()
+    before = entry.stat().st_mtime_ns, entry.read_bytes()
+    assert new and entry.name.startswith(name)
+    assert add_run(tmp_path / 'store', file) == (name, False)
+    assert (entry.stat().st_mtime_ns, entry.read_bytes()) == before
+    entry.write_bytes(before[1].replace(b'"EXX"', b'"EXX" '))
+    with pytest.raises(InputError, match='changed by hand or cut'):
+        read_store(tmp_path / 'store')
+
+
+def test_a_store_keeps_tables_to_the_last_bit(found, tmp_path):
+    (file,) = written(tmp_path, found, [0.0], 2)
+    add_run(tmp_path / 'store', file)
+    kept = read_store(tmp_path / 'store').runs[0].content.tables
+    for name, table in load_tables(file).tables.motions.items():
+        np.testing.assert_array_equal(kept.motions[name].value, table.value)
+
+
+def test_runs_without_a_date_ask_for_one(found, tmp_path):
+    data = dict(found.data)
+    del data['provenance']
+    (tmp_path / 'a.json').write_text(json.dumps(data))
+    with pytest.raises(ConfigError, match='--at DATE'):
+        add_run(tmp_path / 'store', tmp_path / 'a.json')
+    add_run(tmp_path / 'store', tmp_path / 'a.json', '2026-03-01')
+    assert read_store(tmp_path / 'store').runs[0].at.month == 3
+
+
+def test_a_steady_machine_shows_no_drift(found, tmp_path):
+    judged = [history(tmp_path / f'{s}', found, [0.0] * 5, s) for s in range(11, 17)]
+    # each test errs in 5 % of all stores; three false alarms of six have p = 0.002
+    assert sum(h.drift.significant for h in judged) <= 2
+    changed = [name for h in judged for step in h.steps for name in step.changed]
+    tests = sum(len(step.motions) for h in judged for step in h.steps)
+    assert len(changed) <= 0.02 * tests
+    steady = next(h for h in judged if not h.drift.significant)
+    assert steady.due.days is None and steady.due.earliest > 0
+
+
+def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
+    sizes = [3e-6 * k for k in range(5)]
+    limit = 5e-6
+    h = history(tmp_path, found, sizes, 3, limit)
+    assert h.drift.significant
+    assert {n for n, c in h.drift.motions.items() if c.significant} == {'EXX', 'C0Y'}
+    tables = [tables_from_dict(moved(found.data, s), 'made').tables for s in (0.0, 3e-6)]
+    q = h.series.grid
+    field = error_of(tables[1], q) - error_of(tables[0], q)
+    rate = mean_length(without_rigid_motion(field, q)) / 30.0
+    assert h.drift.volume == pytest.approx(rate, rel=0.1)
+    assert h.due.earliest < limit / rate < h.due.latest
+    assert h.due.earliest < h.due.days < h.due.latest
+
+
+def test_after_an_event_drift_begins_anew_and_what_changed_is_said(found, tmp_path):
+    sizes = [0.0, 0.0, 2e-5, 2e-5, 2e-5]
+    for file in written(tmp_path, found, sizes, 4):
+        add_run(tmp_path / 'store', file)
+    add_event(tmp_path / 'store', 'collision', '2026-02-20')
+    store = read_store(tmp_path / 'store')
+    h = history_of(store, store.machines[0])
+    step = h.steps[1]
+    assert [e.words for e in step.events] == ['collision']
+    assert set(step.changed) >= {'EXX', 'C0Y'} and h.reference == 2
+    assert not {'EXX', 'C0Y'} & {n for n, c in h.drift.motions.items() if c.significant}
+
+
+def test_the_interim_path_keeps_its_time_and_crosses_what_drifts(found, tmp_path):
+    h = history(tmp_path, found, [3e-6 * k for k in range(4)], 5)
+    path = interim_path(h, 60.0)
+    machine = h.series.common.machine
+    assert np.all(path.points >= machine.lower - 1e-9)
+    assert np.all(path.points <= machine.upper + 1e-9)
+    # feed, acceleration and dwell of the planner: 0.25 m/s, 2 m/s^2, 0.2 s at every corner
+    assert path.length / 0.25 + len(path.leg_lengths) * 0.2 < 60.0
+    used = np.abs(np.diff(path.points, axis=0)).sum(axis=0)
+    assert used[AXES.index('X')] > 0 and len(path.leg_lengths) > 5
+
+
+def test_tables_hold_for_the_machine_they_are_of_and_not_for_a_changed_one(
+    cell, calibrated, found, tmp_path
+):
+    for file in written(tmp_path, found, [0.0], 6):
+        (tmp_path / 'plain.json').write_text(json.dumps(found.data))
+        add_run(tmp_path / 'store', tmp_path / 'plain.json', '2026-01-01')
+        assert file.exists()
+    series = series_of(read_store(tmp_path / 'store').runs)
+    changed = tables_from_dict(moved({**found.data, **_plain(cell.truth)}, 1e-5), 'made').tables
+    checks = [
+        interim_check(
+            Recording(cell.recording.measured(tables, seed=9), cell.path, cell.machine), series
+        )
+        for tables in (cell.truth, changed)
+    ]
+    assert checks[0].holds and not checks[1].holds
+
+
+def _plain(tables):
+    from otf_core.model.tables import tables_to_dict
+
+    return tables_to_dict(tables)
+
+
+def test_the_command_fills_a_store_and_writes_a_page_that_needs_nothing(
+    found, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / 'r', found, [0.0, 2e-5], 7)
+    assert run('history', 'store') == 2
+    assert 'begins a store' in capsys.readouterr().err
+    assert run('history', 'store', '--add', 'r/0.json', '--add', 'r/1.json',
+               '--out', 'page', '--json') == 0  # fmt: skip
+    shown = json.loads(capsys.readouterr().out)
+    (machine,) = shown['machines']
+    assert 'EXX' in machine['steps'][0]['changed']
+    assert machine['next_calibration']['not_before'] > machine['runs'][1]['at'][:10]
+    page = (tmp_path / 'page/history.html').read_text()
+    assert '://' not in page
+    pictures = re.findall(r'<svg.*?</svg>', page, re.S)
+    assert len(pictures) > 15
+    for picture in pictures:
+        ElementTree.fromstring(picture)
+    header, *rows = (tmp_path / 'page/interim_path.csv').read_text().splitlines()
+    assert header == 'x,y,z' and len(rows) > 5
+    assert run('history', 'store', '--name', 'nobody') == 2
+    assert run('history', 'store', '--limit', '0') == 2
