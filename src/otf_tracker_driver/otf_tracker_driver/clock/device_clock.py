@@ -21,7 +21,7 @@ WINDOW = 120 * 10**9
 """ns; older packets are forgotten, so that a rate that changes with temperature is followed."""
 BUCKET = 25 * 10**7
 """ns; of packets within it only the least late one is kept."""
-SETTLING, UNSURE_FOR = 2 * 10**9, 4 * 10**9
+SETTLING, UNSURE_FOR = 2 * 10**9, 3 * 10**9
 """ns; so long packets are collected at least, and at most, before the first line is believed."""
 SURE = 6e5
 """ns; standard uncertainty of a line that is believed at once."""

@@ -29,7 +29,7 @@ MOVED_WITHIN = 120.0
 SLOW = {Command.INITIALIZE, Command.CHANGE_FACE, Command.GO_BIRD_BATH, Command.FIND_REFLECTOR}
 BUSY_FOR = 30.0
 """s; a tracker that is busy longer than that is said to be."""
-BUSY_PAUSE = 0.2
+BUSY_PAUSE = 0.1
 """s"""
 MOST_REFLECTORS = 200
 CHUNK = 1 << 16
