@@ -25,7 +25,6 @@ setup(
         'zstandard>=0.18',  # unpacks the chunks of MCAP files
         'rosbags>=0.11',  # bags of any storage and version, CDR, message definitions
         'threadpoolctl>=3.1',  # one thread for small matrices: faster, the same result everywhere
-        'matplotlib>=3.6',  # figures of the reports; imported only when one is drawn
     ],
     extras_require={'test': ['pytest'], 'fleet': ['distributed']},
     entry_points={'console_scripts': ['otf = otf_core.cli.__main__:run']},

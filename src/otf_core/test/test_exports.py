@@ -4,6 +4,7 @@
 import io
 import json
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.tables import TablesFile, load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 
-FULL = ('isg', 'heidenhain', 'lattice-csv', 'lattice-npz')
+FULL = ('isg', 'heidenhain', 'qif', 'lattice-csv', 'lattice-npz')
 PARTS = ('linuxcnc', 'sinumerik-enc', 'sinumerik-cec')
 ASKED = ('sinumerik-cec', 'isg', 'heidenhain')
 NAMES = tuple(HOMES)
@@ -153,6 +154,33 @@ def read_heidenhain(files, q, sign):
         own = np.array([row[1:] for row in rows if row[0] == axis], float)
         for k, direction in enumerate('XYZABC', start=1):
             columns[f'E{direction}{axis}'] = own[:, 0], own[:, k]
+    return by_iso_names(columns, square, q, sign)
+
+
+def read_qif(files, q, sign):
+    (data,) = files.values()
+    root = ElementTree.fromstring(data)
+    names = {'q': 'http://qifstandards.org/xsd/qif3'}
+    test = root.find('.//q:CartesianCMMFPSTest', names)
+    square = {
+        'C0Y': float(test.find('q:XYSquareness', names).text),  # X-Y above 90: Y tilts to -X
+        'B0Z': -float(test.find('q:XZSquareness', names).text),  # X-Z above 90: Z tilts to -X
+        'A0Z': float(test.find('q:YZSquareness', names).text),  # Y-Z above 90: Z tilts to -Y
+    }
+    rotations = {'X': 'ABC', 'Y': 'BAC', 'Z': 'CAB'}
+    columns = {}
+    for axis in 'XYZ':
+        wanted = {f'{axis}Linearity': f'E{axis}{axis}'}
+        wanted |= {f'{axis}AxisStraightness{d}': f'E{d}{axis}' for d in 'XYZ' if d != axis}
+        words = zip(('Roll', 'Pitch', 'Yaw'), rotations[axis], strict=True)
+        wanted |= {f'{axis}Axis{word}': f'E{d}{axis}' for word, d in words}
+        for name, motion in wanted.items():
+            function = test.find(f'q:{name}', names)
+            columns[motion] = tuple(
+                np.array(function.find(f'q:{part}', names).text.split(), float)
+                for part in ('DomainValues', 'RangeValues')
+            )
+            assert int(function.get('n')) == len(columns[motion][0]) == len(columns[motion][1])
     return by_iso_names(columns, square, q, sign)
 
 

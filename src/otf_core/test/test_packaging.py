@@ -11,7 +11,7 @@ import otf_core
 
 PACKAGE = Path(otf_core.__file__).parent
 ROOT = Path(__file__).resolve().parents[3]
-NAMES = {'yaml': 'pyyaml', 'mpl_toolkits': 'matplotlib'}
+NAMES = {'yaml': 'pyyaml'}
 """Distributions that are called otherwise than what is imported from them."""
 
 

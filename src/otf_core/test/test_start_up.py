@@ -19,7 +19,6 @@ SELDOM = {
     'scipy.interpolate',
     'scipy.optimize',
     'scipy.signal',
-    'matplotlib',
     'rosbags',
     'mcap.writer',
 }
@@ -42,7 +41,7 @@ def loaded(*words):
 
 @pytest.mark.parametrize('verb', [[], *([v] for v in _parser().verbs)], ids=' '.join)
 def test_help_loads_no_numbers_and_no_bags(verb):
-    assert not loaded(*verb, '--help') & (NUMBERS | CONTAINERS | {'matplotlib'})
+    assert not loaded(*verb, '--help') & (NUMBERS | CONTAINERS)
 
 
 def test_calibration_and_prediction_load_no_wide_module_they_can_do_without(tmp_path):
@@ -54,4 +53,4 @@ def test_calibration_and_prediction_load_no_wide_module_they_can_do_without(tmp_
     points = write_points(tmp_path / 'points.csv', [[0.1, 0.1, -0.1]])
     names = loaded('predict', '--tables', tables, '--points', points, '--out', errors)
     assert errors.exists() and 'numpy' in names
-    assert not names & (CONTAINERS | {'scipy', 'yaml', 'matplotlib', 'threadpoolctl'})
+    assert not names & (CONTAINERS | {'scipy', 'yaml', 'threadpoolctl'})

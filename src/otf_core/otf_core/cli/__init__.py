@@ -122,6 +122,21 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
     add_reading(sub)
 
 
+def _add_diagnose(verb: AddVerb) -> None:
+    """Why runs depart from their simulation."""
+    sub = verb('diagnose', run_diagnose)
+    _add_runs(sub)
+    add_out(sub, 'folder for gap.json and report.html')
+    sub.add_argument(
+        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+    )
+    sub.add_argument(
+        '--own-causes', metavar='DIR',
+        help='folder of named empirical effects (.yaml), tried beside the catalogue',
+    )  # fmt: skip
+    add_parameters(sub, CalibrationConfig)
+
+
 def _add_judging_verbs(verb: AddVerb) -> None:
     """Verbs that judge a tracker, a calibration or this program."""
     sub = verb('noise', run_noise)
@@ -189,18 +204,7 @@ def _add_measuring_verbs(verb: AddVerb) -> None:
     _add_calibrate_options(sub)
     add_parameters(sub, CalibrationConfig)
 
-    sub = verb('diagnose', run_diagnose)
-    _add_runs(sub)
-    add_out(sub, 'folder for gap.json and report.html')
-    sub.add_argument(
-        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
-    )
-    sub.add_argument(
-        '--own-causes',
-        metavar='DIR',
-        help='folder of named empirical effects (.yaml), tried beside the catalogue',
-    )
-    add_parameters(sub, CalibrationConfig)
+    _add_diagnose(verb)
 
     sub = verb('predict', run_predict)
     _add_predict_options(sub)
@@ -243,6 +247,11 @@ def _add_planning_verbs(verb: AddVerb) -> None:
     sub.add_argument(
         '--path', help='CSV with the header x,y,z, or a plan.json: take this path instead'
     )
+    sub.add_argument(
+        '--after', metavar='DIR',
+        help='folder of a diagnosis: the shortest path, up to --time-budget, that tells apart '
+        'what it could not',
+    )  # fmt: skip
     _add_plan_options(sub)
     add_parameters(sub, PlannerConfig)
     add_parameters(sub, ForecastConfig)

@@ -104,20 +104,23 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
     from otf_core.noise.fields import read_noise
+    from otf_core.planning.after import open_questions
     from otf_core.planning.job import PlanRequest, make_plan, read_place
     from otf_core.planning.nc import DIALECTS
     from otf_core.reports.plan import format_report, write_report
 
-    given = (arguments.machine, arguments.path, arguments.noise)
+    given = (arguments.machine, arguments.path, arguments.noise, arguments.after)
     out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine)
     place, wanted = arguments.tracker_place, arguments.wanted_uncertainty
+    after = arguments.after
     request = PlanRequest(
         given=None if arguments.path is None else _plan_of(arguments, config, machine).plan,
         time_budget=arguments.time_budget,
         wanted_uncertainty=None if wanted is None else 1e-6 * wanted,
         tracker_place=None if place is None else read_place(place),
         noise=None if arguments.noise is None else read_noise(arguments.noise),
+        questions=() if after is None else tuple(open_questions(after, machine)),
     )
     dialect = None if arguments.dialect is None else DIALECTS[arguments.dialect]
     about = provenance(

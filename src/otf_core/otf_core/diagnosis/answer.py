@@ -6,17 +6,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from otf_core.diagnosis.engine.assess import gap_um, shrink_interval, shrink_percent
+import numpy as np
+
+from otf_core.diagnosis.engine.assess import (
+    SIMULATED_U,
+    gap_um,
+    shrink_interval,
+    shrink_percent,
+)
 from otf_core.diagnosis.engine.noise_check import NoiseFinding
 from otf_core.diagnosis.explanation import Explanation
 from otf_core.diagnosis.fitted import FittedCause
 from otf_core.diagnosis.free_curves import curves_of, departs_words
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
 from otf_core.diagnosis.unnamed import Unnamed
+from otf_core.effects import State
+from otf_core.model.machine import AXES
+
+ALONG = 0.2
+"""Share of the largest mean square displacement from which a direction is named as well."""
 
 
 def named_causes(
-    explained: Explanation, fitted: Sequence[FittedCause], noise: NoiseFinding | None, gap: Gap
+    explained: Explanation,
+    fitted: Sequence[FittedCause],
+    noise: NoiseFinding | None,
+    gap: Gap,
+    states: Sequence[State],
 ) -> tuple[NamedCause, ...]:
     """Causes as they are reported, first the one that shrinks the gap most.
 
@@ -29,11 +45,14 @@ def named_causes(
         Noise other than specified, a cause as well; it comes last.
     gap : Gap
         Its end is where the noise leads to.
+    states : sequence of State
+        Of the pieces of every run.
     """
     sizes = [gap_um(s.rms_um, explained.simulated_um) for s in explained.steps]
     named: list[NamedCause] = []
     for part, before, after in zip(fitted, sizes[:-1], sizes[1:], strict=True):
-        _add(named, _named_cause(part, before, after))
+        cause = _named_cause(part, before, after)
+        _add(named, replace(cause, direction=_direction(part, states)))
     named.sort(key=lambda cause: cause.after_um - cause.before_um)
     if noise is not None:
         named.append(_noise_cause(noise, sizes[-1], gap.after_um))
@@ -60,6 +79,16 @@ def _named_cause(part: FittedCause, before_um: float, after_um: float) -> NamedC
         departs=departs_words(part),
         curves=curves_of(part),
     )
+
+
+def _direction(part: FittedCause, states: Sequence[State]) -> str:
+    """Machine axes along which a cause displaces, the strongest first."""
+    square = np.zeros(3)
+    for run, state in enumerate(states):
+        one = part.applied(run)
+        square += np.sum(one.effect.displacement(state, one.parameters) ** 2, axis=0)
+    strong = [k for k in np.argsort(-square) if square[k] > ALONG * square.max()]
+    return ' and '.join(AXES[k] for k in strong) if square.max() > 0.0 else ''
 
 
 def _add(named: list[NamedCause], cause: NamedCause) -> None:
@@ -116,6 +145,8 @@ def _spoken(causes: Sequence[NamedCause]) -> str:
         text = cause.effect.replace('_', ' ')
         if cause.axes:
             text += f' ({", ".join(cause.axes)})'
+        if cause.direction:
+            text += f' along {cause.direction}'
         if cause.departs:
             text += f', which departs from the formula: {cause.departs}'
         if cause.indistinguishable_from:
@@ -123,6 +154,13 @@ def _spoken(causes: Sequence[NamedCause]) -> str:
             text += f', not told from {others}'
         parts.append(text)
     return ' and '.join(parts)
+
+
+def known_words(causes: Sequence[NamedCause], unnamed: Unnamed | None) -> str:
+    """What explains the gap, in words; empty if nothing does."""
+    if unnamed is not None:
+        return f'it {unnamed.words}'
+    return f'as of {_spoken(causes)}' if causes else ''
 
 
 def gap_of(explained: Explanation, noise: NoiseFinding | None) -> Gap:
@@ -137,6 +175,7 @@ def gap_of(explained: Explanation, noise: NoiseFinding | None) -> Gap:
         after_um=after_um,
         shrink_percent=shrink_percent(explained.before_um, after_um),
         shrink_interval_percent=shrink_interval(before, after, simulated_after),
+        simulated_u_um=SIMULATED_U * explained.simulated_um,
     )
 
 

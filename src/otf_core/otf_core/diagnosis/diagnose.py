@@ -17,7 +17,7 @@ from otf_core.calibration.calibrate import SolvedRecordings, assemble, solve_rec
 from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.answer import gap_of, named_causes, sentence_of
+from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentence_of
 from otf_core.diagnosis.corrected import with_causes
 from otf_core.diagnosis.engine.assess import Residuals, gap_um
 from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
@@ -101,10 +101,13 @@ def diagnose(
     fitted = fitted_causes(explained.causes, rows)
     applied = tuple(tuple(part.applied(k) for part in fitted) for k in range(len(rows.runs)))
     gap = gap_of(explained, noise)
-    causes = named_causes(explained, fitted, noise_cause, gap)
+    causes = named_causes(explained, fitted, noise_cause, gap, rows.states)
     sentence = sentence_of(verdict, gap, causes, noise, nameless.said if nameless else None)
     views = run_views(rows, explained)
-    where, shape = where_and_shape(views, project=rows.project)
+    known = known_words(causes, nameless.said if nameless else None)
+    where, shape = where_and_shape(
+        views, project=rows.project, known=known, certain=nameless is None
+    )
     del rows, seen  # their memory is needed now
     progress('correcting', 0.0)
     taken = [applied[k] for k in solved.source]

@@ -32,7 +32,9 @@ class Gap:
         legs that the causes were not fitted on.
     shrink_percent : float
     shrink_interval_percent : tuple of two floats
-        95 % interval over legs.
+        95 % interval over legs, with the uncertainty of ``simulated_um``.
+    simulated_u_um : float
+        Standard uncertainty of ``simulated_um``.
     """
 
     measured_um: float
@@ -41,6 +43,7 @@ class Gap:
     after_um: float
     shrink_percent: float
     shrink_interval_percent: tuple[float, float]
+    simulated_u_um: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,8 @@ class NamedCause:
         How the free form departs from the formula, in words; empty for a formula.
     curves : tuple of Curve
         Of the free form, the largest first.
+    direction : str
+        Machine axes along which it displaces the target, the strongest first, in words.
     """
 
     effect: str
@@ -80,6 +85,7 @@ class NamedCause:
     form: str = FORMULA
     departs: str = ''
     curves: tuple[Curve, ...] = ()
+    direction: str = ''
 
 
 @dataclass(frozen=True)

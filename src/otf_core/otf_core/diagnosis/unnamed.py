@@ -169,7 +169,7 @@ def _words(inputs: Sequence[str], structure: Structure, curves: Sequence[Curve])
     signals = any(n.startswith(SIGNAL) for n in inputs)
     kinds = [words for names, words in MECHANISMS if names & set(inputs)][:2]
     kinds = ['what that signal measures'] if signals else kinds
-    return f'depends on {depends}: {moved}{sizes}; so behaves {", or ".join(kinds)}'
+    return f'depends on {depends}: {moved}{sizes}; what behaves so: {", or ".join(kinds)}'
 
 
 def _direction_words(acts: Along) -> str:

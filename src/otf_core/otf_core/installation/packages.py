@@ -19,7 +19,6 @@ NEEDED = {
     'zstandard': '0.18',
     'rosbags': '0.11',
     'threadpoolctl': '3.1',
-    'matplotlib': '3.6',
 }
 """Distributions and their oldest versions, as in setup.py."""
 COMPILED = ('numpy', 'scipy.linalg', 'scipy.sparse', 'zstandard', 'yaml')

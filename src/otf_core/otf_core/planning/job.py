@@ -13,6 +13,7 @@ from otf_core.live.stages import Progress
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.model import NoiseModel
+from otf_core.planning.after import Answer, Question, plan_after
 from otf_core.planning.creator import plan_path
 from otf_core.planning.effects_seen import forecast_effects, forecast_rows
 from otf_core.planning.forecast import Forecast, Setup, forecast
@@ -41,6 +42,9 @@ class PlanRequest:
         m, machine frame.
     noise : NoiseModel, optional
         As specified in machine.yaml if not given.
+    questions : tuple of Question
+        What a diagnosis left open; the shortest path that answers is chosen then, within
+        ``time_budget``.
     """
 
     given: Plan | None = None
@@ -48,6 +52,7 @@ class PlanRequest:
     wanted_uncertainty: float | None = None
     tracker_place: tuple[float, float, float] | None = None
     noise: NoiseModel | None = None
+    questions: tuple[Question, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the wishes go together; ConfigError names those that do not."""
@@ -98,6 +103,18 @@ def _choose(request: PlanRequest, setup: Setup, config: PlannerConfig) -> tuple[
     return best.plan, f'{aim}; {passes}; {_worth(best.efficiency)}'
 
 
+def _chosen(
+    request: PlanRequest, setup: Setup, config: PlannerConfig
+) -> tuple[Plan, str, list[Answer]]:
+    """Plan as requested, after a diagnosis with what it would say to its questions."""
+    if not request.questions:
+        return *_choose(request, setup, config), []
+    plan, answers = plan_after(request.questions, setup, config, request.time_budget)
+    sure = sum(a.sure for a in answers)
+    how = f'after a diagnosis: the shortest path that answers {sure} of {len(answers)} questions'
+    return plan, how, answers
+
+
 def _worth(efficiency: float) -> str:
     return f'{100 * efficiency:.0f} % of the information of an ideal share of the time among lines'
 
@@ -128,7 +145,7 @@ def make_plan(
     setup = Setup.of(machine, place, request.noise, judged)
     progress('choosing lines', 0.0)
     with one_thread():
-        plan, how = _choose(request, setup, config)
+        plan, how, answers = _chosen(request, setup, config)
         plan = on_increment(plan, machine.lower, machine.upper)
         check_place(plan, setup)
         progress('forecasting', 0.0)
@@ -152,4 +169,5 @@ def make_plan(
         tuple(advice(places, own)),
         effects,
         systematic,
+        tuple(answers),
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from otf_core.model.plan import Plan
+from otf_core.planning.after import Answer
 from otf_core.planning.forecast import Forecast, Setup
 from otf_core.planning.observability import Unseen
 from otf_core.planning.planned_budget import PlannedSystematic
@@ -51,6 +52,8 @@ class PlanReport:
     effects : tuple of EffectForecast
     systematic : PlannedSystematic, optional
         The grid with systematic contributions; everything else is noise only.
+    after : tuple of Answer
+        What the plan would say to the questions that a diagnosis left open.
     """
 
     plan: Plan
@@ -62,3 +65,4 @@ class PlanReport:
     advice: tuple[str, ...]
     effects: tuple[EffectForecast, ...] = field(default=())
     systematic: PlannedSystematic | None = None
+    after: tuple[Answer, ...] = ()

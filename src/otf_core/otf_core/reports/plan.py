@@ -89,6 +89,7 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
         'not_shown': [asdict(f) for f in report.findings],
         'tracker_places': [asdict(p) | {'place': p.place.tolist()} for p in report.places],
         'effects': {e.effect: dict(e.data) for e in report.effects},
+        'after': [a.to_dict() for a in report.after],
     }
 
 
@@ -129,6 +130,9 @@ def format_report(report: PlanReport) -> str:
         *(report.systematic.words if report.systematic else ()),
         *_table(found),
         '',
+        *(['What it would say to the diagnosis:'] if report.after else []),
+        *(f'  {a.words}' for a in report.after),
+        *([''] if report.after else []),
         'What this plan does not show:',
         *(f'  {f.words}; needs {f.needs}' for f in report.findings),
         *(['  nothing is missing'] if not report.findings else []),

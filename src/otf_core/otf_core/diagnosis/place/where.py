@@ -22,7 +22,12 @@ from otf_core.diagnosis.place.groups import (
 )
 from otf_core.diagnosis.place.structure import Projection, find_structures
 from otf_core.diagnosis.place.views import RunView
-from otf_core.diagnosis.place.where_words import stands_out, structure_words, summary_words
+from otf_core.diagnosis.place.where_words import (
+    MOSTLY,
+    stands_out,
+    structure_words,
+    summary_words,
+)
 from otf_core.model.machine import AXES
 
 Array = NDArray[np.float64]
@@ -127,13 +132,24 @@ class _Located:
 
 
 def _located(
-    views: Sequence[RunView], residuals: Sequence[Array], project: Projection | None
+    views: Sequence[RunView],
+    residuals: Sequence[Array],
+    project: Projection | None,
+    known: str = '',
+    *,
+    certain: bool = True,
 ) -> _Located:
     total, groups = total_group(views, residuals), _all_groups(views, residuals)
-    found = _Located(total, groups, '')
+    found = _Located(total, groups, known)
+    if known and certain:
+        return found
     loud = stands_out(total, found.every)
     structures = find_structures(views, residuals, project) if loud else []
-    return replace(found, shape=structure_words(total, found.every, structures))
+    words = structure_words(total, found.every, structures)
+    if known:
+        says_most = sum(s.share for s in structures) > MOSTLY
+        words = f'{known}; {words}' if says_most else known
+    return replace(found, shape=words)
 
 
 def describe_structure(
@@ -158,6 +174,9 @@ def where_and_shape(
     views: Sequence[RunView],
     residual: str = 'residual_before',
     project: Projection | None = None,
+    known: str = '',
+    *,
+    certain: bool = True,
 ) -> tuple[Where, str]:
     """Tell where the gap lies, and its shape as ``describe_structure`` does, in one search.
 
@@ -166,9 +185,14 @@ def where_and_shape(
     views : sequence of RunView
     residual, project
         See ``describe_structure``.
+    known : str
+        What explains the gap, in words.
+    certain : bool
+        No other shape is looked for then, which could only contradict; else one is stated beside
+        ``known`` if it says most.
     """
     residuals = [getattr(v, residual) for v in views]
-    found = _located(views, residuals, project)
+    found = _located(views, residuals, project, known, certain=certain)
     rows: dict[str, Rows] = {k: [g.row() for g in part] for k, part in found.groups.items()}
     details = _leg_details(views, residuals)
     rows['by_path_piece'] = [r | d for r, d in zip(rows['by_path_piece'], details, strict=True)]

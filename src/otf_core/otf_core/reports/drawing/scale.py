@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 ROUND = (1.0, 2.0, 5.0, 10.0)
-MOST = 7
-"""Marks on a logarithmic scale beyond which only powers of ten are marked."""
+FINE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
+MOST, FEWEST = 7, 2
+"""Marks on a logarithmic scale beyond which only powers of ten are marked, below which
+more of them."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,9 @@ class Scale:
             powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
             found = [(m, m * 10.0**k) for k in powers for m in ROUND[:3]]
             inside = [(m, v) for m, v in found if self.low <= v <= self.high]
+            if len(inside) < FEWEST:
+                fine = [m * 10.0**k for k in powers for m in FINE]
+                return [(v, f'{v:g}') for v in fine if self.low <= v <= self.high]
             few = len(inside) <= MOST or self.high < 10.0 * self.low
             return [(v, f'{v:g}') for m, v in inside if few or m == 1.0]
         step = round_step((self.high - self.low) / self.marks)

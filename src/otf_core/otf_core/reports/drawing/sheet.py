@@ -55,6 +55,8 @@ def sheet(
     if key:
         x = EDGE
         for kind, said in key:
+            if x > EDGE and x + 24.0 + LETTERS * len(said) > width - EDGE:
+                x, y = EDGE, y + LINE
             parts.append(
                 f'<rect class="area {kind}" x="{x:.1f}" y="{y:.1f}" width="10" height="10"/>'
             )

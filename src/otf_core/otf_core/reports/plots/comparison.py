@@ -70,7 +70,7 @@ def _difference(comparison: Comparison, motion: ErrorMotion) -> str:
 
 
 def _missing(motion: ErrorMotion, unit: str) -> str:
-    panel = Panel(Scale(0.0, 1.0, '', marks=1), Scale(-1.0, 1.0, f'{motion} ({unit})', marks=1))
+    panel = Panel(Scale(0.1, 0.9, '', marks=1), Scale(-1.0, 1.0, f'{motion} ({unit})', marks=1))
     said = words(190.0, 100.0, 'not known to both', 'middle soft')
     return panel.draw([said], f'{motion}: not known to both', motion)
 
@@ -135,8 +135,8 @@ def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume'
     rows = [Bar(n, ((size, kind),), f'{size:.2f} µm') for n, kind, size in sizes]
     difference = 1e6 * volume.difference
     reach = float(np.abs(difference).max()) or 1.0
-    pictures = [bars(rows, 'mean error on the grid')]
-    pictures += [_histogram(difference[:, k], reach, AXES[k]) for k in range(3)]
+    pictures = [_histogram(difference[:, k], reach, AXES[k]) for k in range(3)]
+    pictures.append(bars(rows, 'mean error on the grid', width=340.0))
     length = np.linalg.norm(volume.difference, axis=1)
     step = heat_step(1e6 * length)
     pictures.append(vectors(volume.q, volume.difference, step))
@@ -146,7 +146,7 @@ def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume'
         f'{len(volume.q)} points; difference by direction; vectors of the difference, mean '
         f'{1e6 * length.mean():.2f} um, longest {1e6 * length.max():.2f} um, colour by length.'
     )
-    return write_sheet(folder, name, pictures, 2, 'Two sources in the volume', caption, key)
+    return write_sheet(folder, name, pictures, 3, 'Two sources in the volume', caption, key)
 
 
 def _histogram(values: Array, reach: float, axis: str) -> str:
