@@ -14,9 +14,8 @@ ROOT = Path(__file__).resolve().parents[3]
 NAMES = {'yaml': 'pyyaml'}
 """Distributions that are called otherwise than what is imported from them."""
 
-
-OF_A_CONTROL = {'linuxcnc', 'hal'}
-"""Come with LinuxCNC and are imported inside it only."""
+OF_LINUXCNC = {'linuxcnc', 'hal'}
+"""Come with LinuxCNC for the Python of the system, which runs the files that import them."""
 
 
 def argument(name):
@@ -43,9 +42,9 @@ def imported():
 
 def test_all_that_is_imported_is_required_and_nothing_else():
     foreign = set(imported()) - set(sys.stdlib_module_names) - {'otf_core', '__future__'}
-    optional = {name for extra in argument('extras_require').values() for name in extra}
-    needed = {NAMES.get(name, name) for name in foreign} - OF_A_CONTROL - optional
-    assert needed == required()
+    optional = {line for lines in argument('extras_require').values() for line in lines}
+    named = {NAMES.get(name, name) for name in foreign - OF_LINUXCNC}
+    assert named - optional == required()
 
 
 def test_what_the_offline_commands_are_set_up_with_is_what_pip_brings():
