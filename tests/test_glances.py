@@ -6,14 +6,16 @@ from types import SimpleNamespace
 import pytest
 
 from otf_calibrator.glances import EVERY, MOST, SHARE, Glances
+from otf_core.model.path import NominalPath
 
-LENGTH = 40.0
+PATH = NominalPath([[0, 0, 0], [0.05, 0, 0], [0.1, 0, 0], [0.1, 0.05, 0], [0, 0.05, 0],
+                    [0, 0.05, 20], [0, 0, 20], [0, 0, 0.3]])  # fmt: skip
+LENGTH = PATH.length
 
 
 def a_run(travelled, run=1, taken=False):
     """What a collector knows of a run."""
-    path = SimpleNamespace(length=LENGTH)
-    return SimpleNamespace(path=path, taken=taken, travelled=travelled, run=run)
+    return SimpleNamespace(path=PATH, taken=taken, travelled=travelled, run=run)
 
 
 @pytest.fixture
@@ -26,16 +28,21 @@ def glances():
 
 
 def test_looks_after_some_time_or_some_of_the_path_whichever_is_sooner(glances):
-    assert not glances.due(a_run(0.2), 100.0 + 0.9 * EVERY)
-    assert glances.due(a_run(0.2), 101.0 + EVERY)
+    assert not glances.due(a_run(0.3), 100.0 + 0.9 * EVERY)
+    assert glances.due(a_run(0.3), 101.0 + EVERY)
     assert not glances.due(a_run(1.9 * SHARE * LENGTH), 102.0 + EVERY)
     assert glances.due(a_run(2.1 * SHARE * LENGTH), 102.0 + EVERY)
 
 
+def test_waits_for_three_legs_however_long_that_takes(glances):
+    assert not glances.due(a_run(0.24), 5000.0)  # 0.1 m, 0.05 m and 0.1 m
+    assert glances.due(a_run(0.26), 5000.0)
+
+
 def test_is_patient_with_the_first_look_only_and_gives_up(glances):
-    assert glances.due(a_run(0.2), 101.0 + EVERY) and glances.patient
-    assert glances.due(a_run(0.2), 101.0 + 2 * EVERY) and not glances.patient
-    looks = sum(glances.due(a_run(0.2), 101.0 + k * EVERY) for k in range(3, 20))
+    assert glances.due(a_run(0.3), 101.0 + EVERY) and glances.patient
+    assert glances.due(a_run(0.3), 101.0 + 2 * EVERY) and not glances.patient
+    looks = sum(glances.due(a_run(0.3), 101.0 + k * EVERY) for k in range(3, 20))
     assert looks == MOST - 2
 
 

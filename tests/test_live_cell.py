@@ -49,11 +49,14 @@ def test_finds_the_true_errors_and_every_reader_gets_the_tables(graph, machine_f
     assert again == without_date((folder / 'error_tables.json').read_bytes())
 
 
-def test_calibrator_that_starts_late_gets_path_and_all_samples(graph, machine_file, tmp_path):
-    graph.start('path_planner', machine_file=machine_file, **SHORT)
-    graph.start('tracker_driver', machine_file=machine_file, **FAST)
+def test_calibrator_that_starts_late_gets_path_and_all_samples_without_any_clock(
+    graph, machine_file, tmp_path
+):
+    given = {'machine_file': machine_file, 'use_sim_time': True}
+    graph.start('path_planner', **given, **SHORT)
+    graph.start('tracker_driver', **given, **FAST)
     graph.wait_for_status('IDLE', 'waiting for subscriptions')
-    graph.start('calibrator', machine_file=machine_file, output_directory=tmp_path / 'out')
+    graph.start('calibrator', **given, output_directory=tmp_path / 'out')
     result, _ = graph.wait_for_result()
     assert (result.status, result.samples_lost) == (result.OK, 0)
 

@@ -6,16 +6,22 @@ import math
 import re
 import threading
 import urllib.request
+from pathlib import Path as FilePath
 
 import numpy as np
+from action_msgs.msg import GoalStatus
+from caller import Caller
 from cells import ERROR_SIZE, FAST, write_truth
+from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from otf_core.live.numbers import NUMBERS
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
 from otf_msgs.msg import CalibrationResult, CalibratorState, VolumeErrors
-from otf_ros import qos
+from otf_ros import convert, qos
 
 ASKED = {'finish_at_stream_end': False, 'finish_at_standstill': False, 'idle_timeout': 0.0}
 """Parameters of a calibrator that waits until it is asked, so that there is time to look."""
@@ -122,14 +128,18 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     graph.wait(lambda: reader.latest()['scene']['solved']['motions'], 'it in the page')
     halfway = reader.latest()
     graph.wait_for_status('FINISHED')
-    assert graph.trigger('calibrator/calibrate').success
+    caller = Caller(graph)
+    ended = caller.outcome(caller.send())
+    caller.close()
     result, _ = graph.wait_for_result()
     graph.wait(lambda: not volumes[-1].provisional, 'the errors')
     graph.wait(lambda: not reader.latest()['scene']['solved']['provisional'], 'them in the page')
+    graph.wait(lambda: reader.latest()['now']['state'] == 'DONE', 'the end in the page')
 
     late = graph.listen(MarkerArray, 'view/scene', qos.PICTURE)
     graph.wait(lambda: late and 'so far' not in layers(late[-1])['error_legend'].text, 'the scene')
     graph.wait(lambda: 'tracker' in layers(live[-1]), 'the tracker')
+    check_action(caller.feedback, *ended, result)
     check_provisional(early, result, states)
     check_scene(layers(late[-1]), paths[0], volumes[-1])
     check_run(layers(live[-1]), result)
@@ -137,6 +147,16 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     check_page(halfway, reader.latest(), early[1], result)
     graph.stop(page)
     assert reader.ended()
+
+
+def check_action(feedback, status, ended, result):
+    """Who asked by the action is told what all are told, when the files are there."""
+    assert (status, ended.success, ended.code) == (GoalStatus.STATUS_SUCCEEDED, True, 0)
+    assert (ended.run_id, ended.message) == (result.run_id, result.message)
+    assert (FilePath(ended.output_directory) / 'samples').exists()
+    assert {f.stage for f in feedback} >= {'aligning', 'solving'}
+    assert all(0 <= f.fraction <= 1 for f in feedback)
+    assert all(math.isnan(f.time_left) or f.time_left >= 0 for f in feedback)
 
 
 def check_provisional(early, result, states):
@@ -198,7 +218,7 @@ def check_numbers(numbers, result):
 def check_page(halfway, end, early, result):
     """The page says what the messages say, in um."""
     now, solved = halfway['now'], halfway['scene']['solved']
-    assert now['state'] == 'BUFFERING' and 0.3 < now['fraction'] <= 1 and now['time_left'] >= 0
+    assert now['state'] == 'BUFFERING' and 0.3 < now['fraction'] <= 1
     assert len(now['places']) == len(now['deviations_um']) > 5
     assert solved['provisional'] and solved['ok'] and not end['scene']['solved']['provisional']
     assert end['scene']['solved']['residual_rms_um'] == 1e6 * result.residual_rms
@@ -208,6 +228,26 @@ def check_page(halfway, end, early, result):
         u = {name: None if math.isnan(v) else 1e6 * v
              for name, v in zip(message.motions, message.motion_u, strict=True)}  # fmt: skip
         assert {name: v for name, (_, v) in found['motions'].items()} == u
+
+
+def test_bad_set_up_is_said_while_the_run_goes_on(graph, machine_file):
+    graph.start('calibrator', machine_file=machine_file, output_directory=graph.folder, **ASKED)
+    early = graph.listen(CalibrationResult, 'calibrator/provisional', qos.RESULT)
+    paths = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
+    points = graph.ear().create_publisher(PointStamped, 'tracker/point', qos.MEASUREMENT)
+    square = NominalPath([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0.15, -0.1], [0, 0, 0]])
+    paths.publish(convert.path_to_message(square, graph.ear().get_clock().now().to_msg()))
+    graph.wait_for_state('BUFFERING')
+    graph.wait(points.get_subscription_count, 'the calibrator')
+    turns = np.linspace(0, 30, 1500)
+    elsewhere = np.stack([1 + 0.02 * turns, 0.03 * np.cos(turns), 0.03 * np.sin(turns)], axis=1)
+    coil = Samples(1_700_000_000_000_000_000 + np.arange(1500) * 10_000_000, elsewhere)
+    for message in convert.points_to_messages(coil):
+        points.publish(message)
+    graph.wait(lambda: early, 'what is wrong')
+    assert early[0].status == early[0].INPUT_UNUSABLE and not early[0].run_id
+    assert 'do not follow the path' in early[0].message or 'followed only' in early[0].message
+    assert graph.state().name == 'BUFFERING'
 
 
 def test_viewer_alone_says_nothing_and_a_broken_path_does_no_harm(graph):

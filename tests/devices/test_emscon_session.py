@@ -15,6 +15,7 @@ from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
 from otf_tracker_driver.emscon import actions, codes
+from otf_tracker_driver.emscon.intake import Intake
 
 PATIENCE = 40.0
 """s"""
@@ -241,6 +242,25 @@ def test_actions_while_no_stream_is_wanted(make):
         take(backend, 100)
         with pytest.raises(OtfError, match='is measuring; stop it first'):
             thread.do(actions.bird_bath).result(5)
+
+
+def test_connecting_is_given_up_when_the_process_is_asked_to_end(make):
+    with emulator('initialize=60') as running:
+        backend = make(running.port)
+        backend.cancelled = lambda: True
+        with pytest.raises(OtfError, match='given up'):
+            backend.connect()
+
+
+def test_defect_in_what_takes_the_samples_is_said_and_the_stream_tried_again(make, monkeypatch):
+    with emulator() as running:
+        backend = make(running.port)
+        backend.connect()
+        with monkeypatch.context() as broken:
+            broken.setattr(Intake, 'take', lambda *_: {}['nothing'])
+            backend.start()
+            until(lambda: 'internal error' in backend.trouble and 'nothing' in backend.trouble)
+        take(backend, 100)
 
 
 def served(answer):

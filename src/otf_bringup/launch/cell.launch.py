@@ -153,7 +153,7 @@ def elsewhere(given):
     """Return remappings of what comes from other namespaces; tf stays within the cell."""
     names = {'tracker': ('point', 'status', 'gap'), 'planner': ('path', 'plan')}
     return [
-        ('/tf_static', 'tf_static'),
+        *([('/tf_static', 'tf_static')] if given['namespace'] else []),
         *(
             (f'{kind}/{name}', f'/{given[kind].strip("/")}/{kind}/{name}')
             for kind, topics in names.items()

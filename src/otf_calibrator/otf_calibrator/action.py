@@ -64,7 +64,8 @@ class CalibrateAction:
         if self._goal is None:
             return
         latest = self._latest()
-        if latest is not self._before and latest is not None:
+        told = latest is not self._before and latest is not None
+        if told and not self._session.busy:
             goal, self._goal = self._goal, None
             goal.execute(lambda goal: self._end(goal, latest))
             return

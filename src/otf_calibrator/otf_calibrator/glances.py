@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from otf_calibrator.collector import Collector
+from otf_core.model.path import NominalPath
 
 EVERY = 30.0
 """s of driving between two looks."""
@@ -11,6 +12,8 @@ SHARE = 0.05
 """Share of the path that is driven between two looks, if that is sooner."""
 MOST = 4
 """Looks at a run; after that the first lap will tell."""
+LEGS = 3
+"""Legs that have to be driven: fewer do not fix a tracker."""
 PATIENT = 1
 """Looks that may fail unsaid: the first legs often do not determine anything yet."""
 
@@ -22,6 +25,7 @@ class Glances:
         self._run = -1
         self._began = 0.0
         self._looks = 0
+        self._least = 0.0
         self._found = False
 
     @property
@@ -39,10 +43,17 @@ class Glances:
             return False
         if collector.run != self._run:
             self._run, self._began, self._looks, self._found = collector.run, now, 0, False
-        if self._found or self._looks >= MOST:
+            self._least = _reach(collector.path)
+        if self._found or self._looks >= MOST or collector.travelled < self._least:
             return False
         driven = collector.travelled / (SHARE * collector.path.length)
         if max(driven, (now - self._began) / EVERY) < self._looks + 1:
             return False
         self._looks += 1
         return True
+
+
+def _reach(path: NominalPath) -> float:
+    """Length of the first legs of a path, m."""
+    last = path.corners()[1][: LEGS + 1][-1]
+    return float(path.leg_lengths[:last].sum())

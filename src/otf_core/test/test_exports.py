@@ -57,8 +57,7 @@ def read_linuxcnc(files, q, sign):
                 nominal, forward, reverse = map(float, line.split())
             except ValueError:
                 break  # the control stops here too
-            rows.append((nominal, nominal - forward))
-            assert forward == reverse
+            rows.append((nominal, nominal - 0.5 * (forward + reverse)))
         nominal, correction = np.array(rows).T
         assert np.all(np.diff(nominal) > 0) and len(nominal) <= 256
         change[:, joint] = 1e-3 * np.interp(1e3 * q[:, joint], nominal, correction)
@@ -252,6 +251,23 @@ def test_the_tables_of_sinumerik_together_hold_what_functions_of_one_axis_can(ta
 def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
     for content in exported(name, tables).files.values():
         assert b'sign: ' in content and b'not in this file: ' in content
+
+
+def test_backlash_stands_in_the_columns_of_the_directions(tables):
+    reversal = {'motions': {'EYY': {'position': [0.0, 0.25], 'value': [4e-6, 6e-6]}}}
+    files = (
+        export_format('linuxcnc')
+        .export(Request(TablesFile(tables, {'reversal': reversal}), 'a.ini'))
+        .files
+    )
+    for name, wanted in (('a_x.comp', (0.0, 0.0)), ('a_y.comp', (4e-3, 6e-3))):
+        lines = files[name].decode().splitlines()
+        rows = np.array([line.split() for line in lines if line[0] != '#'], float)
+        # error in forward travel less that in backward travel, mm
+        np.testing.assert_allclose((rows[:, 1] - rows[:, 2])[[0, -1]], wanted, atol=2e-6)
+    with pytest.raises(ConfigError, match='reversal: EYY'):
+        wrong = {'motions': {'EYY': {'position': [0.0], 'value': 'x'}}}
+        export_format('linuxcnc').export(Request(TablesFile(tables, {'reversal': wrong}), 'a'))
 
 
 def test_the_covariance_of_a_lattice_is_that_of_its_errors(tables):

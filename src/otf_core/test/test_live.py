@@ -55,6 +55,8 @@ def test_time_left_is_that_of_the_mean_speed_and_begins_anew_with_another_job():
     assert math.isnan(clock.estimate('driving', 0.2, 100.0))
     assert math.isnan(clock.estimate('driving', 0.2, 110.0))  # nothing moved
     assert clock.estimate('driving', 0.4, 120.0) == pytest.approx(60.0)
+    assert clock.estimate('driving', 0.4, 130.0) == pytest.approx(50.0)
+    assert math.isnan(clock.estimate('driving', 0.4, 190.0))  # it takes longer than that
     assert math.isnan(clock.estimate('solving', 0.5, 121.0))
     assert clock.estimate('solving', 0.75, 131.0) == pytest.approx(10.0)
     assert math.isnan(clock.estimate('solving', 0.1, 140.0))  # a second solving

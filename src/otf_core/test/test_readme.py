@@ -53,7 +53,7 @@ def test_links_lead_somewhere(page):
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)
 def test_named_commands_exist(page):
     verbs = next(a for a in _parser()._actions if a.dest == 'verb').choices
-    known = {*verbs, 'demo', 'test', 'env', 'emulate-tracker'}
+    known = {*verbs, 'demo', 'soak', 'test', 'env', 'emulate-tracker'}
     found = set(re.findall(r'\./otf ([a-z-]+)', page.read_text(encoding='utf-8')))
     assert found <= known
 

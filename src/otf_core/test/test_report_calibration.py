@@ -235,6 +235,7 @@ def test_budget_of_the_volume_agrees_and_its_squares_add_up(page, tables):
 
 def test_samples_of_the_page_add_up(page, tables):
     (row,) = page.rows('Data quality')
+    assert 'While reading nothing was repaired or left out.' in page.text
     samples, used, outliers, excluded = map(int, row[1:5])
     assert samples == used + outliers + excluded == tables['fit']['samples']
     assert used == tables['fit']['used']

@@ -15,6 +15,7 @@ from otf_core.model.motions import SQUARENESS
 from otf_msgs.msg import CalibrationResult, CalibratorState, VolumeErrors
 from otf_ros import convert, convert_result, qos
 from otf_ros.glance import Glance
+from otf_ros.timers import create_timer
 
 LOOK = 0.2
 """s; how often the newest sample is looked at."""
@@ -49,7 +50,7 @@ class Ears:
         subscribe(CalibrationResult, 'calibrator/provisional', self._on_provisional, qos.RESULT)
         subscribe(CalibrationResult, 'calibrator/result', self._on_result, qos.RESULT)
         subscribe(VolumeErrors, 'calibrator/volume', self._on_volume, qos.RESULT)
-        node.create_timer(LOOK, self._look)
+        create_timer(node, LOOK, self._look)
 
     def _look(self) -> None:
         if self._points is None and self.run.collecting:

@@ -8,6 +8,7 @@ from rclpy.node import Node
 from otf_core.live.snapshot import now, scene
 from otf_ros import app
 from otf_ros.params import NodeParameters
+from otf_ros.timers import create_timer
 from otf_view.listening import Ears
 from otf_view.params import PageConfig
 from otf_view.server import PageServer
@@ -32,7 +33,7 @@ class Page(Node):
         self._server = PageServer(config.host, config.port)
         self._shown = -1
         self._update()
-        self.create_timer(PERIOD, self._update)
+        create_timer(self, PERIOD, self._update)
         self.get_logger().info(f'live view at {self._server.url}')
 
     def close(self) -> None:

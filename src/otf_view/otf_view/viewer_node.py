@@ -14,6 +14,7 @@ from otf_core.live.layers import moving, scene
 from otf_core.live.numbers import NUMBERS, numbers
 from otf_ros import app, qos
 from otf_ros.params import NodeParameters
+from otf_ros.timers import create_timer
 from otf_view.listening import Ears
 from otf_view.markers import to_markers
 from otf_view.params import ViewerConfig
@@ -35,7 +36,7 @@ class Viewer(Node):
         }
         self._ears = Ears(self)
         self._drawn = 0
-        self.create_timer(PERIOD, self._publish)
+        create_timer(self, PERIOD, self._publish)
 
     def _publish(self) -> None:
         run = self._ears.run

@@ -19,6 +19,8 @@ from otf_core.files.strict_yaml import read_yaml
 EXPECTED = 'a bag is a rosbag2 folder or an .mcap file'
 BATCH = 20_000
 """Messages that the general reader joins to one block."""
+MOST_UNPACKED, MAX_RATIO = 1 << 28, 200
+"""Bytes; a compressed file that unpacks to more, and to so many times its size, is refused."""
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,8 @@ def _general_messages(
     """Yield what rosbags reads: sqlite3 storage, compressed files or messages."""
     from rosbags.rosbag2 import Reader  # costs 50 ms that plain MCAP does not need
 
+    for file in sorted(path.glob('*.zstd')) if path.is_dir() else ():
+        _check_unpacked(file)
     try:
         with Reader(path) as reader:
             topics.update({c.topic: c.msgtype for c in reader.connections})
@@ -191,6 +195,25 @@ def _general_messages(
         # rosbags passes on what apsw, zstd, lz4, ruamel and struct raise on damaged files
         detail = ' '.join(f'{type(error).__name__}: {error}'.split())[:300]
         raise InputError(f'{path}: cannot be read as a bag ({detail})') from None
+
+
+def _check_unpacked(file: Path) -> None:
+    """Refuse a compressed file that unpacks to far more than recordings do."""
+    import zstandard
+
+    most = max(MOST_UNPACKED, MAX_RATIO * file.stat().st_size)
+    size = 0
+    try:
+        with file.open('rb') as stream:
+            for block in zstandard.ZstdDecompressor().read_to_iter(stream):
+                size += len(block)
+                if size > most:
+                    raise InputError(
+                        f'{file}: unpacks to more than {most >> 20} MB, {MAX_RATIO} times its '
+                        f'size, and no recording does; it is not read'
+                    )
+    except (zstandard.ZstdError, OSError):
+        return  # the reader says what is wrong
 
 
 def _blocks(

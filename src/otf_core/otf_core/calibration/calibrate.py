@@ -210,6 +210,7 @@ def _run_result(
         name=Path(run.recording.name).name,
         target_offset=run.machine.target_offset,
         samples=len(run.recording.samples),
+        remarks=tuple(run.recording.remarks),
         rate=1.0 / run.recording.samples.step,
         lost=lost_samples(run.recording.samples.stamp_ns),
         T_machine_tracker=solved.pose,

@@ -83,6 +83,8 @@ class RunResult:
         Of the recording.
     target_offset : ndarray, shape (3,), m
     samples : int
+    remarks : tuple of str
+        What was repaired or left out while the recording was read.
     rate : float
         Hz, usual rate of the samples.
     lost : Lost
@@ -112,6 +114,7 @@ class RunResult:
     name: str
     target_offset: Array
     samples: int
+    remarks: tuple[str, ...]
     rate: float
     lost: Lost
     T_machine_tracker: RigidTransform

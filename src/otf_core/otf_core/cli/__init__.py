@@ -116,25 +116,15 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
         help='machine.yaml of all bags; or given once per bag, in their order',
     )  # fmt: skip
     sub.add_argument(
+        '--signal', action='append', default=[], metavar='TOPIC[:FIELD]',
+        help='a number recorded beside the samples, such as a temperature, that a diagnosis takes '
+        'for a possible cause; may be repeated',
+    )  # fmt: skip
+    sub.add_argument(
         '--join', action='store_true',
         help='the bags are parts of one run, whose recording was ended and begun again',
     )  # fmt: skip
     add_reading(sub)
-
-
-def _add_diagnose(verb: AddVerb) -> None:
-    """Why runs depart from their simulation."""
-    sub = verb('diagnose', run_diagnose)
-    _add_runs(sub)
-    add_out(sub, 'folder for gap.json and report.html')
-    sub.add_argument(
-        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
-    )
-    sub.add_argument(
-        '--own-causes', metavar='DIR',
-        help='folder of named empirical effects (.yaml), tried beside the catalogue',
-    )  # fmt: skip
-    add_parameters(sub, CalibrationConfig)
 
 
 def _add_judging_verbs(verb: AddVerb) -> None:
@@ -194,6 +184,21 @@ def _add_checking_verbs(verb: AddVerb) -> None:
 
     sub = verb('completion', run_completion)
     sub.add_argument('shell', choices=SHELLS)
+
+
+def _add_diagnose(verb: AddVerb) -> None:
+    """Why runs depart from their simulation."""
+    sub = verb('diagnose', run_diagnose)
+    _add_runs(sub)
+    add_out(sub, 'folder for gap.json and report.html')
+    sub.add_argument(
+        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+    )
+    sub.add_argument(
+        '--own-causes', metavar='DIR',
+        help='folder of named empirical effects (.yaml), tried beside the catalogue',
+    )  # fmt: skip
+    add_parameters(sub, CalibrationConfig)
 
 
 def _add_measuring_verbs(verb: AddVerb) -> None:

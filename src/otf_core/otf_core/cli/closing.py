@@ -45,12 +45,17 @@ def run_loop(arguments: argparse.Namespace) -> int:
     machine = load_machine(arguments.machine)
     find_control()
     plan = plan_path(machine, planning)
+
+    def progress(text: str) -> None:
+        if not arguments.quiet:
+            note(f'otf loop: {text}')
+
     circle = go_round(
         machine,
         plan,
         arguments.compensate,
         SimulationConfig(**given),
-        lambda text: note(f'otf loop: {text}'),
+        progress,
     )
     with out.filled('loop') as folder:
         files = write_loop(circle, folder)
@@ -59,7 +64,7 @@ def run_loop(arguments: argparse.Namespace) -> int:
             from otf_core.reports.diagnosis import write_diagnosis
             from otf_core.sim.twin import twin_recording
 
-            note('otf loop: diagnoses')
+            progress('diagnoses')
             found = diagnose([circle.recordings['fit']], twin_recording)
             files += write_diagnosis(found, folder / 'diagnosis')
         names = [f.relative_to(folder) for f in files]

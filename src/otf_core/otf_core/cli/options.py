@@ -90,6 +90,7 @@ def given_of(arguments: argparse.Namespace, path: str | None = None) -> Given:
         columns=arguments.columns,
         rate=arguments.rate,
         recover=arguments.recover,
+        signals=tuple(getattr(arguments, 'signal', ())),
     )
 
 

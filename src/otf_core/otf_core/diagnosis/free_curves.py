@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.fitted import FittedCause
 from otf_core.effects.free import FreeForm, coefficient_name
-from otf_core.effects.inputs import unit_of_input, unscaled_input
+from otf_core.effects.inputs import SIGNAL, unit_of_input, unscaled_input
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -137,7 +137,18 @@ def range_words(curve: Curve) -> str:
         for k in sorted((low, high), key=lambda k: curve.at[k])
     )
     held = ', '.join(f'{n} = {_input_words(v, unit_of_input(n))}' for n, v in curve.held.items())
-    return f'{curve.term} goes from {ends}' + (f' ({held})' if held else '')
+    words = f'{curve.term} goes from {ends}' + (f' ({held})' if held else '')
+    return words + _slope_words(curve)
+
+
+def _slope_words(curve: Curve) -> str:
+    """How much a curve that follows a signal changes per unit of it."""
+    width = curve.at[-1] - curve.at[0]
+    if not curve.input.startswith(SIGNAL) or curve.held or width <= 0.0:
+        return ''
+    slope, u = (curve.value[-1] - curve.value[0]) / width, curve.u[-1] / width
+    factor, unit = SCALES.get(curve.unit, (1.0, curve.unit))
+    return f'; {factor * slope:.3g} +/- {factor * u:.1g} {unit} (k = 1) per unit of the signal'
 
 
 def _input_words(value: float, unit: str) -> str:

@@ -25,6 +25,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 
 if TYPE_CHECKING:
+    from otf_core.effects.acting import Acting
     from otf_core.effects.free import Free
 
 Array = NDArray[np.float64]
@@ -234,6 +235,8 @@ class Effect(ABC):
     """Sources of the uncertainty budget that act as it does."""
     trial: ClassVar[Trial]
     """How a blind trial draws it."""
+    follows: ClassVar[tuple[Acting, ...]] = ()
+    """How it acts where it follows a signal recorded beside the samples."""
     free: ClassVar[tuple[Free, ...]] = ()
     """Its free forms: what it may depend on beside its formula."""
 

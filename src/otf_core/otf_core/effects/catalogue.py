@@ -39,6 +39,8 @@ the path is seen on the fly.
   parameters: {period: 0.01, S_Y: 1.0e-06}
   units: {period: m, S_Y: m}     # optional; checked where it stands
 ```
+
+Free forms and empirical effects as entries of such a file: [free-forms.md](free-forms.md).
 """
 
 
@@ -69,12 +71,17 @@ def _parameters(effect: Effect) -> str:
     return '; '.join(parts + shaped)
 
 
+def _free_words(effect: Effect) -> str:
+    return '; '.join(f'{f.words} (of {", ".join(f.inputs)})' for f in effect.free)
+
+
 def _section(effect: Effect) -> str:
     rows = (
         ('Cause', effect.cause),
         ('Displacement', f'`{effect.equation}`'),
         ('Parameters', f'{effect.coefficients}: {_parameters(effect)}'),
         ('Typical size', effect.typical),
+        *([('Free forms', _free_words(effect))] if effect.free else []),
         ('Looks like', effect.signature),
         ('Shown by', effect.needs),
         ('Source', effect.source),

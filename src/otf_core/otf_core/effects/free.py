@@ -12,7 +12,7 @@ sections 2.7 and 5.4).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from numpy.polynomial import legendre
 
 from otf_core.effects.acting import Acting
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
-from otf_core.effects.inputs import Span, input_values, scaled_input, span_of
+from otf_core.effects.inputs import SIGNAL, Span, input_values, scaled_input, span_of
 
 if TYPE_CHECKING:
     from otf_core.effects.base import BelongsTo
@@ -149,6 +149,12 @@ class FreeForm(Effect):
         """As of the formula, where it acts with that; else there is none."""
         return self.parent.complete_shape(parameters) if self.form.shaped else {}
 
+    def units(self, state: State, parameters: Shape) -> dict[str, str]:
+        """Unit of every given parameter; signals need not be known for that."""
+        lacking = {n for n in self.spans if n.startswith(SIGNAL) and n not in state.more}
+        more = {**state.more, **{n: np.zeros(len(state)) for n in lacking}}
+        return super().units(replace(state, more=more), parameters)
+
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return A_k: term of what it acts with, and the orders of the polynomials."""
         base = acting(self.parent, self.form)(state, shape)
@@ -200,5 +206,20 @@ def coefficient_name(term: str, number: Sequence[int]) -> str:
 
 
 def free_forms(effect: Effect, states: Sequence[State]) -> list[FreeForm]:
-    """Free forms of an effect, bound to runs."""
-    return [FreeForm.bound(effect, free, states) for free in effect.free]
+    """Free forms of an effect, bound to runs, those that follow their signals among them."""
+    forms = (*effect.free, *signal_forms(effect, states))
+    return [FreeForm.bound(effect, free, states) for free in forms]
+
+
+def signal_forms(effect: Effect, states: Sequence[State]) -> list[Free]:
+    """In proportion to each signal that all runs have and that changes."""
+    names = [n for n in states[0].more if n.startswith(SIGNAL)]
+    names = [n for n in names if all(n in s.more and np.ptp(s.more[n]) > 0.0 for s in states)]
+    return [follower(acts, name) for name in names for acts in effect.follows]
+
+
+def follower(acts: Acting, signal: str) -> Free:
+    """Declare what acts in proportion to a signal, zero at its lowest value."""
+    topic, _, lag = signal.removeprefix(SIGNAL).partition('@')
+    words = f'it follows the signal {topic}' + (f' with a lag of {lag} s' if lag else '')
+    return Free((signal,), (1,), words, (1,), acts, zero_at=-1.0, own_per_run=False)

@@ -24,8 +24,8 @@ from otf_core.effects.acting import ACTING, DIRECTION, Acting, Along, acting_nam
 from otf_core.effects.applied import AppliedEffect
 from otf_core.effects.base import Effect
 from otf_core.effects.empirical import EMPIRICAL, Empirical, of_table, tabulated
-from otf_core.effects.free import FreeForm
-from otf_core.effects.inputs import Span, known_input
+from otf_core.effects.free import FreeForm, follower
+from otf_core.effects.inputs import SIGNAL, Span, known_input
 from otf_core.effects.state import probe_state
 from otf_core.files.strict_yaml import Fields
 from otf_core.model.machine import Machine
@@ -69,6 +69,8 @@ def free_form_of(name: str, fields: Fields, machine: Machine) -> Effect:
         if len(own) != 2:
             fields.fail(f'inputs: {key}', 'expected the smallest and the largest value')
         spans[key] = (own[0], own[1])
+    if len(spans) == 1 and (signal := next(iter(spans))).startswith(SIGNAL) and effect.follows:
+        return FreeForm(effect, follower(effect.follows[0], signal), spans)
     probe, known = probe_state(machine), []
     for free in effect.free:
         bound = FreeForm.bound(effect, free, [probe])

@@ -14,6 +14,7 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import AXES, Machine
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import sides_of_travel
+from otf_core.model.signals import Course
 from otf_core.model.tables import ErrorTables
 from otf_core.tracking.curves import Lines, PathShape, straight_shape
 
@@ -32,6 +33,7 @@ def state_on_path(
     tables: ErrorTables | None = None,
     duration: float = 0.0,
     shape: PathShape | None = None,
+    signals: Course | None = None,
 ) -> State:
     """Describe points of a path.
 
@@ -52,6 +54,8 @@ def state_on_path(
         Length of the recording; 0 stands for the time of the last point.
     shape : PathShape, optional
         Which legs are chords of curves; none without it.
+    signals : mapping of str to ndarray, shape (n,), optional
+        Recorded beside the samples.
     """
     lines = Lines.of(shape or straight_shape(corners))
     unit, stretch = lines.unit, lines.shape.stretch
@@ -73,7 +77,7 @@ def state_on_path(
         nodes=nodes,
         tables=tables,
         duration=duration,
-        more=path_history(lines, leg, q, speed, time),
+        more={**path_history(lines, leg, q, speed, time), **(signals or {})},
     )
 
 

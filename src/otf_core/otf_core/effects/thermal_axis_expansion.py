@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
+from otf_core.effects.acting import Acting
 from otf_core.effects.base import Contribution, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
@@ -60,6 +61,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
     )
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('S', 4e-6)))
 
+    follows: ClassVar[tuple[Acting, ...]] = (strained,)
     free: ClassVar[tuple[Free, ...]] = (
         Free(
             ('time',),

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
-from otf_core.effects.acting import vector
+from otf_core.effects.acting import Acting, vector
 from otf_core.effects.base import Array, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
@@ -47,6 +47,7 @@ class ThermalStructureDrift(drift.DriftingEffect):
     )
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('D')))
 
+    follows: ClassVar[tuple[Acting, ...]] = (vector,)
     free: ClassVar[tuple[Free, ...]] = (
         Free(
             ('time',),

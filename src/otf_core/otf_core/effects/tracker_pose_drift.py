@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
-from otf_core.effects.acting import rigid_tracker
+from otf_core.effects.acting import Acting, rigid_tracker
 from otf_core.effects.base import Shape, State, Terms
 from otf_core.effects.drawing import Axes, Either, Trial
 from otf_core.effects.free import Free
@@ -48,6 +48,7 @@ class TrackerPoseDrift(drift.DriftingEffect):
         (*drift.DRAWN, Either(((_SHIFT,), (_TURN,), (_SHIFT, _TURN)))), second_place=8
     )
 
+    follows: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)
     free: ClassVar[tuple[Free, ...]] = (
         Free(
             ('time',),

@@ -12,6 +12,9 @@ from __future__ import annotations
 
 from pathlib import PurePath
 
+import numpy as np
+from numpy.typing import NDArray
+
 from otf_core.exports.base import Exported, Format, Request
 from otf_core.exports.line_terms import (
     OWN_PAIRS,
@@ -20,7 +23,10 @@ from otf_core.exports.line_terms import (
     held_by,
     line_terms,
 )
+from otf_core.exports.travel import half_reversal
 from otf_core.model.machine import AXES
+
+Array = NDArray[np.float64]
 
 MOST = 256
 """Lines that the control reads of a file."""
@@ -31,16 +37,14 @@ class LinuxCnc(Format):
     """LinuxCNC 2.8 and later, trivial kinematics: joints 0, 1, 2 are X, Y, Z."""
 
     name = 'linuxcnc'
-    lacks = (
-        'straightness, rotations and squareness (a file per joint corrects its own axis only); '
-        'differences between the directions of travel'
-    )
+    lacks = 'straightness, rotations and squareness (a file per joint corrects its own axis only)'
 
     def sign_words(self, request: Request) -> str:
         """Say what the values are."""
         return (
             'COMP_FILE_TYPE = 0: columns 2 and 3 are actual positions in mm where the control '
-            'believes to stand at column 1 (actual = nominal + error)'
+            'believes to stand at column 1 (actual = nominal + error), in forward and in backward '
+            'travel'
         )
 
     def export(self, request: Request) -> Exported:
@@ -60,7 +64,8 @@ class LinuxCnc(Format):
         files, piece = {ini: b''}, list(words)
         for k, axis in enumerate(AXES):
             name = f'{stem}_{axis.lower()}.comp'
-            files[name] = _joint_file(terms[k, k], words)
+            half = half_reversal(request.content, k, terms[k, k].position)
+            files[name] = _joint_file(terms[k, k], half, words)
             piece += [f'[JOINT_{k}]', f'COMP_FILE = {name}', 'COMP_FILE_TYPE = 0']
         files[ini] = ('\n'.join(piece) + '\n').encode()
         return Exported(
@@ -69,16 +74,15 @@ class LinuxCnc(Format):
             (
                 'put the lines of the .ini file into the sections of that name in the INI file of '
                 'the machine (a section that comes twice is read once); BACKLASH of a joint with '
-                'COMP_FILE is ignored',
+                'COMP_FILE is ignored: what was found of it stands in columns 2 and 3',
             ),
         )
 
 
-def _joint_file(term: LineTerm, words: list[str]) -> bytes:
-    rows = []
-    for nominal, error in zip(1e3 * term.position, 1e3 * term.value, strict=True):
-        actual = f'{nominal + error:.{DECIMALS}f}'
-        rows.append(f'{nominal:.{DECIMALS}f} {actual} {actual}')
+def _joint_file(term: LineTerm, half: Array, words: list[str]) -> bytes:
+    actual = term.position + term.value
+    columns = 1e3 * np.column_stack([term.position, actual + half, actual - half])
+    rows = [' '.join(f'{v + 0.0:.{DECIMALS}f}' for v in row.round(DECIMALS)) for row in columns]
     return ('\n'.join([*rows, *words]) + '\n').encode()
 
 

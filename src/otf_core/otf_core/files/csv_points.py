@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
+from otf_core.files.strict_yaml import shown
 from otf_core.files.writing import unreadable, write_text
 
 
@@ -34,7 +35,8 @@ def read_points_csv(path: str | Path) -> NDArray[np.float64]:
         raise ConfigError(f'{path}: not a CSV text file') from None
     header = [h.strip() for h in rows[0]] if rows else []
     if not {'x', 'y', 'z'} <= set(header):
-        raise ConfigError(f'{path}: line 1: expected the header x,y,z, got {",".join(header)!r}')
+        got = shown(','.join(header))
+        raise ConfigError(f'{path}: line 1: expected the header x,y,z, got {got}')
     places = [header.index(k) for k in 'xyz']
     points = []
     for number, row in enumerate(rows[1:], start=2):
@@ -44,7 +46,7 @@ def read_points_csv(path: str | Path) -> NDArray[np.float64]:
             points.append([float(row[k]) for k in places])
         except (ValueError, IndexError):
             raise ConfigError(
-                f'{path}: line {number}: expected three numbers, got {row}'
+                f'{path}: line {number}: expected three numbers, got {shown(row)}'
             ) from None
         if not np.all(np.isfinite(points[-1])):
             raise ConfigError(f'{path}: line {number}: not finite')

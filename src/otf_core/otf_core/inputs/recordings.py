@@ -10,6 +10,7 @@ from pathlib import Path
 
 from otf_core.bags.bag import BagContent, samples_of
 from otf_core.bags.bag_reading import BagReading, path_of
+from otf_core.bags.signals import read_signals
 from otf_core.bags.topics import PATH, POINT, called
 from otf_core.errors import ConfigError
 from otf_core.inputs.path_file import read_path
@@ -39,6 +40,8 @@ class Given:
         Hz; of samples in a text without times.
     recover : bool
         Leave out damaged chunks of a bag.
+    signals : tuple of str
+        Topics recorded beside the samples, see ``bags.signals``.
     """
 
     path: str | Path | None = None
@@ -47,6 +50,7 @@ class Given:
     columns: str | None = None
     rate: float | None = None
     recover: bool = False
+    signals: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a rate that is none."""
@@ -136,4 +140,8 @@ def read_recording(
     """
     content = read_content(sources, given)
     used = machine if isinstance(machine, Machine) else load_machine(machine)
-    return Recording(content.samples, content.path, used, str(sources[0]), content.remarks)
+    if given.signals and (len(sources) > 1 or is_text(sources[0])):
+        raise ConfigError('--signal: only of one bag a run, neither of texts nor with --join')
+    signals = read_signals(sources[0], given.signals)
+    name = str(sources[0])
+    return Recording(content.samples, content.path, used, name, content.remarks, signals)

@@ -12,12 +12,16 @@ LEAST = 0.01
 
 
 class TimeLeft:
-    """Extrapolates the fraction that was reached since a job began, at its mean speed."""
+    """Extrapolates the fraction that was reached since a job began, at its mean speed.
+
+    Between two steps of the fraction the time is counted down.
+    """
 
     def __init__(self) -> None:
         self._job: object = None
         self._began = 0.0
-        self._first = 0.0
+        self._first = self._last = 0.0
+        self._end = math.nan
 
     def estimate(self, job: object, fraction: float, now: float) -> float:
         """Time until the fraction is 1.
@@ -34,11 +38,12 @@ class TimeLeft:
         Returns
         -------
         float
-            s; NaN as long as there is nothing to judge by.
+            s; NaN as long as there is nothing to judge by, and when it takes longer than that.
         """
         if job != self._job or fraction < self._first:
-            self._job, self._began, self._first = job, now, fraction
+            self._job, self._began, self._end = job, now, math.nan
+            self._first = self._last = fraction
         elapsed, done = now - self._began, fraction - self._first
-        if elapsed < EARLIEST or done < LEAST:
-            return math.nan
-        return elapsed * max(0.0, 1.0 - fraction) / done
+        if fraction != self._last and elapsed >= EARLIEST and done >= LEAST:
+            self._last, self._end = fraction, now + elapsed * max(0.0, 1.0 - fraction) / done
+        return self._end - now if self._end >= now else math.nan

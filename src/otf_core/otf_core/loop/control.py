@@ -182,12 +182,12 @@ def _run(command: list[str], folder: Path, user: str | None, limit: float) -> st
         except subprocess.TimeoutExpired:
             pass
         finally:
-            _end(process)
+            _end(process, user)
     return log.read_text(errors='replace')
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End LinuxCNC by its own clean-up; by force if that takes too long."""
+def _end(process: subprocess.Popen[bytes], user: str | None) -> None:
+    """End LinuxCNC by its own clean-up; by force, its real-time part too, if that takes long."""
     if process.poll() is not None:
         return
     os.killpg(process.pid, signal.SIGTERM)
@@ -196,6 +196,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+        subprocess.run(['halrun', '-U'], user=user, check=False, capture_output=True)
         LOCK.unlink(missing_ok=True)
 
 

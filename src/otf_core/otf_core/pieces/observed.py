@@ -7,7 +7,8 @@ path; single samples only where ``runs.Run`` is asked for.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
+from otf_core.model.signals import Signal
 from otf_core.noise.model import Misfit, NoiseModel, misfit_of, scaled
 from otf_core.pieces.pieces import Pieces
 from otf_core.tracking.curves import PathShape
@@ -41,6 +43,10 @@ class Observed:
         Where it comes from, for messages and reports; empty if it needs none.
     late : float, s
         Where a recording was cut: start of this part after that of the recording.
+    signals : mapping of str to Signal
+        Recorded beside the samples.
+    first_ns : int, ns
+        Stamp from which the times of the pieces count.
     """
 
     machine: Machine
@@ -51,6 +57,8 @@ class Observed:
     fitted: NDArray[np.float64] | None = None
     name: str = ''
     late: float = 0.0
+    signals: Mapping[str, Signal] = field(default_factory=dict)
+    first_ns: int = 0
 
     @property
     def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:

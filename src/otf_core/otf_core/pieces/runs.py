@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from otf_core.model.machine import AXES, Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.model.signals import Signal
 from otf_core.noise.model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.finding import Finding
@@ -46,6 +47,8 @@ class Recording:
         Where it comes from, for messages and reports; empty if it needs none.
     remarks : tuple of str
         What was repaired or left out of it, in words; warnings of every result.
+    signals : mapping of str to Signal
+        Recorded beside the samples; possible causes in a diagnosis.
 
     Examples
     --------
@@ -61,6 +64,7 @@ class Recording:
     machine: Machine
     name: str = ''
     remarks: tuple[str, ...] = ()
+    signals: Mapping[str, Signal] = field(default_factory=dict)
 
 
 @contextmanager
@@ -113,6 +117,8 @@ class Run(Observed):
             samples=recording.samples,
             path=recording.path,
             alignment=alignment,
+            signals=recording.signals,
+            first_ns=int(recording.samples.stamp_ns[0]),
         )
 
     @property

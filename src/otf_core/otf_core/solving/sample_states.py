@@ -13,6 +13,7 @@ from otf_core.effects.state import state_on_path
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement
 from otf_core.model.path import Legs, leg_bounds
+from otf_core.model.signals import courses
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
 
@@ -72,6 +73,7 @@ def sample_state(
         tables,
         run.late + run.pieces.end,
         run.shape,
+        courses(run.signals, run.first_ns, samples.time[index]),
     )
 
 

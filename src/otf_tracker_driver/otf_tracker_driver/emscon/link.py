@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import traceback
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from functools import partial
@@ -87,13 +88,20 @@ class Link:
             reason = f'{error}; is an emScon server listening there?'
         except OSError as error:
             reason = f'connection lost ({error.strerror or error})'
+        except Exception as error:
+            traceback.print_exc()
+            self._end(LinkError(f'internal error while reading: {error!r}'))
+            raise
         if not self._heard:
             reason += ', before any answer; is another client connected?'
         lost = LinkError(reason)
+        self._end(lost)
+        raise lost
+
+    def _end(self, lost: LinkError) -> None:
         if not self.ended.done():
             self.ended.set_exception(lost)
             self.ended.exception()  # retrieved: nobody may be waiting
-        raise lost
 
     def _take(self, raw: bytes, arrival_ns: int) -> None:
         try:

@@ -66,6 +66,13 @@ class EmulatedTracker:
         self._clients.add(task)
         task.add_done_callback(self._clients.discard)
 
+    async def change(self, faults: Faults) -> None:
+        """Leave all clients; these faults happen from then on."""
+        self._faults = faults
+        for task in list(self._clients):
+            task.cancel()
+        await asyncio.gather(*self._clients, return_exceptions=True)
+
     async def close(self) -> None:
         """Leave all clients."""
         clients = list(self._clients)

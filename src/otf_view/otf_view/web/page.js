@@ -76,10 +76,13 @@ function showSolved() {
   byId('warnings').replaceChildren();
   byId('figures').replaceChildren();
   if (!solved) {
+    byId('alert').hidden = true;
     text('solved', 'The first errors come after the first lap.');
     return;
   }
   text('solved', solved.message);
+  byId('alert').hidden = solved.ok;
+  text('alert', solved.message);
   byId('solved').className = solved.ok ? '' : 'bad';
   for (const words of solved.warnings) {
     byId('warnings').appendChild(document.createElement('li')).textContent = words;
@@ -130,8 +133,9 @@ function showMotions(solved) {
 function draw() {
   drawSpace(scene, now);
   const count = drawPlot(scene, now);
-  text('plotted', count ? 'Dots: measured along the run. Line: mean that compensation leaves.'
-    : 'Shown once the place of the tracker is known.');
+  const solved = scene && scene.solved && scene.solved.mae_after_um !== null;
+  text('plotted', !count ? 'Shown once the place of the tracker is known.'
+    : 'Dots: measured along the run.' + (solved ? ' Line: mean that compensation leaves.' : ''));
 }
 
 function listen() {

@@ -44,7 +44,15 @@ def section(facts: Facts) -> Section:
     words = (
         'Excluded: at standstill, near corners and off the path. Repeated samples and those '
         'without a beam are dropped while a recording is read, before they are counted here.',
+        *_read(facts),
         *clocks,
     )
     table = Table(head, tuple(rows), numbers=tuple(range(1, 9)))
     return Section('data', 'Data quality', words, {'runs': data}, (table,))
+
+
+def _read(facts: Facts) -> tuple[str, ...]:
+    """What was repaired or left out while recordings were read."""
+    said = [f'While reading {run.name or "the run"}: {remark}.'
+            for run in facts.result.runs for remark in run.remarks]  # fmt: skip
+    return tuple(said) or ('While reading nothing was repaired or left out.',)

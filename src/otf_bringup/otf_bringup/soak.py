@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: ``./otf soak``. The whole graph over an emulated tracker, one fault after another.
+
+Planner, driver and calibrator run as processes of their own; the tracker's faults change, nodes
+are killed and started again. A table tells for each fault what was said, how long samples paused
+at most, and what was lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rclpy.executors import SingleThreadedExecutor
+
+from otf_bringup.domain import free_domain
+from otf_bringup.processes import NodeProcess, ended_together
+from otf_bringup.soak_ear import Ear, Heard
+from otf_bringup.soak_tracker import SoakTracker
+from otf_core.cli.parser import Parser
+from otf_core.config import PlannerConfig
+from otf_core.errors import OtfError
+from otf_core.model.machine import load_machine
+from otf_ros.app import EndRequest, running_ros
+
+FAULTS = {
+    'none': '',
+    'beam lost': 'beam_loss=0.05',
+    'packets split and merged': 'split,merge',
+    'server says that it closes': 'close_after=9',
+    'connection cut': 'cut_after=9',
+    'stream falls silent': 'silent=0.04',
+    'clock jumps ahead': 'clock_jump=0.04',
+    'another program sets millimetres': 'foreign=0.04',
+    'busy': 'busy=0.5,cut_after=12',
+    'packets late': 'jitter=0.005,late=0.2',
+    'speed, unknown codes': 'speed_warning=0.1,speed_exceeded=0.1,unknown=0.1',
+    'all of these': 'beam_loss=0.01,split=0.5,merge=0.5,close_after=31,busy=0.1,late=0.02,'
+    'speed_warning=0.02,speed_exceeded=0.02,unknown=0.02,clock_jump=0.002,silent=0.002,'
+    'foreign=0.003',
+}
+"""Faults of the emulated tracker."""
+KILLED = ('tracker_driver', 'calibrator', 'path_planner')
+START = 60.0
+"""s; until the first samples come."""
+LAP = 280.0
+"""s; of a lap of the default path of the default machine, about."""
+RESPAWN = 1.0
+"""s; as the launch files do."""
+
+
+class Soak:
+    """The graph and its tracker.
+
+    Parameters
+    ----------
+    folder : Path
+        For logs and results.
+    machine : Path
+    planning : PlannerConfig
+    seed, domain : int
+    """
+
+    def __init__(
+        self, folder: Path, machine: Path, planning: PlannerConfig, seed: int, domain: int
+    ) -> None:
+        self.tracker = SoakTracker(load_machine(str(machine)), planning, seed)
+        self._folder, self._environment = folder, {'ROS_DOMAIN_ID': str(domain)}
+        files = {'machine_file': machine}
+        self._given: dict[str, dict[str, object]] = {
+            'path_planner': {**files, 'passes': planning.passes, 'levels': planning.levels},
+            'calibrator': {**files, 'output_directory': folder / 'calibrations'},
+            'tracker_driver': {
+                'backend': 'emscon',
+                'emscon.port': self.tracker.port,
+                'wait_for_subscribers': 2,
+            },
+        }
+        self.nodes: list[NodeProcess] = []
+        self._started = 0
+        for name in self._given:
+            self.start(name)
+
+    def start(self, name: str) -> None:
+        """Start a node."""
+        label = f'{self._started:02}-{name}'
+        self._started += 1
+        arguments = label, f'otf_{name}.node', self._given[name], self._folder, self._environment
+        self.nodes.append(NodeProcess(*arguments))
+
+    def kill(self, name: str) -> None:
+        """End a node in the middle of whatever it does, and start it again."""
+        (node,) = (node for node in self.nodes if node.name.endswith(name))
+        node.interrupt(signal.SIGKILL)
+        node.wait()
+        self.nodes.remove(node)
+        time.sleep(RESPAWN)
+        self.start(name)
+
+
+def soak(
+    graph: Soak, ear: Ear, spin: Callable[[float], None], seconds: float
+) -> list[tuple[str, Heard, int]]:
+    """Let every fault happen for so many seconds; returns its name, what was heard, lost."""
+    rows = []
+    for name, faults in FAULTS.items():
+        ear.begin()
+        graph.tracker.change(faults)
+        spin(seconds)
+        rows.append((name, ear.end(), ear.lost))
+    graph.tracker.change('')
+    for name in KILLED:
+        spin(5.0)
+        ear.begin()
+        graph.kill(name)
+        spin(seconds)
+        rows.append((f'kill -9 of {name}', ear.end(), ear.lost))
+    return rows
+
+
+def table(rows: list[tuple[str, Heard, int]]) -> str:
+    """Markdown."""
+    head = '| fault | said | gaps told | longest pause, s | samples | going back | lost |\n'
+    lines = [head + '|---|---|---|---|---|---|---|']
+    before = 0
+    for name, heard, lost in rows:
+        said = '; '.join(list(heard.said)[:3]) or '-'
+        lines.append(
+            f'| {name} | {said} | {heard.gaps} | {heard.longest:.1f} | {heard.samples} | '
+            f'{heard.backwards} | {max(0, lost - before)} |'
+        )
+        before = lost
+    return '\n'.join(lines)
+
+
+def run(given: argparse.Namespace, folder: Path) -> int:
+    """Soak and print the table; returns the exit code: 0, or 4 if anything was lost."""
+    machine = Path(given.machine).absolute()
+    seconds = 60.0 * given.minutes / (len(FAULTS) + len(KILLED))
+    planning = PlannerConfig(passes=min(20, max(1, round(60 * given.minutes / LAP))))
+    with EndRequest() as end, free_domain() as domain, running_ros([], domain):
+        ear, executor = Ear(), SingleThreadedExecutor()
+        executor.add_node(ear)
+
+        def spin(lasting: float) -> None:
+            until = time.monotonic() + lasting
+            while time.monotonic() < until and not end.came:
+                executor.spin_once(timeout_sec=0.05)
+
+        graph = Soak(folder, machine, planning, given.seed, domain)
+        try:
+            with ended_together(graph.nodes):
+                until = time.monotonic() + START
+                while not ear.streaming and time.monotonic() < until and not end.came:
+                    spin(0.2)
+                rows = soak(graph, ear, spin, seconds)
+        finally:
+            graph.tracker.close()
+            executor.shutdown()
+            ear.destroy_node()
+    sys.stdout.write(table(rows) + '\n')
+    for result in ear.results[-1:]:
+        sys.stdout.write(f'calibration: {result.message}\n')
+    sys.stdout.write(f'logs: {folder}\n')
+    heard = [row[1] for row in rows]
+    return 4 if ear.lost or any(h.backwards or not h.samples for h in heard) else 0
+
+
+def main() -> int:
+    """Run; returns the exit code."""
+    default = Path(__file__).resolve().parents[1] / 'config' / 'machine.yaml'
+    parser = Parser('otf soak', description=__doc__)
+    parser.add_argument('--minutes', type=float, default=10.0, help='of all faults together')
+    parser.add_argument('--machine', default=str(default), help='machine.yaml')
+    parser.add_argument('--seed', type=int, default=1, help='of cell and faults')
+    parser.add_argument('--out', default='', help='folder of logs and results (a new one)')
+    given = parser.parse_args()
+    try:
+        folder = Path(given.out).absolute() if given.out else Path(tempfile.mkdtemp('-soak'))
+        folder.mkdir(parents=True, exist_ok=True)
+        return run(given, folder)
+    except OtfError as error:
+        sys.stderr.write(f'error: {error}\n')
+        return error.exit_code
+
+
+if __name__ == '__main__':
+    sys.exit(main())

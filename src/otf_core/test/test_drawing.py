@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures: places of marks, round numbers on axes, classes of colours, whole files."""
+
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from otf_core.reports.drawing.bars import Bar, bars
+from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_step
+from otf_core.reports.drawing.panel import Panel, arrow_path
+from otf_core.reports.drawing.scale import Scale, around, decades
+from otf_core.reports.drawing.scene import Label, Strokes, box, scene
+from otf_core.reports.drawing.sheet import write_sheet
+from otf_core.reports.drawing.style import STYLE
+from otf_core.reports.drawing.typography import text, typeset
+
+
+def numbers(path):
+    return [float(v) for v in re.findall(r'-?[\d.]+', path)]
+
+
+def test_marks_lie_where_the_data_say():
+    panel = Panel(Scale(0.0, 10.0, 'x'), Scale(-1.0, 1.0, 'y'), 200, 120, 50, 10, 20, 30)
+    assert panel.points([0, 10, 5], [-1, 1, 0]).tolist() == [[50, 90], [190, 20], [120, 55]]
+    (drawn,) = re.findall(r'd="([^"]+)"', panel.line([0, 10], [-1, 1], 'after'))
+    assert numbers(drawn) == [50, 90, 190, 20]
+    columns = re.findall(r'd="([^"]+)"', panel.columns([0, 5, 10], [1.0, 0.0], 'after'))[0]
+    assert numbers(columns)[:4] == [50, 55, 20, 120]
+
+
+@pytest.mark.parametrize(
+    ('low', 'high', 'marks'),
+    [
+        (0.0, 1.0, ['0.0', '0.5', '1.0']),
+        (-27.86, 27.83, ['−20', '0', '20']),
+        (-0.0012, 0.0031, ['0.000', '0.002']),
+        (90.0, 130.0, ['90', '100', '110', '120', '130']),
+    ],
+)
+def test_axes_are_marked_at_round_numbers(low, high, marks):
+    assert [said for _, said in Scale(low, high, '').ticks] == marks
+
+
+def test_logarithmic_axes_are_marked_even_over_less_than_a_decade():
+    wide = decades([1e-3, 2e3], '')
+    assert [v for v, _ in wide.ticks] == pytest.approx([1e-3, 1e-2, 0.1, 1, 10, 100, 1e3])
+    assert len(decades([0.31, 0.55], '').ticks) >= 2
+    assert wide.place([wide.low, wide.high]).tolist() == pytest.approx([0, 1])
+
+
+def test_scales_hold_their_values_and_single_ones():
+    assert around([2.0, 2.0], '').place(2.0) == pytest.approx(0.5)
+    scale = around([0.0, 4.0, np.nan], '', zero=True)
+    assert scale.low == 0.0 and scale.high > 4.0
+
+
+def test_classes_of_colours_reach_the_largest_value():
+    values = np.array([0.0, 0.4, 3.0, 11.7])
+    step = heat_step(values)
+    assert step in (1.0, 2.0, 5.0)
+    assert heat_classes(values, step).tolist() == [int(v // step) for v in values]
+    assert step * LEVELS >= 11.7
+    assert heat_step(np.zeros(3)) > 0
+
+
+def test_every_class_of_colour_has_a_style():
+    known = set(re.findall(r'\.([a-z][a-z0-9]*)', STYLE))
+    assert {*(f'h{k}' for k in range(LEVELS)), *(f's{k}' for k in range(10))} <= known
+    for mark in ('before', 'after', 'noise', 'ink', 'soft', 'x', 'y', 'z'):
+        assert f'.line.{mark}' in STYLE and f'.area.{mark}' in STYLE and f'.dots.{mark}' in STYLE
+
+
+def test_heads_of_arrows_lie_at_their_ends():
+    places = numbers(arrow_path(np.array([[[0.0, 0.0], [100.0, 0.0]]])))
+    assert places[:4] == [0, 0, 100, 0]
+    left, tip, right = (places[k : k + 2] for k in (4, 6, 8))
+    assert tip == [100, 0]
+    assert left[1] == -right[1] != 0 and left[0] == right[0] < 100
+
+
+def test_seen_from_the_front_x_runs_right_and_z_up():
+    low, high = np.zeros(3), np.ones(3)
+    picture = scene(
+        [Strokes('ink', np.array([[low, [1, 0, 0]], [low, [0, 0, 1]]]))], low, high, ''
+    )
+    (drawn,) = re.findall(r'd="([^"]+)"', picture)
+    ax, _, bx, _, *rest = numbers(drawn)
+    assert bx > ax
+    assert rest[3] < rest[1] and rest[2] == rest[0]
+    assert sum(isinstance(item, Label) for item in box(low, high)) == 3
+
+
+def test_a_sheet_is_a_whole_file(tmp_path):
+    panel = Panel(Scale(0.0, 1.0, 'x (m)'), Scale(0.0, 1.0, 'y < 1 (um)'))
+    picture = panel.draw([panel.dots([0.5], [0.5], 'after')], 'a & b', 'heading')
+    rows = [Bar('one', ((2.0, 'after'),), '2 um', mark=3.0), Bar('two', ((1.0, 'before'),), '1')]
+    pictures = [picture, bars(rows, 'bars'), picture]
+    file = write_sheet(tmp_path, 'sheet', pictures, 2, 'title', 'words', (('after', 'a'),))
+    root = ET.parse(file).getroot()
+    inner = [e for e in root.iter() if e.tag.endswith('}svg')][1:]
+    places = [tuple(float(e.get(k)) for k in ('x', 'y', 'width', 'height')) for e in inner]
+    wide, high = (float(v) for v in root.get('viewBox').split()[2:])
+    assert len(places) == 3
+    for x, y, width, height in places:
+        assert x >= 0 and y >= 0 and x + width <= wide and y + height <= high
+    assert places[0][0] + places[0][2] <= places[1][0]
+    assert places[2][1] >= places[0][1] + places[0][3]
+    assert 'http' not in file.read_text().replace('http://www.w3.org/2000/svg', '')
+
+
+def test_text_is_set_as_metrologists_write_it():
+    assert (
+        typeset('-1.5 um +/- 0.2 um, 95 % of 3 urad/m')
+        == '−1.5 µm ± 0.2 µm, 95\u00a0% of 3 µrad/m'
+    )
+    assert typeset('2026-11-22, --method otf, w-Y-b-X-Z-t, 1e-05, aluminum') == (
+        '2026-11-22, --method otf, w-Y-b-X-Z-t, 1e-05, aluminum'
+    )
+    assert text('<b>"&') == '&lt;b&gt;&quot;&amp;'

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plan after a diagnosis: what it asks, which paths answer, what is refused."""
+
+import json
+
+import pytest
+from core_cells import some_machine
+
+from otf_core.config import PlannerConfig
+from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects.effects_yaml import write_effects
+from otf_core.errors import ConfigError
+from otf_core.planning.after import Question, open_questions, plan_after
+from otf_core.planning.forecast import Setup
+
+MACHINE = some_machine(pitch=0.1)
+LAG = AppliedEffect(REGISTRY['servo_mismatch'], {'T_X': 1.6e-5, 'T_Y': -8e-6})
+
+
+def diagnosed(folder, rivals=('backlash',), hidden=('tracker_scale',)):
+    """A folder as a diagnosis writes it."""
+    causes = [{'effect': 'servo_mismatch', 'indistinguishable_from': list(rivals)}]
+    content = {'causes': causes, 'not_visible': [{'effect': e, 'needs': ''} for e in hidden]}
+    (folder / 'gap.json').write_text(json.dumps(content))
+    write_effects(folder / 'effects.yaml', [LAG], MACHINE)
+    return folder
+
+
+def test_questions_are_rivals_and_what_was_not_visible(tmp_path):
+    rival, hidden = open_questions(diagnosed(tmp_path), MACHINE)
+    assert (rival.effect, rival.rival, rival.cause) == ('servo_mismatch', 'backlash', LAG)
+    assert (hidden.effect, hidden.rival, hidden.cause) == ('tracker_scale', '', None)
+
+
+@pytest.mark.parametrize(
+    ('rivals', 'hidden', 'words'), [((), (), 'left nothing open'), (None, None, 'gap.json')]
+)
+def test_folder_without_a_question_is_refused(tmp_path, rivals, hidden, words):
+    folder = tmp_path if rivals is None else diagnosed(tmp_path, rivals, hidden)
+    with pytest.raises(ConfigError, match=words):
+        open_questions(folder, MACHINE)
+
+
+def test_faint_lag_is_told_from_play_by_a_second_feed():
+    setup = Setup.of(MACHINE)
+    asked = [Question('servo_mismatch', 'backlash', LAG)]
+    plan, (answer,) = plan_after(asked, setup, PlannerConfig(levels=2), None)
+    assert answer.sure and len(set(plan.feed.tolist())) >= 2
+    assert answer.to_dict()['probability'] > 0.99
+
+
+def test_time_that_no_path_keeps_is_refused_with_the_shortest():
+    with pytest.raises(ConfigError, match=r'the shortest takes \d+ s'):
+        plan_after([Question('tracker_scale')], Setup.of(MACHINE), PlannerConfig(), 1.0)
