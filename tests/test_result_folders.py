@@ -15,6 +15,7 @@ from otf_calibrator.diagnosis_job import DiagnosisJob
 from otf_calibrator.job import Request, Worker, free_folder
 from otf_calibrator.params import CalibratorConfig
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
+from otf_core.history.store import read_store
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -30,7 +31,9 @@ def test_calibrations_of_one_run_get_folders_of_their_own(tmp_path):
     plan = plan_path(machine, PlannerConfig(passes=1, levels=2))
     samples = simulate(machine, plan, SimulationConfig(rate=50.0)).samples
     files = CalibratorConfig(
-        machine_file=str(machine_file), output_directory=str(tmp_path / 'out')
+        machine_file=str(machine_file),
+        output_directory=str(tmp_path / 'out'),
+        history_directory=str(tmp_path / 'history'),
     )
     worker = Worker(print)
     request = Request(samples, plan.path, files, CalibrationConfig(), 0)
@@ -45,6 +48,8 @@ def test_calibrations_of_one_run_get_folders_of_their_own(tmp_path):
         block = json.loads((outcome.folder / 'error_tables.json').read_text())['provenance']
         assert (block['method'], block['runs'][0]['samples']) == ('otf', len(samples))
     assert (outcomes[1].folder / 'samples' / 'metadata.yaml').exists()
+    kept = read_store(tmp_path / 'history').runs
+    assert kept[0].content.extra['run_id'] == outcomes[0].result.run_id
     names = {o.folder.name for o in outcomes}
     assert set(os.listdir(tmp_path / 'out')) == {*names, 'latest'}
 

@@ -16,6 +16,7 @@ from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
 from otf_tracker_driver.emscon import actions, codes
 from otf_tracker_driver.emscon.intake import Intake
+from otf_tracker_driver.emscon.state import INITIALISING
 
 PATIENCE = 40.0
 """s"""
@@ -247,7 +248,7 @@ def test_actions_while_no_stream_is_wanted(make):
 def test_connecting_is_given_up_when_the_process_is_asked_to_end(make):
     with emulator('initialize=60') as running:
         backend = make(running.port)
-        backend.cancelled = lambda: True
+        backend.cancelled = lambda: backend.state.phase == INITIALISING
         with pytest.raises(OtfError, match='given up'):
             backend.connect()
 

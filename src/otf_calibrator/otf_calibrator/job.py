@@ -24,6 +24,7 @@ from otf_core.diagnosis.calibrate_with_effects import AUTO, NONE, calibrate_with
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output import OutputFolder
+from otf_core.history.store import add_run
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -161,7 +162,7 @@ class Worker:
             point_latest(base / 'latest', folder.name)
         except OtfError as error:
             return Calibrated(request, recording, result, None, f'files not written: {error}')
-        return Calibrated(request, recording, result, folder)
+        return Calibrated(request, recording, result, folder, _kept(request.files, folder))
 
     def _solved(self, recording: Recording, request: Request) -> tuple[CalibrationResult, Writer]:
         """The result and what writes its files."""
@@ -211,6 +212,17 @@ def free_folder(base: Path, run_id: str) -> Path:
     name = f'{datetime.now(timezone.utc):%Y%m%dT%H%M%SZ}-{run_id}'
     names = (name, *(f'{name}-{k}' for k in range(2, 1000)))
     return next(base / n for n in names if not os.path.lexists(base / n))
+
+
+def _kept(files: CalibratorConfig, folder: Path) -> str:
+    """Add the tables to the store of calibrations if one is named; what went wrong, or ''."""
+    if not files.history_directory:
+        return ''
+    try:
+        add_run(Path(files.history_directory).expanduser(), folder / 'error_tables.json')
+    except OtfError as error:
+        return f'not added to the history: {error}'
+    return ''
 
 
 def point_latest(link: Path, target: str) -> None:

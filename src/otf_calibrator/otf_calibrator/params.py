@@ -21,6 +21,9 @@ class CalibratorConfig(Parameters):
         '', 'what arrives is written here at once, a bag per run, and a restarted calibrator goes '
         'on with it; empty: journal, in output_directory; none: no journal',
     )  # fmt: skip
+    history_directory: str = parameter(
+        '', 'the tables of every calibration are kept here too, for otf history; empty: not kept'
+    )
     method: str = parameter(
         OTF, 'otf: on the fly; standstill: only the stops at the corner points are used',
         choices=METHODS,

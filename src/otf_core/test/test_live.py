@@ -185,7 +185,9 @@ def test_volume_errors_and_motion_sizes_are_those_of_the_tables(calibrated):
     )
     variance = np.einsum('...i,ij,...j->...', rows, calibrated.covariance, rows)
     assert np.allclose(volume.u, np.sqrt(variance), rtol=1e-6, atol=1e-12)
-    assert volume.mean[0] > volume.mean[1] > 0
+    turned = 1e-4 * np.cross([1.0, 2.0, 3.0], volume.points) + 5e-4
+    moved = VolumeErrors(volume.points, volume.errors + turned, volume.u)
+    assert 1e-6 < volume.mean == pytest.approx(moved.mean, rel=1e-6)
     sizes = motion_sizes(calibrated)
     assert list(sizes) == list(MOTIONS)
     table = calibrated.tables.motions['EYX']

@@ -21,6 +21,15 @@ WAVES = 3
 """A period fits at least so often into the longest axis; longer waves are for the tables."""
 
 
+def harmonics(state: State, shape: Shape) -> Terms:
+    """S1_X ... C1_Z and S2_X ... C2_Z: the wave and its second harmonic."""
+    phase = 2.0 * np.pi * state.q / shape['period']
+    waves = [wave(k * phase) for k in (1, 2) for wave in (np.sin, np.cos)]
+    columns = [wave[:, :, None] * np.eye(3) for wave in waves]
+    names = tuple(f'{part}{k}_{a}' for k in (1, 2) for part in 'SC' for a in AXES)
+    return Terms(names, ('m',) * 12, AXES * 4, np.concatenate(columns, axis=2))
+
+
 class CyclicError(Effect):
     """Positioning error that repeats with screw or scale."""
 
@@ -54,7 +63,13 @@ class CyclicError(Effect):
     ))  # fmt: skip
 
     free: ClassVar[tuple[Free, ...]] = (
-        Free(('{axis}',), (2,), 'the amplitude changes along the axis'),
+        Free(
+            ('{axis}',),
+            (2,),
+            'the wave has harmonics, and its amplitude changes along the axis',
+            acts=harmonics,
+            of_shape=True,
+        ),
     )
 
     def shapes(self, state: State) -> Sequence[Shape]:

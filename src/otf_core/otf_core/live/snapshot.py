@@ -27,13 +27,11 @@ def scene(run: LiveRun) -> dict[str, Any]:
         data['path'] = _rounded(thinned(run.path.points, MOST), 5)
     volume = run.volume
     if volume is not None and run.path is not None:
-        error, u = volume.mean
         data['volume'] = {
             'points': _rounded(volume.points, 5),
             'errors_um': _rounded(UM * volume.errors, 3),
             'scale': enlargement(volume.errors, size_of(run.path)),
-            'mean_um': UM * error,
-            'mean_u_um': UM * u,
+            'mean_um': UM * volume.mean,
             'provisional': volume.provisional,
         }
     if run.solved:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ShapeError
+from otf_core.model.evaluation import mean_length, without_rigid_motion
 
 Array = NDArray[np.float64]
 
@@ -44,9 +45,8 @@ class VolumeErrors:
             raise ShapeError(f'points, errors and u need one shape (n, 3), got {shapes}')
 
     @property
-    def mean(self) -> tuple[float, float]:
-        """Mean length of the errors and of their uncertainties, m; zero for none."""
+    def mean(self) -> float:
+        """Mean length of the errors without a rigid motion of the whole (m), as in reports."""
         if not len(self.points):
-            return 0.0, 0.0
-        error, u = (float(np.linalg.norm(v, axis=1).mean()) for v in (self.errors, self.u))
-        return error, u
+            return 0.0
+        return mean_length(without_rigid_motion(self.errors, self.points))

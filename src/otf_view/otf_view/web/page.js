@@ -91,8 +91,7 @@ function showSolved() {
   const figures = [['from the path, as it is', um(solved.mae_before_um)],
     ['compensated', um(solved.mae_after_um)], ['residual, rms', um(solved.residual_rms_um)]];
   if (scene.volume) {
-    figures.push(['predicted in the volume, mean', um(scene.volume.mean_um)],
-      ['its standard uncertainty, mean', um(scene.volume.mean_u_um)]);
+    figures.push(['predicted in the volume, mean', um(scene.volume.mean_um)]);
   }
   byId('figures').replaceChildren(...figures.map(([name, value]) => figure(name, value)));
   badge('which', solved.provisional ? 'work' : 'good', solved.provisional ? 'so far' : 'final');

@@ -114,8 +114,7 @@ class Rows:
         """Displacements of one run across the path per unit of each term, shape (r of it, k)."""
         solved, state = self.done.runs[run], self.states[run]
         if effect.wave is not None and self.runs:
-            samples = effect.terms(self.sample_states[run], shape).columns
-            columns = across(solved, self.runs[run].pieces.mean_of(samples))
+            columns = across(solved, self._means(effect, shape, run))
             return columns.reshape(-1, columns.shape[2])
         axes, count = solved.system.axes, len(effect.terms(state.part(slice(0, 1)), shape).names)
         found = np.empty((len(axes), len(state), count))
@@ -125,6 +124,19 @@ class Rows:
             terms = effect.terms(state.part(part), shape)
             found[:, part] = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ terms.columns, 0, 1)
         return found.reshape(-1, count)
+
+    def _means(self, effect: Effect, shape: Shape, run: int) -> Array:
+        """Means over the pieces of a run of columns at its samples, shape (p, 3, k)."""
+        state, pieces = self.sample_states[run], self.runs[run].pieces
+        count = len(effect.terms(state.part(slice(0, 1)), shape).names)
+        found = np.zeros((len(pieces), 3, count))
+        step = max(1, BLOCK // max(count, 1))
+        for start in range(0, len(state), step):
+            part = slice(start, start + step)
+            columns, own = effect.terms(state.part(part), shape).columns, pieces.piece[part]
+            first = np.flatnonzero(np.diff(own, prepend=-1))
+            np.add.at(found, own[first], np.add.reduceat(columns, first, axis=0))
+        return found / pieces.count[:, None, None]
 
     def plain_columns(self, effect: Effect, shape: Shape) -> Array:
         """Displacements across the path per unit of each term, shape (r, k)."""

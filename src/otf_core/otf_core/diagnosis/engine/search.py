@@ -37,7 +37,7 @@ NEXT_TO_NOTHING = 1e-9
 """Share of the largest squared singular value."""
 DECOY_DOUBT = 10.0
 """Evidence by which a shape outside the catalogue must be better than any effect in it."""
-FREE_DOUBT = 5.0
+FREE_DOUBT = 10.0
 """Evidence by which a free form must be better than the formula, which is named else."""
 
 
@@ -203,8 +203,8 @@ def _cause(
     """The first of a ranking as a cause, with what is not told from it."""
     score, tried, take = ranking[0]
     option = _refined(_free_of(basis, tried.made(take, variance)), basis, rows, residual)
-    if is_free(tried) and option.effect.refine:  # it may only make up for the raster
-        group = [t for t in candidates[tried.effect.name] if not is_free(t)]
+    group = [t for t in candidates[tried.effect.name] if not is_free(t) and t.effect.refine]
+    if is_free(tried) and group:  # it may only make up for the raster of the formula
         pairs, scores = _pairs(group, variance)
         near, own = pairs[int(np.argmax(scores))]
         plain = _refined(_free_of(basis, near.made(own, variance)), basis, rows, residual)
