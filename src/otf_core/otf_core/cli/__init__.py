@@ -194,17 +194,7 @@ def _add_measuring_verbs(verb: AddVerb) -> None:
     _add_calibrate_options(sub)
     add_parameters(sub, CalibrationConfig)
 
-    sub = verb('diagnose', run_diagnose)
-    _add_runs(sub)
-    add_out(sub, 'folder for gap.json and report.html')
-    sub.add_argument(
-        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
-    )
-    sub.add_argument(
-        '--own-causes', metavar='DIR',
-        help='folder of named empirical effects (.yaml), tried beside the catalogue',
-    )  # fmt: skip
-    add_parameters(sub, CalibrationConfig)
+    _add_diagnose(verb)
 
     sub = verb('predict', run_predict)
     _add_predict_options(sub)
