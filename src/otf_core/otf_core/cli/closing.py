@@ -6,8 +6,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from otf_core.cli.exporting import AddVerb
-from otf_core.cli.options import add_out, add_parameters, output_folder, parameters
+from otf_core.cli.options import AddVerb, add_out, add_parameters, output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, listed, note
 from otf_core.config import LoopConfig, PlannerConfig, SimulationConfig
 

@@ -5,19 +5,16 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from otf_core.cli.options import add_out, output_folder
+from otf_core.cli.options import AddVerb, add_out, output_folder
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, listed, note
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES
 
 if TYPE_CHECKING:
     from otf_core.model.tables import TablesFile
-
-AddVerb = Callable[[str, Callable[[argparse.Namespace], int]], argparse.ArgumentParser]
 
 
 def add_exporting_verbs(verb: AddVerb) -> None:

@@ -9,8 +9,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from otf_core.cli.exporting import AddVerb, tables_file
-from otf_core.cli.options import output_folder
+from otf_core.cli.exporting import tables_file
+from otf_core.cli.options import AddVerb, output_folder
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, listed, note
 from otf_core.errors import ConfigError
 

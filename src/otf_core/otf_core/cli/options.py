@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from otf_core.config import ParameterInfo, Parameters
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 CLI_UNITS = {'feed': ('MM_PER_MIN', 60000.0)}
 """Options stated in another unit than the parameter, as machine users do: name, factor."""
+
+Handler = Callable[[argparse.Namespace], int]
+AddVerb = Callable[[str, Handler], argparse.ArgumentParser]
+"""Adds a verb and returns its parser."""
 
 
 def _option(name: str) -> str:

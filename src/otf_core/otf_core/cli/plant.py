@@ -8,7 +8,7 @@ import os
 from functools import partial
 from pathlib import Path
 
-from otf_core.cli.exporting import AddVerb
+from otf_core.cli.options import AddVerb
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, listed, note
 from otf_core.errors import ConfigError
 
