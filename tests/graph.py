@@ -48,6 +48,8 @@ class Graph:
 
     def start(self, name, arguments=None, **parameters):
         """Start one of path_planner, tracker_driver, calibrator, viewer, page."""
+        if name == 'calibrator':  # journals have to lie apart
+            parameters.setdefault('output_directory', self.folder / 'out')
         label = f'{name}-{len(self.nodes)}'
         module = module_of(name)
         node = NodeProcess(label, module, parameters, self.folder, self._environment, arguments)

@@ -224,6 +224,19 @@ def test_another_path_in_mid_run_sets_aside_what_was_driven(side):
     assert str(folders[0]) in side.said[0]
 
 
+def test_samples_lost_by_the_numbers_of_their_publisher_are_counted_and_said(side):
+    session, points = side.session, {'tracker': (STAMP[:3], XYZ[:3])}
+    session.intake.samples(Batch(points, [7, 8, 12]))
+    assert session.request().lost == 3
+    assert session.intake.troubles() == ['3 samples were lost on the way']
+    session.collector.publishers = 2
+    session.intake.samples(Batch(points, [5000, 13, 5001]))
+    session.collector.publishers = 1
+    session.intake.samples(Batch(points, [14, 15]))
+    assert session.request().lost == 3
+    side.close()
+
+
 def test_table_of_bad_data_lists_every_case():
     table = (ROOT / 'docs' / 'bad-data.md').read_text(encoding='utf-8')
     rows = {line.split('|')[1].strip() for line in table.splitlines() if line.startswith('|')}

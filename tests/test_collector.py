@@ -180,6 +180,15 @@ def test_silence_completes_nothing_while_the_driver_says_that_its_stream_goes_on
     assert complete(collector, now=1000.0)
 
 
+def test_stray_points_are_no_travel_and_a_broken_beam_is(collector):
+    add(collector, 50)
+    collector.add(50 * 2_000_000, 3.0, 1.0, 0.0, 0.0)
+    add(collector, 9, start=51)
+    assert collector.travelled == pytest.approx(0.059, abs=0.002)
+    collector.add(300 * 2_000_000, 0.3, 0.0, 0.0, 0.0)
+    assert collector.travelled == pytest.approx(0.300, abs=0.003)
+
+
 def test_silence_without_motion_completes_nothing(collector):
     collector.add(0, 1.0, 0.0, 0.0, 0.0)
     assert not complete(collector, now=100.0)

@@ -88,7 +88,9 @@ class Intake:
     def samples(self, batch: Batch) -> None:
         """Take samples; those of other frames are only counted."""
         collector = self._collector
-        if collector.publishers == 1:
+        if collector.publishers > 1:  # their numbers are mixed
+            self._sequence = SequenceWatch()
+        else:
             collector.missed += self._sequence.missed(batch.sequence)
         for frame, (stamp_ns, xyz) in batch.points.items():
             if frame == POINT.frame:

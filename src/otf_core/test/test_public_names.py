@@ -3,6 +3,7 @@
 
 import ast
 import inspect
+import json
 import pickle
 import subprocess
 import sys
@@ -129,3 +130,17 @@ def test_results_travel_between_processes():
     again = pickle.loads(pickle.dumps(run))
     np.testing.assert_array_equal(again.recording.samples.xyz, run.recording.samples.xyz)
     assert again.recording.machine.name == machine.name
+
+
+def test_notebook_uses_public_names_only_and_its_code_is_code():
+    (notebook,) = (ROOT / 'examples').glob('*.ipynb')
+    data = json.loads(notebook.read_text(encoding='utf-8'))
+    code = [''.join(c['source']) for c in data['cells'] if c['cell_type'] == 'code']
+    assert not any(c.get('outputs') for c in data['cells'])  # bench/notebook.py runs it
+    used = {
+        node.attr
+        for text in code
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Attribute) and getattr(node.value, 'id', '') == 'otf_core'
+    }
+    assert {'read_bag', 'calibrate', 'diagnose'} <= used <= set(otf_core.__all__)

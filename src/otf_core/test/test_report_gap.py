@@ -2,14 +2,17 @@
 
 import functools
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from gap_cells import along, run_view
 from html_cells import Page, unloading
 
+from otf_core.diagnosis.free_curves import Curve
 from otf_core.diagnosis.place.where import describe_structure, where_of
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
+from otf_core.diagnosis.unnamed import Unnamed
 from otf_core.reports.drawing.typography import typeset
 from otf_core.reports.gap_report import report_html
 from otf_core.reports.gap_words import confidence_words, next_measurements
@@ -235,3 +238,34 @@ def test_quantities_are_readable(value, u, unit, text):
 @pytest.mark.parametrize('confidence', [0.0, 0.3, 0.9, 0.97, 1.0])
 def test_confidence_has_words_and_a_number(confidence):
     assert re.fullmatch(r'[a-z ]+ \(>?\s?[\d.]+\s%\)', confidence_words(confidence))
+
+
+# ---------------------------------------------------------------- free functions
+
+
+PLAY = Curve(
+    'B_X', 'X', 'time', 's', (0.0, 100.0, 200.0), (2e-6, 3e-6, 6e-6), (1e-7, 1e-7, 2e-7), 'm', {}
+)
+
+
+def test_free_form_shows_how_it_departs_and_its_function(view):
+    first = replace(
+        causes()[0], form='free', departs='the play changes while the run lasts', curves=(PLAY,)
+    )
+    page = report_html(diagnosis(view, found=(first, *causes()[1:])))
+    reader = Page(page)
+    assert reader.faults == [] and unloading(page) == []
+    assert 'Departs from the formula: the play changes while the run lasts' in reader.text
+    assert 'B_X against time' in page and 'Functions found' in reader.text
+    assert 'Functions found' not in Page(report_html(diagnosis(view, found=causes()))).text
+
+
+def test_cause_without_a_name_is_described_with_its_sizes(view):
+    unnamed = Unnamed(
+        ('time', 'x'), 'direction', 'depends on time and the position of X', 2.6, 0.4, 84.6,
+        (80.0, 90.0), (replace(PLAY, held={'x': 0.3}),),
+    )  # fmt: skip
+    answer = diagnosis(view, 'unknown', unnamed=unnamed)
+    text = Page(report_html(answer)).text
+    for part in ('It depends on time and the position of X', 'from 2.60 µm to 0.40 µm', '80 %'):
+        assert part in text, part

@@ -47,11 +47,11 @@ def read_signals(source: str | Path, wanted: Sequence[str]) -> dict[str, Signal]
     InputError
         If there are too few messages.
     """
+    if not wanted:
+        return {}
     from rosbags.highlevel import AnyReader  # 0.2 s
     from rosbags.typesys import Stores, get_typestore
 
-    if not wanted:
-        return {}
     rows: dict[str, list[tuple[int, float]]] = {name: [] for name in wanted}
     topics = {name: name.partition(':')[0] for name in wanted}
     with AnyReader([Path(source)], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:

@@ -127,21 +127,6 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
     add_reading(sub)
 
 
-def _add_diagnose(verb: AddVerb) -> None:
-    """Why runs depart from their simulation."""
-    sub = verb('diagnose', run_diagnose)
-    _add_runs(sub)
-    add_out(sub, 'folder for gap.json and report.html')
-    sub.add_argument(
-        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
-    )
-    sub.add_argument(
-        '--own-causes', metavar='DIR',
-        help='folder of named empirical effects (.yaml), tried beside the catalogue',
-    )  # fmt: skip
-    add_parameters(sub, CalibrationConfig)
-
-
 def _add_judging_verbs(verb: AddVerb) -> None:
     """Verbs that judge a tracker, a calibration or this program."""
     sub = verb('noise', run_noise)
@@ -209,17 +194,7 @@ def _add_measuring_verbs(verb: AddVerb) -> None:
     _add_calibrate_options(sub)
     add_parameters(sub, CalibrationConfig)
 
-    sub = verb('diagnose', run_diagnose)
-    _add_runs(sub)
-    add_out(sub, 'folder for gap.json and report.html')
-    sub.add_argument(
-        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
-    )
-    sub.add_argument(
-        '--own-causes', metavar='DIR',
-        help='folder of named empirical effects (.yaml), tried beside the catalogue',
-    )  # fmt: skip
-    add_parameters(sub, CalibrationConfig)
+    _add_diagnose(verb)
 
     sub = verb('predict', run_predict)
     _add_predict_options(sub)

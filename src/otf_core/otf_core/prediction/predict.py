@@ -18,7 +18,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.machine import AXES
 from otf_core.model.tables import ErrorTables, TablesFile
 from otf_core.prediction.driven_volume import table_ranges
-from otf_core.prediction.predictor import Predictor
+from otf_core.prediction.predictor import Evaluated, Predictor
 from otf_core.prediction.table_prior import MotionPrior
 
 Array = NDArray[np.float64]
@@ -28,15 +28,11 @@ ABSURD = 10.0
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """Predicted errors.
+class Prediction(Evaluated):
+    """Predicted errors, and what is to be known of them.
 
     Attributes
     ----------
-    error, u : ndarray, shape (n, 3), m
-        Actual minus nominal, and its standard uncertainty (k = 1).
-    inside : ndarray of bool, shape (n,)
-        Whether a point lies in the driven volume.
     correlated : bool
         True if u takes account of the covariance between nodes; False if only the nodes' own
         uncertainties were known and they were taken as independent.
@@ -46,9 +42,6 @@ class Prediction:
         What the user should know of these points: outside, no prior, rotations not seen.
     """
 
-    error: Array
-    u: Array
-    inside: NDArray[np.bool_]
     correlated: bool
     holds: str
     notes: tuple[str, ...]

@@ -15,6 +15,9 @@ END_STANDSTILL = 1.0
 MIN_TRAVEL = 0.5
 """Share of the path length before which no end is looked for (gaps shorten the travel)."""
 
+STRAY, AT_ONCE_NS = 0.05, 50_000_000
+"""m, ns; no target travels so far at once: a stray point, or the way back from one."""
+
 
 class PathWatcher:
     """Follows the travelled length and recognises standstill at the end point.
@@ -46,7 +49,8 @@ class PathWatcher:
                     self._still_since_ns = stamp_ns
                 self._newest_ns = stamp_ns
                 return
-            self.travelled += square**0.5
+            stray = square > STRAY * STRAY and stamp_ns - self._newest_ns < AT_ONCE_NS
+            self.travelled += 0.0 if stray else square**0.5
         self._last = (x, y, z)
         self._still_since_ns = self._newest_ns = stamp_ns
         self._judged = False

@@ -85,7 +85,7 @@ class Panel:
     width: float = 340.0
     height: float = 210.0
     left: float = 52.0
-    right: float = 10.0
+    right: float = 14.0
     top: float = 24.0
     bottom: float = 38.0
 

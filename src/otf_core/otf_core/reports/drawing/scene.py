@@ -17,7 +17,7 @@ from otf_core.reports.drawing.panel import arrow_path, svg, words
 
 Array = NDArray[np.float64]
 
-WIDTH, HEIGHT, MARGIN = 460.0, 330.0, 20.0
+WIDTH, HEIGHT, MARGIN = 480.0, 330.0, 28.0
 AZIMUTH, ELEVATION = math.radians(-58.0), math.radians(24.0)
 """From where the picture is seen first: from the front, a little from the right and above."""
 
@@ -86,7 +86,8 @@ def box(low: Array, high: Array) -> list[Item]:
     size = high - low
     items: list[Item] = [Strokes('grid', low + np.array(pairs) * size)]
     for k, (name, shares, kind, dx, dy) in enumerate(EDGES):
-        text = f'{name} {low[k] + 0.0:.2f} to {high[k] + 0.0:.2f} m'
+        ends = (round(float(end[k]), 2) + 0.0 for end in (low, high))
+        text = f'{name} ' + ' to '.join(f'{end:.2f}' for end in ends) + ' m'
         items.append(Label(low + np.array(shares) * size, text, kind, dx, dy))
     return items
 
@@ -146,7 +147,7 @@ SCRIPT = """
 for (const svg of document.querySelectorAll('svg.turn')) {
   const items = JSON.parse(svg.dataset.scene);
   const marks = [...svg.children].slice(-items.length);
-  const box = svg.viewBox.baseVal, half = box.height / 2 - 20;
+  const box = svg.viewBox.baseVal, half = box.height / 2 - 28;
   let azimuth = -58 * Math.PI / 180, elevation = 24 * Math.PI / 180, last = null;
   const draw = () => {
     const ca = Math.cos(azimuth), sa = Math.sin(azimuth);
