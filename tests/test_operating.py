@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Services of the driver over an emulated tracker, its gaps, and what it tells of its health."""
 
+from cells import FAST, SHORT
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from emulated import emulator
 from geometry_msgs.msg import PointStamped
@@ -67,7 +68,12 @@ def levels(message):
     return {status.name.rpartition(': ')[2]: status.level for status in message.status}
 
 
-def test_other_backends_say_that_they_take_no_commands(graph, machine_file):
-    graph.start('tracker_driver', machine_file=machine_file)
+def test_other_backends_start_again_after_their_end_but_take_no_commands(graph, machine_file):
+    given = {'machine_file': machine_file, 'wait_for_subscribers': 0, **FAST}
+    graph.start('tracker_driver', **given)
     answer = graph.trigger('tracker/bird_bath')
     assert not answer.success and 'takes no commands' in answer.message
+    graph.start('path_planner', machine_file=machine_file, **SHORT, feed=1.0)
+    first = graph.wait_for_status('FINISHED')
+    assert graph.trigger('tracker/start').success
+    graph.wait(lambda: graph.status().stream_id != first.stream_id, 'another stream')

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
 
+from otf_msgs.msg import TrackerStatus
 from otf_ros import services
 from otf_ros.lifecycle import SteadyLifecycleNode
 from otf_tracker_driver.backends.base import OPERATIONS
@@ -33,9 +34,11 @@ def offer_operations(
 
 
 def _start(node: SteadyLifecycleNode, status: Status) -> tuple[bool, str]:
-    """Configure and activate, as far as that is not done."""
+    """Configure and activate, as far as that is not done; again where a stream has ended."""
     if node.lifecycle_state == 'active':
-        return False, 'a stream is under way; call tracker/stop first'
+        if status.message.state in (TrackerStatus.IDLE, TrackerStatus.STREAMING):
+            return False, 'a stream is under way; call tracker/stop first'
+        node.trigger_deactivate()
     if node.lifecycle_state == 'unconfigured':
         node.trigger_configure()
     if node.lifecycle_state == 'inactive':
