@@ -186,6 +186,21 @@ def _add_checking_verbs(verb: AddVerb) -> None:
     sub.add_argument('shell', choices=SHELLS)
 
 
+def _add_diagnose(verb: AddVerb) -> None:
+    """Why runs depart from their simulation."""
+    sub = verb('diagnose', run_diagnose)
+    _add_runs(sub)
+    add_out(sub, 'folder for gap.json and report.html')
+    sub.add_argument(
+        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+    )
+    sub.add_argument(
+        '--own-causes', metavar='DIR',
+        help='folder of named empirical effects (.yaml), tried beside the catalogue',
+    )  # fmt: skip
+    add_parameters(sub, CalibrationConfig)
+
+
 def _add_measuring_verbs(verb: AddVerb) -> None:
     """Verbs that work on recordings, and on the tables that come of them."""
     sub = verb('calibrate', run_calibrate)
