@@ -16,5 +16,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='Node that corrects commanded positions by error tables.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['compensator = otf_compensator.node:main']},
+    entry_points={'console_scripts': ['compensator = otf_compensator.__main__:main']},
 )
