@@ -138,7 +138,7 @@ class Fields:
 
     def fail(self, key: str, problem: str) -> NoReturn:
         """Raise a ConfigError about one key."""
-        raise ConfigError(f'{self._where}: {key}: {problem}')
+        raise ConfigError(f'{self._where}: {key[:60]}: {problem}')
 
     def has(self, key: str) -> bool:
         """Tell whether an optional key is there."""

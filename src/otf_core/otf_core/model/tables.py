@@ -245,7 +245,7 @@ def _named(
     found = _mapping(data, key, where)
     unknown = sorted(set(found) - set(names))
     if unknown:
-        raise ConfigError(f'{where}: {key}: {unknown[0]}: unknown; known: {", ".join(names)}')
+        raise ConfigError(f'{where}: {key}: {unknown[0][:60]}: unknown; known: {", ".join(names)}')
     return found
 
 
