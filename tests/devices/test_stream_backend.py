@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Points as lines: two unlike formats over real sockets and a serial line, and bad lines."""
 
+import itertools
 import json
 import os
 import pty
@@ -53,10 +54,11 @@ def until(condition):
         time.sleep(0.005)
 
 
-def take(backend, count):
+def take(backend, count, meanwhile=lambda: None):
     parts = []
 
     def enough():
+        meanwhile()
         parts.append(backend.poll())
         return sum(map(len, parts)) >= count
 
@@ -92,10 +94,14 @@ def test_serial_line_is_read_and_told_to_start_and_stop(make, tmp_path):
         backend.connect()
         backend.start()
         assert os.read(ours, 100) == b'GO\r\n'
-        for k in range(2500):
-            os.write(ours, f'{0.001 * k};{1000 + k};-20.5;7\n'.encode())
+        begun, number = time.monotonic(), itertools.count(1000)
+
+        def further():
+            stamp = time.monotonic() - begun
+            os.write(ours, f'{stamp:.6f};{next(number)};-20.5;7\n'.encode())
             time.sleep(0.001)
-        samples = take(backend, 300)
+
+        samples = take(backend, 300, further)
         np.testing.assert_allclose(samples.xyz[0], (1.0, -0.0205, 0.007), atol=1e-12)
         backend.stop()
         assert os.read(ours, 100) == b'HALT\r\n'

@@ -301,10 +301,10 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
     arguments = ['plan', '--machine', str(machine_file), '--out', str(out), '--passes', '1',
                  '--levels', '2', '--grid', '2', '--tracker-place', '-0.3,0.1,-0.1']  # fmt: skip
     assert main(arguments) == 0
-    said = capsys.readouterr().out
+    said, hints = capsys.readouterr()
     names = ['forecast.txt', 'manifest.json', 'path.csv', 'plan.json']
     assert sorted(f.name for f in out.iterdir()) == names
-    assert 'no NC program: give --dialect' in said.splitlines()[-1]
+    assert 'no NC program: give --dialect' in hints.splitlines()[-1]
     text = (out / 'forecast.txt').read_text()
     assert text in said
     data = json.loads((out / 'plan.json').read_text())
