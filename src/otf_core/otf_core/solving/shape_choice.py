@@ -40,7 +40,7 @@ from otf_core.solving.joint import (
 )
 from otf_core.solving.roughness import Search
 from otf_core.solving.solution import solve
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import Unknowns, layout
 from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
@@ -126,9 +126,12 @@ def choose_shapes(
     progress : callable(stage, fraction)
     """
     limit = config.unidentifiable_above
-    start, poses = _started(runs, nodes, config, progress)
+    smooth = layout(smooth_bases(nodes), len(runs))
+    whiteners = whiteners_of(runs, systems_of(runs, [r.pose for r in runs], smooth, None))
+    seen = seen_blocks(runs, smooth, whiteners, limit)
+    start, poses = _started(runs, smooth, Start({}, seen), config, progress)
     moved = [replace(r, pose=p) for r, p in zip(runs, poses, strict=True)]
-    best, scores = _try_all(moved, nodes, start, limit)
+    best, scores = _try_all(moved, nodes, start, whiteners, limit)
     improved = improved_runs(moved, best, config)[0]
     after = Start.after(runs[0].machine, best)
     return ShapeChoice(best.unknowns.bases, moved, improved, after, scores)
@@ -143,15 +146,12 @@ _CHOICES: dict[str, Callable[[Mapping[str, Array]], Bases]] = {
 
 def _started(
     runs: Sequence[AnyRun],
-    nodes: Mapping[str, Array],
+    smooth: Unknowns,
+    start: Start,
     config: CalibrationConfig,
     progress: Progress,
 ) -> tuple[Start, list[RigidTransform]]:
-    """Blocks that the data determine, first tables and poses."""
-    smooth = layout(smooth_bases(nodes), len(runs))
-    whiteners = whiteners_of(runs, systems_of(runs, [r.pose for r in runs], smooth, None))
-    seen = seen_blocks(runs, smooth, whiteners, config.unidentifiable_above)
-    start = Start({}, seen)
+    """First tables and poses."""
     try:
         first = solve_jointly(_thinned(runs), smooth, config, progress, start)
     except InputError:  # too few legs
@@ -163,6 +163,7 @@ def _try_all(
     runs: Sequence[Observed],
     nodes: Mapping[str, Array],
     start: Start,
+    whiteners: Sequence[Whitener],
     limit: float,
 ) -> tuple[JointSolution, dict[str, float]]:
     """Linear solutions with some functions, and with finer ones where the best leaves steps.
@@ -174,10 +175,6 @@ def _try_all(
     scores : mapping of name to float
         Log likelihoods, less the best.
     """
-    assert start.tables is not None
-    unknowns = layout(_CHOICES[SMOOTH](nodes), len(runs))
-    systems = systems_of(runs, [r.pose for r in runs], unknowns, start.tables)
-    whiteners = whiteners_of(runs, systems)
     found: dict[str, float] = {}
     best: JointSolution | None = None
     waiting = [SMOOTH, STRAIGHT]
