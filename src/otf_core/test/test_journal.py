@@ -16,6 +16,7 @@ from otf_core.bags.bag import read_bag
 from otf_core.bags.journal import Journal
 from otf_core.bags.journal_file import JournalFile, Rows
 from otf_core.bags.journal_run import Definitions, state_of, unfinished
+from otf_core.bags.mcap_messages import McapMessages
 from otf_core.bags.topics import PATH, POINT, STATUS
 from otf_core.errors import ConfigError
 
@@ -70,6 +71,30 @@ def test_run_under_way_is_a_whole_bag_for_every_reader(journal):
     with file.open('rb') as stream:
         topics = [c.topic for _, c, _ in make_reader(stream).iter_messages()]
     assert topics.count('/tracker/point') == 400 and topics.count('/tracker/status') == 1
+
+
+@pytest.mark.parametrize('step', ['_map', '_starts_of_file', '_register', '_unpack'])
+def test_reader_that_is_overtaken_gets_what_was_there(journal, monkeypatch, step):
+    journal.message(PATH, path_cdr())
+    put(journal, 0, 150)
+    folder = journal.folder
+    wait(lambda: readable(folder, 150))
+    found = getattr(McapMessages, step)
+
+    def found_and_overtaken(self, *arguments):
+        first, size = found(self, *arguments), self._file.stat().st_size
+        if not overtaken:
+            overtaken.append(step)
+            put(journal, 150, 400)
+            wait(lambda: self._file.stat().st_size > size)
+        return first
+
+    overtaken = []
+    with monkeypatch.context() as patch:
+        patch.setattr(McapMessages, step, found_and_overtaken)
+        assert_holds(read_bag(folder), 150)
+    wait(lambda: readable(folder, 400))
+    assert_holds(read_bag(folder))
 
 
 def test_closed_run_has_a_summary_and_its_state(journal):

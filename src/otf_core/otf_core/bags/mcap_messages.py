@@ -14,6 +14,7 @@ import mmap
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -117,6 +118,7 @@ class McapMessages:
         self._channels: dict[int, str] = {}
         self._count = 0
         self._left_out = 0
+        self._overtaken = False
 
     def __iter__(self) -> Iterator[MessageBlock]:
         """Yield blocks in file order; InputError if the file is damaged."""
@@ -132,7 +134,8 @@ class McapMessages:
             opcode, at, end = opcodes[i], int(starts[i]), int(starts[i + 1])
             record = data[at + RECORD_HEAD : end]
             if opcode == Opcode.CHUNK:
-                cut = not whole and not np.any(opcodes[i + 1 :] == Opcode.CHUNK)
+                last = not np.any(opcodes[i + 1 :] == Opcode.CHUNK)
+                cut = last and (self._overtaken or not whole)
                 yield from self._chunk_or_nothing(record, at, cut)
                 self._give_back()
             elif opcode == Opcode.DATA_END:
@@ -144,17 +147,18 @@ class McapMessages:
         yield from self._messages(data, starts)
         if stated not in (None, self._count) and not self._left_out:
             self._damaged_end(f'it states {stated} messages but holds {self._count}')
-        self._tell(data.size, int(starts[-1]), whole)
+        if not self._overtaken:
+            self._tell(data.size, int(starts[-1]), whole)
 
     def _starts_of_file(self, data: Bytes, whole: bool) -> Index:
         """Positions of the records; without its end those that are complete."""
         begin = len(MAGIC)
-        if whole and not self._recover:
+        if whole and not self._recover and not self._grown():
             return self._starts(data, begin, data.size - len(MAGIC))
         try:
             return complete_records(data, begin, data.size - len(MAGIC) * whole)
         except ValueError as error:
-            if not self._recover:
+            if not self._recover and not self._grown():
                 self._damaged(str(error))
             return complete_records(data, begin, int(str(error).rpartition(' ')[2]))
 
@@ -191,6 +195,7 @@ class McapMessages:
                 raise InputError(f'{self._file}: is empty; nothing was recorded')
             with self._file.open('rb') as file:
                 self._pages = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            self._size = len(self._pages)
         except OSError as error:
             raise InputError(f'{self._file}: cannot be read ({error.strerror})') from None
         data = np.frombuffer(self._pages, np.uint8)
@@ -203,11 +208,21 @@ class McapMessages:
         if hasattr(mmap, 'MADV_DONTNEED'):  # not on Windows
             self._pages.madvise(mmap.MADV_DONTNEED)
 
+    def _grown(self) -> bool:
+        """Tell whether the file is being written: its end was then where more stands now."""
+        with suppress(OSError):  # removed meanwhile: what was opened can still be read
+            return self._file.stat().st_size != self._size
+        return False
+
     def _damaged(self, what: str) -> NoReturn:
         raise _Damaged(f'{self._file}: is damaged, {what}; copy it again, or {RECOVER}')
 
     def _damaged_end(self, what: str) -> None:
         """Refuse a file of which something is missing, or say so where that is wanted."""
+        if self._grown():
+            self._remarks.append(f'{self._file.name} is being recorded; read as far as it went')
+            self._overtaken = True
+            return
         if not self._recover:
             self._damaged(what)
         self._remarks.append(f'{self._file.name}: {what}')
