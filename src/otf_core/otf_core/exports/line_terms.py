@@ -114,6 +114,31 @@ def line_terms(
     return terms
 
 
+def even_terms(
+    tables: ErrorTables, pairs: Collection[Pair], points: int | None, most: int, decimals: int
+) -> dict[Pair, LineTerm]:
+    """Errors along the middle lines at even spacings, rounded as they will be written.
+
+    Parameters
+    ----------
+    tables : ErrorTables
+    pairs : collection of pair
+    points : int, optional
+        Per axis; as fine as the nodes if not given.
+    most : int
+        Of these, what the control holds.
+    decimals : int
+        Of values in mm.
+    """
+    positions = {
+        k: axis_positions(tables, k, points or even_points(tables, k, most)) for k in range(3)
+    }
+    return {
+        pair: LineTerm(term.position, term.value.round(decimals + 3))
+        for pair, term in line_terms(tables, pairs, positions).items()
+    }
+
+
 def held_by(terms: Mapping[Pair, LineTerm], q: Array) -> Array:
     """Error (n, 3), m, that terms hold at positions (n, 3), m; constant beyond their ends."""
     total = np.zeros_like(q)

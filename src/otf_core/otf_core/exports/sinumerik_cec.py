@@ -15,10 +15,8 @@ from otf_core.exports.line_terms import (
     CROSS_PAIRS,
     LineTerm,
     Pair,
-    axis_positions,
-    even_points,
+    even_terms,
     held_by,
-    line_terms,
     pair_name,
 )
 from otf_core.model.machine import AXES
@@ -46,20 +44,13 @@ class SinumerikCec(Format):
         """Make the file."""
         self.check(request)
         tables = request.content.tables
-        positions = {
-            k: axis_positions(tables, k, request.points or even_points(tables, k, MOST))
-            for k in range(3)
-        }
-        if min(len(p) for p in positions.values()) < 2:
+        terms = even_terms(tables, CROSS_PAIRS, request.points, MOST, DECIMALS)
+        if min(len(term.position) for term in terms.values()) < 2:
             raise ConfigError(f'--points: {self.name} needs at least 2')
-        terms = {
-            pair: LineTerm(term.position, term.value.round(DECIMALS + 3))
-            for pair, term in line_terms(tables, CROSS_PAIRS, positions).items()
-        }
         lines = ['%_N_NC_CEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
         for number, (pair, term) in enumerate(terms.items()):
             lines += _table(number, pair, term, request.factor)
-        most = max(len(p) for p in positions.values())
+        most = max(len(term.position) for term in terms.values())
         return Exported(
             {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
             lambda q: held_by(terms, q),

@@ -14,10 +14,8 @@ from otf_core.exports.base import Exported, Format, Request
 from otf_core.exports.line_terms import (
     OWN_PAIRS,
     LineTerm,
-    axis_positions,
-    even_points,
+    even_terms,
     held_by,
-    line_terms,
 )
 from otf_core.model.machine import AXES
 
@@ -45,20 +43,13 @@ class SinumerikEnc(Format):
         """Make the file."""
         self.check(request)
         tables = request.content.tables
-        positions = {
-            k: axis_positions(tables, k, request.points or even_points(tables, k, MOST))
-            for k in range(3)
-        }
-        if min(len(p) for p in positions.values()) < 2:
+        terms = even_terms(tables, OWN_PAIRS, request.points, MOST, DECIMALS)
+        if min(len(term.position) for term in terms.values()) < 2:
             raise ConfigError(f'--points: {self.name} needs at least 2')
-        terms = {
-            pair: LineTerm(term.position, term.value.round(DECIMALS + 3))
-            for pair, term in line_terms(tables, OWN_PAIRS, positions).items()
-        }
         lines = ['%_N_AX_EEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
         for k, axis in enumerate(AXES):
             lines += _table(terms[k, k], f'{axis}1')
-        counts = ', '.join(f'{a}1 {len(positions[k])}' for k, a in enumerate(AXES))
+        counts = ', '.join(f'{a}1 {len(terms[k, k].position)}' for k, a in enumerate(AXES))
         return Exported(
             {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
             lambda q: held_by(terms, q),
