@@ -124,6 +124,16 @@ def test_stream_held_up_by_a_fault_goes_on(collector):
     assert len(collector.buffer) == 110
 
 
+def test_samples_on_their_way_are_not_lost_yet(collector):
+    announce(collector, 'a', 0, 'STREAMING')
+    add(collector, 100)
+    announce(collector, 'a', 130, 'STREAMING')
+    assert collector.lost_for_sure(0.0) == 0
+    announce(collector, 'a', 130, 'FINISHED')
+    assert collector.lost_for_sure(0.0) == 0
+    assert collector.lost_for_sure(2 * LATE) == 30
+
+
 def test_samples_lost_in_a_run_are_not_counted_in_the_next(collector):
     announce(collector, 'a', 0, 'STREAMING')
     add(collector, 100)

@@ -127,7 +127,8 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     assert states[-1].name == 'BUFFERING' and volumes[0].provisional
     graph.wait(lambda: reader.latest()['scene']['solved']['motions'], 'it in the page')
     halfway = reader.latest()
-    graph.wait_for_status('FINISHED')
+    published = graph.wait_for_status('FINISHED').samples_published
+    graph.wait(lambda: states[-1].samples == published, 'the last samples')
     caller = Caller(graph)
     ended = caller.outcome(caller.send())
     caller.close()

@@ -126,6 +126,12 @@ class Collector:
         """Samples that were published and have not arrived."""
         return max(0, self._lost_before + self._stream.lost, self.missed)
 
+    def lost_for_sure(self, now: float) -> int:
+        """Samples lost, less those that may be on their way: the driver is ahead of them."""
+        if self._stream.over(now) or not self._stream.name:
+            return self.lost
+        return max(0, self._lost_before, self.missed)
+
     @property
     def beginning(self) -> bool:
         """True as long as hardly anything is driven of a run after a calibrated one."""

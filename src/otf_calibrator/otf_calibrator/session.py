@@ -113,7 +113,7 @@ class Session:
             collector.buffer.snapshot(),
             collector.path,
             *self._settings(),
-            collector.lost,
+            collector.lost_for_sure(time.monotonic()),
             (*collector.remarks, *remarks),
             copy.deepcopy(collector.screening),
             self.intake.journal.folder if self.intake.journal else None,
