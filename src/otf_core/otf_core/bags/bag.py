@@ -89,27 +89,51 @@ def read_parts(
 
     Every part has points; the path stands in one of them at least, the same in all that have it.
     """
-    alone = len(sources) == 1
-    parts = [BagReading(s, point, path, recover=recover) for s in sources]
-    for part in parts:
-        part.require(*((point, path) if alone else (point,)))
-    where = str(sources[0]) if alone else f'{sources[0]} and {len(sources) - 1} more'
-    remarks = [text for part in parts for text in part.remarks]
-    samples = samples_of(where, parts, remarks)
-    for text in remarks:
-        _log.warning('%s: %s', where, text)
-    return BagContent(samples, path_of(where, parts), tuple(remarks))
+    return content_of([BagReading(s, point, path, recover=recover) for s in sources], sources)
 
 
 def read_points(source: str | Path, *, recover: bool = False, point: Topic = POINT) -> Samples:
     """Read the points of a bag that may lack a path; otherwise as ``read_bag``."""
-    part = BagReading(source, point, None, recover=recover)
-    part.require(point)
-    remarks = list(part.remarks)
-    samples = samples_of(str(source), [part], remarks)
+    return points_of(BagReading(source, point, None, recover=recover), source)
+
+
+def content_of(
+    parts: Sequence[Reading], sources: Sequence[str | Path], path: str | Path | None = None
+) -> BagContent:
+    """Join what was read of the parts of a run; the log says what was left out or taken for what.
+
+    Parameters
+    ----------
+    parts : sequence of Reading
+        Of each of the sources. A single one has to have a path if it may have one.
+    sources : sequence of str or Path
+    path : str or Path, optional
+        File that the path comes from, for messages.
+    """
+    for part in parts:
+        part.require(part.point)
+        if part.path is not None and len(parts) == 1:
+            part.require(part.path)
+    where = str(sources[0]) if len(sources) == 1 else f'{sources[0]} and {len(sources) - 1} more'
+    samples, remarks = _told(where, parts)
+    return BagContent(samples, path_of(str(path or where), parts), tuple(remarks))
+
+
+def points_of(part: Reading, source: str | Path) -> Samples:
+    """Return the samples of one recording, whether it has a path or not; see ``content_of``."""
+    part.require(part.point)
+    return _told(str(source), [part])[0]
+
+
+def _told(where: str, parts: Sequence[Reading]) -> tuple[Samples, list[str]]:
+    """Samples of parts, and remarks; both kinds of words go to the log."""
+    remarks = [text for part in parts for text in part.remarks]
+    samples = samples_of(where, parts, remarks)
+    for text in (said for part in parts for said in part.said):
+        _log.info('%s: %s', where, text)
     for text in remarks:
-        _log.warning('%s: %s', source, text)
-    return samples
+        _log.warning('%s: %s', where, text)
+    return samples, remarks
 
 
 def samples_of(where: str, parts: Sequence[Reading], remarks: list[str]) -> Samples:

@@ -47,6 +47,11 @@ class Reading(Protocol):
     path: Topic | None
     paths: list[NDArray[np.float64]]
     foreign: Counter[str]
+    remarks: list[str]
+    said: list[str]
+
+    def require(self, *wanted: Topic) -> None:
+        """Refuse a recording without these topics."""
 
     def received(self) -> Received:
         """Return the points in the order of reception; they need not be kept."""

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from otf_core.bags.bag import BagContent, samples_of
-from otf_core.bags.bag_reading import BagReading, path_of
+from otf_core.bags.bag import BagContent, content_of, points_of
+from otf_core.bags.bag_reading import BagReading
 from otf_core.bags.signals import read_signals
 from otf_core.bags.topics import PATH, POINT, called
 from otf_core.errors import ConfigError
@@ -18,8 +17,6 @@ from otf_core.inputs.text_points import TextReading, is_text
 from otf_core.model.machine import Machine, load_machine
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
-
-_log = logging.getLogger(__name__)
 
 AnyReading = BagReading | TextReading
 
@@ -97,33 +94,12 @@ def read_content(sources: Sequence[str | Path], given: Given = AS_IT_IS) -> BagC
         one of them at least the path, which is the same in all that have it.
     given : Given
     """
-    parts = [open_reading(source, given) for source in sources]
-    for part in parts:
-        part.require(part.point)
-        if part.path is not None and len(parts) == 1:
-            part.require(part.path)
-    where = str(sources[0]) if len(sources) == 1 else f'{sources[0]} and {len(sources) - 1} more'
-    remarks = [text for part in parts for text in part.remarks]
-    samples = samples_of(where, parts, remarks)
-    _tell(where, parts, remarks)
-    return BagContent(samples, path_of(str(given.path or where), parts), tuple(remarks))
+    return content_of([open_reading(source, given) for source in sources], sources, given.path)
 
 
 def read_samples(source: str | Path, given: Given = AS_IT_IS) -> Samples:
     """Read the samples of a recording that may lack a path."""
-    reading = open_reading(source, given)
-    reading.require(reading.point)
-    remarks = list(reading.remarks)
-    samples = samples_of(str(source), [reading], remarks)
-    _tell(source, [reading], remarks)
-    return samples
-
-
-def _tell(source: str | Path, parts: Sequence[AnyReading], remarks: Sequence[str]) -> None:
-    for text in (said for part in parts for said in part.said):
-        _log.info('%s: %s', source, text)
-    for text in remarks:
-        _log.warning('%s: %s', source, text)
+    return points_of(open_reading(source, given), source)
 
 
 def read_recording(
