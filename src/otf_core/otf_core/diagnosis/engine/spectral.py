@@ -19,7 +19,6 @@ from scipy.ndimage import median_filter
 
 from otf_core.effects import Effect
 from otf_core.effects.base import Wave
-from otf_core.model.machine import AXES
 from otf_core.solving.sample_states import SampleResiduals
 
 Array = NDArray[np.float64]
@@ -107,7 +106,7 @@ def line_in_time(residuals: SampleResiduals) -> Peak | None:
 
 def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     """Find the strongest line over the position of one axis."""
-    k = AXES.index(axis)
+    k = residuals.state.machine.axis_names.index(axis)
     moving = np.abs(residuals.state.direction[:, k]) > MOVING
     across = 1.0 - residuals.state.direction[:, k] ** 2
     moving &= across > MOVING
@@ -136,7 +135,7 @@ def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> li
         Those that make no lines are passed over.
     """
     in_time = [line_in_time(residuals)]
-    along_axes = [line_along_axis(residuals, a) for a in AXES]
+    along_axes = [line_along_axis(residuals, a) for a in residuals.state.machine.axis_names]
     lines = [
         Line(effect.name, effect.wave, *peak)
         for effect in effects
