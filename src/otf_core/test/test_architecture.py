@@ -65,6 +65,12 @@ def test_what_calibrates_and_diagnoses_knows_nothing_of_simulations(file):
 
 
 @every_file
+def test_axes_are_asked_of_the_machine_above_the_room_that_describes_it(file):
+    if file.parent.name != 'model':
+        assert 'otf_core.model.machine.AXES' not in set(imports(TREES[file]))
+
+
+@every_file
 def test_random_numbers_are_drawn_in_simulations_only(file):
     if file.parent.name not in SIMULATING:
         names = {n.attr for n in ast.walk(TREES[file]) if isinstance(n, ast.Attribute)}
