@@ -105,10 +105,8 @@ def splined(tables: ErrorTables) -> ErrorTables:
 def truth_in_gauge(case: Case) -> dict[str, Array]:
     """True node values and squareness in the gauge of the result, at its nodes."""
     tables, machine = case.result.tables, case.result.tables.machine
-    nodes = {a: tables.motions[f'EX{a}'].position for a in tables.machine.axis_names}
-    points = np.stack(
-        np.meshgrid(*(nodes[a] for a in tables.machine.axis_names), indexing='ij'), axis=-1
-    )
+    nodes = {a: tables.motions[f'EX{a}'].position for a in machine.axis_names}
+    points = np.stack(np.meshgrid(*nodes.values(), indexing='ij'), axis=-1)
     q = points.reshape(-1, 3)
     unknowns = layout(nodes)
     rows = np.zeros((3 * len(q), unknowns.full))

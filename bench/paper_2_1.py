@@ -63,7 +63,7 @@ def size_over_u(result: CalibrationResult, truth: ErrorTables) -> Array:
     """Error components left on the grid over their standard uncertainties, shape (n, 3)."""
     machine, grid = truth.machine, lattice(truth.machine, GRID)
     field = displacement(result.tables, grid) - displacement(truth, grid)
-    nodes = {a: result.tables.motions[f'EX{a}'].position for a in result.tables.machine.axis_names}
+    nodes = {a: result.tables.motions[f'EX{a}'].position for a in machine.axis_names}
     u = grid_uncertainty(machine, nodes, result.covariance, grid)[1]
     return np.asarray(np.abs(without_rigid_motion(field, grid)) / u)
 

@@ -98,9 +98,7 @@ def achieved(plan: Plan, bench: Machine, seeds: range) -> tuple[NDArray[np.float
         result = calibrate(run.samples, plan.path, bench)
         field = displacement(result.tables, grid) - displacement(run.truth, grid)
         errors.append(rms(without_rigid_motion(field, grid)))
-        nodes = {
-            a: result.tables.motions[f'EX{a}'].position for a in result.tables.machine.axis_names
-        }
+        nodes = {a: result.tables.motions[f'EX{a}'].position for a in bench.axis_names}
         stated.append(rms(grid_uncertainty(bench, nodes, result.covariance, grid)[1]))
     return np.array(errors), float(np.mean(stated))
 
