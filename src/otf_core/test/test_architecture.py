@@ -109,6 +109,14 @@ def test_no_module_is_longer_than_400_lines(file):
     assert len(file.read_text().splitlines()) <= 400
 
 
+def test_tests_are_no_longer_than_that_either_and_bear_names_of_their_own():
+    here = Path(__file__).parent
+    files = [f for folder in (here, here.parents[2] / 'tests') for f in folder.rglob('*.py')]
+    assert not [f.name for f in files if len(f.read_text().splitlines()) > 400]
+    names = [f.name for f in files if f.name.startswith('test_')]
+    assert len(names) == len(set(names)) > 100, 'one call of pytest collects them all'
+
+
 @every_file
 def test_no_function_is_longer_than_60_lines_without_its_docstring(file):
     for node in definitions(TREES[file]):

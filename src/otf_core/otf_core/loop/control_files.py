@@ -28,7 +28,7 @@ OFFSET_SHARE = 0.1
 COUNT = 1e-8
 """m; one count of an external offset."""
 INI, HAL, OPERATOR, VOLUME = 'otf.ini', 'otf.hal', 'operate.py', 'offsets.py'
-LATTICE, SAMPLES, TOLD = 'lattice.csv', 'samples.txt', 'told.json'
+LATTICE, SAMPLES = 'lattice.csv', 'samples.txt'
 
 
 def ini_text(machine: Machine, acceleration: float, feed: float) -> str:

@@ -33,7 +33,7 @@ WAVE_BANDS = (0.4, 0.2, 0.1, 0.05, 0.025)
 """m; edges of the bands along an axis: lengths of waves."""
 FEWEST_PIECES = 6
 """Legs with fewer pieces tell nothing of frequencies."""
-MOVING = 0.2
+WELL_ALONG = 0.2
 """Direction component from which an axis counts as moving along."""
 
 
@@ -98,7 +98,7 @@ def band_groups(
             along = view.time[part] if axis is None else view.q[part, axis]
             if part.stop - part.start < FEWEST_PIECES:
                 continue
-            if axis is not None and np.abs(view.direction[part, axis]).min() < MOVING:
+            if axis is not None and np.abs(view.direction[part, axis]).min() < WELL_ALONG:
                 continue
             sums.append(_band_sums(rows, 1.0 / max(_span(along), 1e-9), edges))
     kind = 'frequency' if axis is None else f'waves along {views[0].axis_names[axis]}'

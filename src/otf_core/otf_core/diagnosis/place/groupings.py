@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.place.views import RunView
+from otf_core.model.path import TRAVELS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MOST_WINDOWS = 12
-MOVING = 0.05
-"""Direction component below which an axis stands."""
 FEED_STEP = 0.1
 """Feeds that differ by a smaller share count as one."""
 MOST_FEEDS = 4
@@ -85,7 +84,7 @@ def by_line(views: Sequence[RunView]) -> Grouping:
     planes = [f'diagonal {"".join(p)}' for p in (*combinations(axes, 2), axes)]
     indices = []
     for view in views:
-        moving = np.abs(view.direction) > MOVING
+        moving = np.abs(view.direction) > TRAVELS
         axis = np.argmax(np.abs(view.direction), axis=1)
         backward = np.take_along_axis(view.direction, axis[:, None], 1)[:, 0] < 0
         still = np.where(moving[:, 2], np.where(moving[:, 1], 2, 1), 0)
@@ -101,7 +100,7 @@ def by_sense(views: Sequence[RunView], axis: int) -> Grouping:
     indices = []
     for view in views:
         d = view.direction[:, axis]
-        indices.append(np.where(np.abs(d) < MOVING, 2, np.where(d > 0, 0, 1)))
+        indices.append(np.where(np.abs(d) < TRAVELS, 2, np.where(d > 0, 0, 1)))
     return Grouping(f'sense of {name}', labels, indices)
 
 

@@ -18,6 +18,7 @@ from otf_core.diagnosis.place.shapes import (
     wave,
 )
 from otf_core.diagnosis.place.views import RunView
+from otf_core.model.path import TRAVELS
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,6 @@ WAVES_PER_AXIS = 3.0
 """Longer waves are for the tables."""
 SHORTEST_WAVE = 2.2
 """Spacings of the pieces along the axis on the slowest lines."""
-MOVING = 0.05
 PER_FEED = 'um per 0.1 m/s'
 
 
@@ -99,7 +99,7 @@ def drift_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
 
 def _sense(view: RunView, axis: int) -> Array:
     d = view.direction[:, axis]
-    return np.where(np.abs(d) < MOVING, 0.0, np.sign(d))
+    return np.where(np.abs(d) < TRAVELS, 0.0, np.sign(d))
 
 
 def travel_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
