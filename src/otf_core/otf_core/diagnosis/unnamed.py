@@ -28,7 +28,7 @@ from otf_core.effects.acting import (
     acting_name,
 )
 from otf_core.effects.inputs import CYCLE, SIGNAL, cycle_period
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 FAR_BETTER = 0.5
 """Share of the gap that the named causes leave, below which a cause without a name beats them."""
@@ -179,5 +179,5 @@ def _words(inputs: Sequence[str], structure: Structure, curves: Sequence[Curve])
 def _direction_words(acts: Along) -> str:
     main = int(np.argmax(np.abs(acts.direction)))
     if abs(acts.direction[main]) > ALMOST:
-        return AXES[main]
+        return XYZ[main]
     return f'X, Y, Z = ({", ".join(f"{v:.2f}" for v in acts.direction)})'

@@ -16,7 +16,7 @@ from numpy.polynomial import legendre
 
 from otf_core.effects.base import Array, State
 from otf_core.errors import ConfigError
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.model.path import MOVING
 
 SIGNAL = 'signal:'
@@ -33,7 +33,7 @@ UNITS = {
 """Units of the inputs that do not belong to an axis."""
 OF_AXIS = {'sense': '', 'since_reversal': 'm'}
 """The same for inputs such as ``sense_x``; positions are ``x``, ``y``, ``z``."""
-_LETTERS = {a.lower(): k for k, a in enumerate(AXES)}
+_LETTERS = {a.lower(): k for k, a in enumerate(XYZ)}
 
 
 def known_input(name: str) -> bool:

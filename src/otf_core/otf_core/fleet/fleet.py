@@ -19,14 +19,14 @@ from otf_core.errors import ConfigError
 from otf_core.files.json_file import read_json
 from otf_core.files.manifest import file_digest, written_files
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.fleet.job import RESULTS, Job, Outcome, newest
+from otf_core.fleet.job import RESULTS, Job, JobResult, newest
 from otf_core.fleet.run_list import ListedRun
 from otf_core.version import __version__
 
 SCHEMA = 'otf-fleet/1'
 FILE, PAGE, STATE = 'fleet.json', 'fleet.html', '.fleet'
 VERB_FILE = 'verb.json'
-Workers = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
+Workers = Callable[[Sequence[Job]], Iterator[tuple[Job, JobResult]]]
 Progress = Callable[[str], None]
 
 
@@ -54,7 +54,7 @@ def take_folder(folder: Path, verb: str) -> Path:
 
 def run_fleet(
     verb: str, runs: Sequence[ListedRun], folder: Path, workers: Workers, progress: Progress
-) -> dict[str, Outcome]:
+) -> dict[str, JobResult]:
     """Do all runs that are not done.
 
     Parameters
@@ -70,7 +70,7 @@ def run_fleet(
 
     Returns
     -------
-    mapping of name to Outcome
+    mapping of name to JobResult
         In the order of the list.
     """
     outcomes, jobs = {}, []
@@ -104,20 +104,20 @@ def _inputs(verb: str, run: ListedRun) -> str:
     return hashlib.sha256(json.dumps(given).encode()).hexdigest()
 
 
-def _done_before(folder: Path, verb: str, name: str, key: str) -> Outcome | None:
-    """Outcome of an earlier start, if its results are there and its inputs are the same."""
+def _done_before(folder: Path, verb: str, name: str, key: str) -> JobResult | None:
+    """Result of an earlier start, if its results are there and its inputs are the same."""
     state = folder / STATE / f'{name}.json'
     if not state.exists():
         return None
     known = read_json(state)
-    outcome = Outcome(**known['outcome'])
+    outcome = JobResult(**known['outcome'])
     result = folder / name / RESULTS[verb]
     if known['inputs'] != key or not outcome.done or not result.exists():
         return None
     return outcome if file_digest(result) == outcome.sha256 else None
 
 
-def fleet_to_dict(verb: str, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
+def fleet_to_dict(verb: str, outcomes: Mapping[str, JobResult]) -> dict[str, Any]:
     """Return a fleet as plain data: fleet.json."""
     done = sum(outcome.done for outcome in outcomes.values())
     return {
@@ -129,7 +129,9 @@ def fleet_to_dict(verb: str, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
     }
 
 
-def results(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> Iterable[tuple[str, Any]]:
+def results(
+    verb: str, folder: Path, outcomes: Mapping[str, JobResult]
+) -> Iterable[tuple[str, Any]]:
     """Names of the runs that are done, with the content of their result files."""
     for name, outcome in outcomes.items():
         if outcome.done:

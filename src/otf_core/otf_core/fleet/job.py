@@ -37,7 +37,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class JobResult:
     """How a run ended.
 
     Attributes
@@ -66,7 +66,7 @@ def newest(path: Path) -> int:
     return int(max((p.stat().st_mtime for p in files if p.exists()), default=0))
 
 
-def run_job(job: Job) -> Outcome:
+def run_job(job: Job) -> JobResult:
     """Run one job to its end, in a process."""
     command = [
         *COMMAND, job.verb, job.bag, '--machine', job.machine, '--out', job.out, '--overwrite',
@@ -91,7 +91,7 @@ def run_job(job: Job) -> Outcome:
         _clear_half(Path(job.out))
     result = Path(job.out) / RESULTS[job.verb]
     worked = code in (0, 4) and result.exists()
-    return Outcome(code, _message(code, said), file_digest(result) if worked else None)
+    return JobResult(code, _message(code, said), file_digest(result) if worked else None)
 
 
 def _clear_half(out: Path) -> None:
