@@ -15,7 +15,8 @@ from otf_core.cli.measuring import (
     run_predict,
 )
 from otf_core.cli.options import AddVerb, add_out, add_parameters, add_reading
-from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
+from otf_core.cli.plant import run_blind
+from otf_core.cli.simulating import run_plan, run_simulate, run_validate
 from otf_core.config import (
     METHODS,
     OTF,

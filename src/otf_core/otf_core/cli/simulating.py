@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that plan, simulate and judge: plan, simulate, validate, blind."""
+"""Verbs that plan, simulate and judge: plan, simulate, validate."""
 
 from __future__ import annotations
 
@@ -157,22 +157,3 @@ def run_validate(arguments: argparse.Namespace) -> int:
     for quantity in failed:
         note(f'otf: quality gate failed: {quantity}')
     return QUALITY_GATE_FAILED if failed else 0
-
-
-def run_blind(arguments: argparse.Namespace) -> int:
-    """Blind trial: draw and seal cells, diagnose them, score."""
-    from pathlib import Path
-
-    from otf_core.blind.seal import holds_trial
-    from otf_core.blind.trial import list_files, run_leave_one_out, run_trial
-
-    if arguments.overwrite or not holds_trial(arguments.out):
-        output_folder(arguments).clear()
-    run = run_leave_one_out if arguments.leave_one_out else run_trial
-    tell = (lambda text: None) if arguments.quiet else note
-    try:
-        words = run(arguments.trials, arguments.seed, arguments.out, arguments.jobs, tell)
-        answer_from(arguments, words, [Path(arguments.out) / 'score.txt'], 'score.json')
-    finally:
-        list_files(Path(arguments.out))
-    return 0
