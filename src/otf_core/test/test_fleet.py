@@ -226,6 +226,35 @@ def test_a_blind_trial_goes_on_where_it_stopped_and_keeps_its_key(sealed_cells, 
     assert 'holds another trial' in capsys.readouterr().err
 
 
+CELL_STUB = """
+import json, pathlib, sys
+assert sys.argv[1:5] == ['otf_core.cli', 'validate', '--cells', '1'], sys.argv
+seed, out = int(sys.argv[6]), pathlib.Path(sys.argv[8])
+if seed == 8:
+    sys.exit('otf validate: no memory')
+row = {'section': '2.1', 'quantity': 'left', 'paper': '', 'unit': 'um', 'values': [seed / 10],
+       'limit': [None, 0.5]}
+out.mkdir(exist_ok=True)
+(out / 'validation.json').write_text(json.dumps({'rows': [row]}))
+"""
+
+
+@pytest.mark.parametrize('workers', [1, 3])
+def test_cells_of_a_validation_come_together_in_one_table(tmp_path, capsys, monkeypatch, workers):
+    (tmp_path / 'stub.py').write_text(CELL_STUB)
+    monkeypatch.setattr(job, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
+    words = ('--seed', 6, '--trials', 4, '--out', tmp_path / 'out', '--workers', workers)
+    assert run('fleet', 'validate', *words) == 4
+    said = capsys.readouterr()
+    assert '8: exit 1: otf validate: no memory' in said.out
+    assert 'quality gate failed: left' in said.err
+    data = json.loads((tmp_path / 'out/validation.json').read_text())
+    assert data['cells'] == [6, 7, 9]
+    (row,) = data['rows']
+    assert row['values'] == [0.6, 0.7, 0.9]
+    assert row['mean'] == pytest.approx(2.2 / 3) and row['passed'] is False
+
+
 @pytest.mark.parametrize(
     ('words', 'said'),
     [

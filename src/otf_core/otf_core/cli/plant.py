@@ -17,9 +17,12 @@ if TYPE_CHECKING:
     from otf_core.fleet.fleet import Progress, Workers
 
 LISTED = ('calibrate', 'diagnose')
-BLIND = 'blind'
+BLIND, VALIDATE = 'blind', 'validate'
 MOST = {'trials': 100_000, 'seed': 10_000_000}
-NEEDED = {**dict.fromkeys(LISTED, ('list',)), BLIND: ('trials', 'seed')}
+NEEDED = {
+    **dict.fromkeys(LISTED, ('list',)),
+    **dict.fromkeys((BLIND, VALIDATE), ('trials', 'seed')),
+}
 """Options that say what is done, by what is asked for; each takes no other of them."""
 
 
@@ -33,7 +36,10 @@ def add_plant_verbs(verb: AddVerb) -> None:
         'looked for beside it',
     )  # fmt: skip
     sub.add_argument('--trials', type=int, metavar='N', help='blind: cells to draw')
-    sub.add_argument('--seed', type=int, metavar='N', help='blind: all random numbers hang on it')
+    sub.add_argument(
+        '--seed', type=int, metavar='N',
+        help='blind: all random numbers hang on it; validate: that of the first cell',
+    )  # fmt: skip
     sub.add_argument(
         '--leave-one-out', action='store_true',
         help='blind: every effect diagnosed with itself taken out of the catalogue',
@@ -62,6 +68,15 @@ def _check_options(arguments: argparse.Namespace) -> None:
             raise ConfigError(f'fleet {arguments.what}: --{name} is missing')
     if arguments.leave_one_out and arguments.what != BLIND:
         raise ConfigError(f'--leave-one-out: not of fleet {arguments.what}; leave it out')
+    if 'trials' in needed:
+        _check_cells(arguments)
+
+
+def _check_cells(arguments: argparse.Namespace) -> None:
+    for name, low in (('trials', 1), ('seed', 0)):
+        value = getattr(arguments, name)
+        if not low <= value <= MOST[name]:
+            raise ConfigError(f'--{name}: {value} is out of range [{low}, {MOST[name]}]')
 
 
 def _workers(arguments: argparse.Namespace) -> Workers:
@@ -92,6 +107,8 @@ def run_fleet_verb(arguments: argparse.Namespace) -> int:
     workers = _workers(arguments)
     if arguments.what == BLIND:
         return _trial(arguments, workers, overwrite=False)
+    if arguments.what == VALIDATE:
+        return _validation(arguments, workers)
     return _listed_runs(arguments, workers)
 
 
@@ -113,10 +130,35 @@ def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
     return QUALITY_GATE_FAILED if any(o.exit for o in outcomes.values()) else 0
 
 
+def _validation(arguments: argparse.Namespace, workers: Workers) -> int:
+    """The paper's comparisons, a cell a run, in one table."""
+    from otf_core.cli.simulating import told_limits
+    from otf_core.fleet.fleet import fleet_to_dict, run_fleet, take_folder
+    from otf_core.reports.fleet import format_fleet, list_results, write_outcomes
+    from otf_core.reports.validation import write_table
+    from otf_core.validation.spread import cell_jobs, table_of
+    from otf_core.validation.table import format_rows
+
+    folder = take_folder(Path(arguments.out), VALIDATE)
+    jobs = cell_jobs(arguments.seed, arguments.trials, folder)
+    outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
+    words, files = format_fleet(VALIDATE, outcomes, gates=False), []
+    seeds, rows = table_of(folder, outcomes)
+    if rows:
+        files = write_table(seeds, rows, folder)
+        words = f'{format_rows(rows)}\n\n{words}'
+    files.append(write_outcomes(VALIDATE, folder, outcomes))
+    list_results(VALIDATE, folder)
+    answer(arguments, words + listed(files, arguments.out), fleet_to_dict(VALIDATE, outcomes))
+    beyond = told_limits(rows)
+    return QUALITY_GATE_FAILED if any(not o.done for o in outcomes.values()) else beyond
+
+
 def run_blind(arguments: argparse.Namespace) -> int:
     """Blind trial: draw and seal cells, diagnose them, score."""
     from otf_core.fleet.workers import done_here
 
+    _check_cells(arguments)
     workers = partial(done_here, workers=arguments.jobs)
     return _trial(arguments, workers, overwrite=arguments.overwrite)
 
@@ -128,10 +170,6 @@ def _trial(arguments: argparse.Namespace, workers: Workers, *, overwrite: bool) 
     from otf_core.files.output import OutputFolder
     from otf_core.reports.fleet import format_fleet, write_outcomes
 
-    for name, low in (('trials', 1), ('seed', 0)):
-        value = getattr(arguments, name)
-        if not low <= value <= MOST[name]:
-            raise ConfigError(f'--{name}: {value} is out of range [{low}, {MOST[name]}]')
     folder = Path(arguments.out)
     if overwrite or not holds_trial(folder):
         OutputFolder(folder, overwrite=overwrite).clear()

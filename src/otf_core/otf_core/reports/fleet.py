@@ -80,14 +80,14 @@ def fleet_rows(
     return GAP_COLUMNS, rows, shared
 
 
-def format_fleet(verb: str, outcomes: Mapping[str, Outcome]) -> str:
-    """Return the text for a terminal: counts, and every run that failed."""
+def format_fleet(verb: str, outcomes: Mapping[str, Outcome], *, gates: bool = True) -> str:
+    """Return the text for a terminal: counts, every run that failed and, with ``gates``, those."""
     data = fleet_to_dict(verb, outcomes)
     lines = [f'{data["done"]} of {len(outcomes)} runs done, {data["failed"]} failed']
     lines += [f'  {n}: exit {o.exit}: {o.message}' for n, o in outcomes.items() if not o.done]
-    gates = [n for n, o in outcomes.items() if o.done and o.exit]
-    if gates:
-        lines.append(f'  quality gate failed: {", ".join(gates)}')
+    beyond = [n for n, o in outcomes.items() if o.done and o.exit]
+    if beyond and gates:
+        lines.append(f'  quality gate failed: {", ".join(beyond)}')
     return '\n'.join(lines)
 
 
@@ -125,8 +125,13 @@ def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> lis
     """
     write_text(folder / PAGE, fleet_page(verb, folder, outcomes))
     file = write_outcomes(verb, folder, outcomes)
-    write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
+    list_results(verb, folder)
     return [file, folder / PAGE]
+
+
+def list_results(verb: str, folder: Path) -> None:
+    """Write the manifest of a fleet."""
+    write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
 
 
 def write_outcomes(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> Path:
