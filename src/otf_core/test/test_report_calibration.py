@@ -115,7 +115,7 @@ MINIMAL = {
         'not reduced to 20',
     ),
     'per node': ('Position', 'u (k = 1)', 'U', 'k', 'v_eff', 'n_obs', 'Flag'),
-    'scalars': ('C0Y', 'B0Z', 'A0Z', 'angle between +X and +Y is 90 deg', 'tracker scale'),
+    'scalars': ('C0Y', 'B0Z', 'A0Z', 'angle between +X and +Y is 90°', 'tracker scale'),
     'fit': (
         'samples used', 'outliers', 'N_eff', 'unknowns', 'rank', 'condition number', 's0',
         'chi-square p', 'residual rms', 'a2', 'a3', 'correlation time',
@@ -159,7 +159,7 @@ TEN_QUESTIONS = {
         r'longest error vector of the grid, [\d.]+ µm, lies at X [\d.−]+, Y .* Most is due to E',
     'What is not known?': r'Not known: ',
     'Is Y square to X, and which way does it lean?':
-        r'C0Y: angle between \+X and \+Y is 90 deg [+−-] [\d.]+ µrad',
+        r'C0Y: angle between \+X and \+Y is 90° [+−-] [\d.]+ µrad',
     'Is a positive error towards larger or smaller positions?':
         r'an error is actual minus nominal position .* A correction has the opposite sign',
     'Does the machine go another way forward than backward?': r'Reversal model: \w+',

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conditions and instrument as reports show them: what was driven, with what, and what nobody said."""
+"""Conditions and instrument of reports: what was driven, with what, what nobody said."""
 
 from __future__ import annotations
 

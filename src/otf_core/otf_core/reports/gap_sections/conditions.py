@@ -9,7 +9,6 @@ from otf_core.reports.circumstances import run_table, stated
 from otf_core.reports.section import Section, Table
 from otf_core.version import __version__
 
-
 OF_RUNS = ('samples',)
 """Conditions that the tables of the runs show."""
 
