@@ -24,7 +24,8 @@ def stated(machine: Machine) -> tuple[list[Table], tuple[str, ...]]:
     for key, (words, unit, _, _) in NUMBERS.items():
         value = given.conditions.get(key)
         about.append((words, None if value is None else f'{value:g} {unit}'))
-    missing = [words for words, value in (*about, *instrument) if value is None]
+    wished = [row for row in (*about, *instrument) if row[0] != TEXTS['remark']]
+    missing = [words for words, value in wished if value is None]
     instrument.append(('specified standard uncertainties (k = 1)', _specified(machine.tracker)))
     tables = [
         Table(('', ''), tuple((w, str(v)) for w, v in rows if v is not None), title=title)
