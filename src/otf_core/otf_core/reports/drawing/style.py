@@ -106,7 +106,8 @@ li { margin: 0.25rem 0; max-width: 52rem; overflow-wrap: anywhere; }
   h2, h3, caption { break-after: avoid; } tr { break-inside: avoid; }
   .scroll { overflow: visible; } thead { display: table-header-group;
   break-after: avoid; } details:not([open]) { display: none; }
-  tbody tr:first-child { break-before: avoid; } figure svg { max-height: 13cm; } * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
+  tbody tr:first-child { break-before: avoid; } figure svg { max-height: 13cm; }
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 )
 """The whole page."""
