@@ -22,8 +22,8 @@ def section(diagnosis: Diagnosis) -> Section:
     if not diagnosis.causes:
         reason = {
             'none': 'None: the run shows no more than its simulation.',
-            'unknown': 'None named: no effect of the catalogue explains the gap. '
-            f'Its structure: {diagnosis.unexplained_where}.',
+            'unknown': 'None named: no effect of the catalogue explains the gap.'
+            + ('' if diagnosis.unnamed else f' Its structure: {diagnosis.unexplained_where}.'),
         }.get(diagnosis.verdict, 'None found.')
         return Section('causes', 'Causes', (reason, *_unnamed(diagnosis)), text=text)
     words: tuple[str, ...] = ()
