@@ -27,7 +27,7 @@ def section(diagnosis: Diagnosis) -> Section:
         shown.append(('Cause without a name', unnamed.words, unnamed.curves))
     if not shown:
         return Section('functions', '')
-    words = tuple(f'{name}: {said}.' for name, said, _ in shown)
+    words = tuple(f'{effect_name(c.effect)}: {c.departs}.' for c in diagnosis.causes if c.curves)
     text = (*(f'{name}: {said}' for name, said, _ in shown), '')
     return Section(
         'functions',
@@ -57,7 +57,7 @@ def _panel(curve: Curve) -> str:
     )
     marks = [
         panel.level(0.0, 'soft'),
-        panel.band(at, low, high, 'noise'),
+        panel.band(at, low, high, 'after band'),
         panel.line(at, value, 'after'),
     ]
     held = ', '.join(f'{label_of(n)} = {v:.3g}' for n, v in curve.held.items())
