@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from otf_core.blind.draw import draw_trial
+from otf_core.blind.natures import OUTSIDE
 from otf_core.blind.trace import Ruler, make_ruler
-from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.errors import ConfigError
 
@@ -94,7 +94,7 @@ def ruler_of(entry: Mapping[str, Any]) -> Ruler:
 
 
 def _applied(rows: Sequence[Mapping[str, Any]]) -> list[AppliedEffect]:
-    every = {**REGISTRY, **UNKNOWN_EFFECTS}
+    every = {**REGISTRY, **OUTSIDE}
     return [
         AppliedEffect(every[r['effect']], r['parameters'])
         for r in rows

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.blind.answers import Answer, Question, ask_all
+from otf_core.blind.depends import kin_of
 from otf_core.blind.outcome import NOISE, Outcome, outcome
 from otf_core.blind.publish import PARTICULARS, README, Measured, fragment
 from otf_core.blind.recovery import Recovery, recover, ruler_of
@@ -149,13 +150,15 @@ def run_leave_one_out(
     jobs: int = 2,
     progress: Progress = lambda text: None,
 ) -> str:
-    """Diagnose runs with their own effect taken out of the catalogue; as ``run_trial``."""
+    """Diagnose runs with their effect and its kin taken out of the catalogue; as ``run_trial``.
+
+    What is taken out is taken out in every form.
+    """
     folder = ensure_folder(folder)
     _draw(orders(trials, seed, leave_one_out=True), folder, jobs, progress)
     entries = open_key(folder)
     questions = [
-        Question(e['cell'], ('bag',), tuple(p['effect'] for p in e['parts']), WITHOUT)
-        for e in entries
+        Question(e['cell'], ('bag',), kin_of(e['parts'][0]['effect']), WITHOUT) for e in entries
     ]
     answers = ask_all(questions, folder, jobs, progress)
     outcomes: list[Outcome] = []
