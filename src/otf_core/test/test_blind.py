@@ -339,8 +339,10 @@ def test_published_tables_are_the_rows_of_the_score(tmp_path):
     cells = [outcome(entry(), answer(verdict='none')) for _ in range(3)]
     cells = [replace(c, kind='none') for c in cells]
     (tmp_path / SEAL).write_text('0123456789abcdef0123\n')
-    (tmp_path / 'answers' / '000').mkdir(parents=True)
-    (tmp_path / 'answers' / '000' / 'seconds.txt').write_text('12.3\n')
+    (tmp_path / '.fleet').mkdir()
+    ended = {'exit': 0, 'message': '', 'sha256': 'f' * 64, 'seconds': 12.3}
+    state = json.dumps({'inputs': '', 'outcome': ended})
+    (tmp_path / '.fleet' / 'answers-000.json').write_text(state)
     measured = Measured.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
     text = fragment(measured, criteria(cells, []))
     assert './otf blind --trials 3 --seed 7 --out blind\n' in text

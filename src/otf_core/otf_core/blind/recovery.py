@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from otf_core.blind.natures import OUTSIDE
 from otf_core.blind.trace import Ruler, make_ruler
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.errors import ConfigError
+from otf_core.files.json_file import read_json
 
 LOOSE_SHAPE = ('order', 'until')
 SAME_SHAPE = 0.02
@@ -123,3 +124,15 @@ def recover(entry: Mapping[str, Any], answer: Mapping[str, Any], ruler: Ruler) -
         achieved_percent=float(100.0 * max(0.0, 1.0 - ruler.size(left) / before)),
         left_snr=ruler.snr(left),
     )
+
+
+def recover_cell(entry: Mapping[str, Any], answer: str) -> dict[str, Any] | None:
+    """Compare the answer in a file with the truth, as plain data; see ``recover``."""
+    found = recover(entry, read_json(answer), ruler_of(entry))
+    return None if found is None else asdict(found)
+
+
+def recovery_from(data: Mapping[str, Any]) -> Recovery:
+    """Return what ``recover_cell`` found."""
+    pairs = {name: tuple(data[name]) for name in ('deviations', 'interval_percent')}
+    return Recovery(**{**data, **pairs})
