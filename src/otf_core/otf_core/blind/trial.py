@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.blind.answers import Answer, Question, answer_file, ask_all
+from otf_core.blind.counts import reliability
 from otf_core.blind.depends import kin_of
+from otf_core.blind.diagram import reliability_svg
 from otf_core.blind.outcome import NOISE, Outcome, outcome
-from otf_core.blind.publish import PARTICULARS, README, Measured, fragment
+from otf_core.blind.publish import DIAGRAM, PARTICULARS, README, Measured, fragment
 from otf_core.blind.recovery import Recovery, recovery_from
-from otf_core.blind.score import score_to_dict
+from otf_core.blind.score import score_to_dict, stated
 from otf_core.blind.seal import KEY, SEAL, Entry, open_key, orders, seal, sealed
 from otf_core.blind.table import (
     Table,
@@ -88,6 +90,7 @@ def _score(
             answer = answers[FIRST, entry['cell']]
             alone.append(outcome(entry, answer, first_place=True))
     main, rest = criteria(outcomes, recovered, alone), particulars(outcomes)
+    write_text(folder / DIAGRAM, reliability_svg(reliability(stated(outcomes))))
     _publish(folder, score_to_dict(outcomes, recovered, alone), main, rest)
     every = [*main, *rest, misses([*outcomes, *alone])]
     return '\n\n'.join([f'{len(outcomes)} cells', *map(as_text, every), shrink_words(recovered)])
@@ -111,8 +114,8 @@ def _publish(
 
 def list_files(folder: Path) -> None:
     """Write the manifest of a trial, whole or interrupted: of what it writes, nothing else."""
-    parts = ('cells', WHOLE, FIRST, WITHOUT, STATE, KEY, SEAL, README, PARTICULARS, 'score.json',
-             'score.txt', fleet.FILE)  # fmt: skip
+    parts = ('cells', WHOLE, FIRST, WITHOUT, STATE, KEY, SEAL, README, PARTICULARS, DIAGRAM,
+             'score.json', 'score.txt', fleet.FILE)  # fmt: skip
     files = [f for f in written_files(folder) if f.relative_to(folder).parts[0] in parts]
     if files:
         write_manifest(folder / MANIFEST, files, 'blind')
