@@ -109,7 +109,8 @@ def _publish(
     write_text(folder / 'score.json', json.dumps({**data, 'provenance': block}, indent=1))
     measured = Measured.of(folder, open_key(folder), block['written'][:10], leave_one_out)
     write_text(folder / README, fragment(measured, main))
-    write_text(folder / PARTICULARS, fragment(measured, rest))
+    picture = '' if leave_one_out else f'\n![Reliability diagram](images/{DIAGRAM})\n'
+    write_text(folder / PARTICULARS, fragment(measured, rest) + picture)
 
 
 def list_files(folder: Path) -> None:
