@@ -19,7 +19,7 @@ import yaml
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.blind.cases import Case, Part, draw_case, kinds_of
-from otf_core.effects import REGISTRY
+from otf_core.blind.depends import WITHOUT
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.json_file import read_json
 from otf_core.files.manifest import MANIFEST
@@ -30,7 +30,7 @@ from otf_core.fleet.job import Outcome
 from otf_core.model.provenance import provenance
 
 KEY, SEAL = 'key.json', 'key.sha256'
-SCHEMA = 'otf-blind-key/1'
+SCHEMA = 'otf-blind-key/2'
 
 Entry = dict[str, Any]
 
@@ -52,10 +52,9 @@ class Order:
 
 
 def orders(trials: int, seed: int, *, leave_one_out: bool = False) -> list[Order]:
-    """List the cells of a trial; with ``leave_one_out`` every effect of the catalogue in turn."""
+    """List the cells of a trial; with ``leave_one_out`` the effects of ``WITHOUT`` in turn."""
     if leave_one_out:
-        names = list(REGISTRY)
-        return [Order(seed, k, 'one', 0, (names[k % len(names)],)) for k in range(trials)]
+        return [Order(seed, k, 'one', 0, (WITHOUT[k % len(WITHOUT)],)) for k in range(trials)]
     return [Order(seed, k, *kind) for k, kind in enumerate(kinds_of(trials, seed))]
 
 
@@ -63,6 +62,8 @@ def _parts(parts: Sequence[Part]) -> list[Entry]:
     return [
         {
             'effect': p.name,
+            'names': list(p.names),
+            'depends': p.depends.to_dict(),
             'parameters': {k: float(v) for k, v in p.applied.parameters.items()},
             'size_um': 1e6 * p.size,
             'raw_um': 1e6 * p.raw,
