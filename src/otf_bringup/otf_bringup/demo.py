@@ -61,7 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     share = Path(get_package_share_directory('otf_bringup'))
-    parser = argparse.ArgumentParser(prog='otf demo', description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog='otf demo',
+        description=__doc__.splitlines()[0],
+        epilog='Example: ./otf demo --view --seed 3',
+    )
     parser.add_argument(
         '--out', type=Path, default=Path('demo_output'), help='folder for all files (%(default)s)'
     )

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
+from otf_core.blind.natures import OUTSIDE
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.drawing import (
     Axes,
@@ -144,19 +144,16 @@ def draw_effect(name: str, machine: Machine, duration: float, rng: Rng) -> Appli
     Parameters
     ----------
     name : str
-        Of the registry or of ``UNKNOWN_EFFECTS``.
+        Of the registry or of ``OUTSIDE``.
     machine : Machine
     duration : float, s
         Of the run.
     rng : numpy.random.Generator
     """
     draw = Draw(rng, machine, duration)
-    if name not in UNKNOWN_EFFECTS:
-        return AppliedEffect(REGISTRY[name], draw.all(REGISTRY[name].trial.drawn))
-    # the shapes of all are drawn, so that the cells of a seed stay what they were
-    shapes = {n: draw.all(e.trial.drawn) for n, e in UNKNOWN_EFFECTS.items()}
-    effect = UNKNOWN_EFFECTS[name]
-    return AppliedEffect(effect, shapes[name] | draw.one(Axes('A', effect.size)))
+    if name in OUTSIDE:
+        return AppliedEffect(OUTSIDE[name], draw.all(OUTSIDE[name].drawn))
+    return AppliedEffect(REGISTRY[name], draw.all(REGISTRY[name].trial.drawn))
 
 
 def scaled(applied: AppliedEffect, factor: float) -> AppliedEffect:

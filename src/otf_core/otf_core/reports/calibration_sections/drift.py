@@ -77,6 +77,7 @@ def section(facts: Facts) -> Section:
     said = f'Larger than U: along {listed(found)}.' if found else 'No drift beyond U.'
     words = (
         said,
+        _moved(facts),
         'Change of the mean residual from the first to the last part of the run (closure of start '
         'and end), with U (k = 2). It also holds what the model lacks at the places driven then; '
         'a steady drift shows as a slope in the picture.',
@@ -85,6 +86,16 @@ def section(facts: Facts) -> Section:
     table = Table(head, tuple(rows), numbers=(1, 2, 3, 4))
     return Section('drift', 'Drift between start and end', words, {'runs': data}, (table,),
                    draw=lambda: _pictures(facts.result.runs))  # fmt: skip
+
+
+def _moved(facts: Facts) -> str:
+    """Whether tracker or target moved against the machine in mid-run."""
+    result = facts.result
+    said = [w for w in (*result.warnings, *result.failed_gates) if w.startswith('moved: ')]
+    return ' '.join(f'{w[:1].upper()}{w[1:]}.' for w in said) or (
+        'Not moved: no step of tracker or target was found during a run. Steps below about 5 um, '
+        'and right at start and end, would not be seen.'
+    )
 
 
 def _pictures(runs: Sequence[RunResult]) -> Sequence[Picture]:

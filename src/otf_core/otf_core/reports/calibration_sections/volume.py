@@ -16,7 +16,7 @@ from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.drawing.scene import SCRIPT, Dots, Item, Strokes, box, scene
+from otf_core.reports.drawing.scene import SCRIPT, TURNED, Dots, Item, Strokes, box, scene
 from otf_core.reports.quantities import micro
 from otf_core.reports.section import Picture, Section, Table
 
@@ -66,7 +66,7 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
         (before, after),
         f'Left: error vectors as the machine stands, the longest {size:.2f} um. Right: what '
         f'is to be expected after compensation, U (95 %) of the vector, on a scale of its own. '
-        f'On a screen, drag to turn.',
+        f'{TURNED}',
         columns=2,
         title='In space',
     )
