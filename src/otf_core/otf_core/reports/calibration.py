@@ -36,6 +36,7 @@ from otf_core.reports.calibration_report import calibration_html, calibration_se
 from otf_core.reports.residuals import write_residuals
 from otf_core.reports.reversal import reversal_csv, reversal_to_dict
 from otf_core.reports.section import sections_to_text
+from otf_core.threads import in_one_thread
 
 TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
 
@@ -142,6 +143,7 @@ def _factor(k: float | None) -> str:
     return '' if k is None else repr(float(k))
 
 
+@in_one_thread
 def write_calibration(
     result: CalibrationResult,
     folder: str | Path,

@@ -9,6 +9,7 @@ along the axis is exponential.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -75,11 +76,13 @@ def _over_level(power: Array, place: Array) -> Array:
     return np.asarray(power / np.maximum(level, 1e-300))
 
 
-def _improbability(value: float, shape: float, trials: int) -> float:
-    """Minus log of the probability of such a value in so many trials."""
-    from scipy.stats import gamma  # 0.4 s that only a diagnosis pays
+def _improbability(value: float, series: int, trials: int) -> float:
+    """Minus log of the probability of such a power, summed over series, in so many trials.
 
-    return float(-gamma.logsf(value, shape) - np.log(max(trials, 1)))
+    A sum of n powers of noise over its level follows the Erlang distribution of shape n.
+    """
+    terms = sum(value**k / math.factorial(k) for k in range(series))
+    return float(value - np.log(terms) - np.log(max(trials, 1)))
 
 
 def line_in_time(residuals: SampleResiduals) -> Peak | None:
@@ -99,7 +102,7 @@ def line_in_time(residuals: SampleResiduals) -> Peak | None:
     power = np.abs(np.fft.rfft(series, length, axis=0)[use]) ** 2
     total = sum(_over_level(power[:, k], frequency[use]) for k in range(3))
     best = int(np.argmax(total))
-    score = _improbability(float(np.asarray(total)[best]), 3.0, len(power))
+    score = _improbability(float(np.asarray(total)[best]), 3, len(power))
     return float(frequency[use][best]), score
 
 
@@ -120,7 +123,7 @@ def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     power = np.abs(np.fft.rfft(series, length)[use]) ** 2
     ratio = _over_level(power, number[use])
     best = int(np.argmax(ratio))
-    score = _improbability(float(ratio[best]), 1.0, len(ratio))
+    score = _improbability(float(ratio[best]), 1, len(ratio))
     return float(1.0 / number[use][best]), score
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.place import groupings as by
-from otf_core.diagnosis.place.bands import time_bands, wave_bands
+from otf_core.diagnosis.place.bands import band_groups, usual_bands
 from otf_core.diagnosis.place.groups import (
     Group,
     leg_rows,
@@ -112,9 +112,8 @@ def _all_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[st
         for name, parts in groupings_of(views).items()
     }
     groups['by_axis_and_direction'] += pointing_groups(views, residuals)
-    groups['by_frequency'] = time_bands(views, residuals)
-    for axis in range(3):
-        groups['by_frequency'] += wave_bands(views, residuals, axis)
+    [bands] = band_groups(views, [residuals], usual_bands(views))
+    groups['by_frequency'] = [group for own in bands for group in own]
     return groups
 
 
