@@ -17,8 +17,8 @@ from otf_core.live.stages import PLAN
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
     """Plan, and the place of the tracker that it assumes or None; as plan.json has them."""
-    from otf_core.files.csv_points import read_points_csv
     from otf_core.inputs.plan_json import PlanFile, looks_like_json, read_plan
+    from otf_core.inputs.points_file import read_points
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import check_inside, plan_for_path
     from otf_core.planning.creator import plan_path
@@ -30,8 +30,8 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
         if looks_like_json(name):
             file = _with_dwells(read_plan(name), arguments, config)
         else:
-            points = read_points_csv(name)
-            file = PlanFile(plan_for_path(NominalPath(points), config), None)
+            path = NominalPath(read_points(name)[0])
+            file = PlanFile(plan_for_path(path, config), None)
         check_inside(file.plan.path, machine)
     except ConfigError as error:
         if 'x,y,z' not in str(error):
