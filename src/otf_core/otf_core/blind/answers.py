@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.files.writing import ensure_folder, write_text
+from otf_core.live.time_left import StepsLeft
 
 Answer = dict[str, Any]
 
@@ -76,11 +77,11 @@ def ask_all(
     questions: Sequence[Question], folder: Path, jobs: int, progress: Callable[[str], None]
 ) -> dict[tuple[str, str], Answer]:
     """Diagnose all; the answers by label and cell."""
-    answers = {}
+    answers, left = {}, StepsLeft(len(questions))
     with ThreadPoolExecutor(jobs) as pool:
         results = pool.map(ask, questions, [folder] * len(questions))
         for question, answer in zip(questions, results, strict=True):
             answers[question.label, question.cell] = answer
             said = answer.get('verdict') or f'failed: {answer["failed"]}'
-            progress(f'cell {question.cell}: {said}')
+            progress(f'cell {question.cell}: {said}{left.after_one()}')
     return answers

@@ -12,7 +12,7 @@ from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
 from otf_core.cli.progress import progress_of
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, OtfError
-from otf_core.live.stages import PLAN
+from otf_core.live.stages import PLAN, SIMULATE
 
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
@@ -77,8 +77,9 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     if tables is not None:
         tables = dataclasses.replace(tables, machine=machine)
     file = _plan_of(arguments, planning, machine)
-    with progress_of(arguments, 'simulating'):
+    with progress_of(arguments, 'simulating', SIMULATE) as progress:
         run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)
+        progress('writing', 0.0)
         del read['machine']  # the description has a place of its own in the block provenance
         out.write(run, file.plan, config, effects, read)
     place = ', '.join(f'{v:.3f}' for v in run.place)

@@ -130,7 +130,7 @@ class Fields:
         for key in data:
             if not isinstance(key, str):
                 raise ConfigError(
-                    f'{where}: {shown(key)} is no key; decimals are written with a point, as in 0.3'
+                    f'{where}: {shown(key)} is no key; decimals have a point, as in 0.3'
                 )
         self._data = dict(data)
         self._where = where

@@ -21,6 +21,7 @@ from otf_core.files.manifest import file_digest, written_files
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.fleet.job import RESULTS, Job, Outcome, newest
 from otf_core.fleet.run_list import ListedRun
+from otf_core.live.time_left import StepsLeft
 from otf_core.version import __version__
 
 SCHEMA = 'otf-fleet/1'
@@ -84,11 +85,13 @@ def run_fleet(
             jobs.append(Job(verb, run.name, str(run.bag), str(run.machine), out))
     if outcomes:
         progress(f'{len(outcomes)} of {len(runs)} runs are done already')
+    left = StepsLeft(len(jobs))
     for number, (job, outcome) in enumerate(workers(jobs), start=1 + len(outcomes)):
         outcomes[job.name] = outcome
         state = {'inputs': keys[job.name], 'outcome': asdict(outcome)}
         write_text(folder / STATE / f'{job.name}.json', json.dumps(state) + '\n')
-        progress(f'{number}/{len(runs)} {job.name}: {outcome.message or "done"}')
+        said = outcome.message or 'done'
+        progress(f'{number}/{len(runs)} {job.name}: {said}{left.after_one()}')
     return {run.name: outcomes[run.name] for run in runs}
 
 
