@@ -12,7 +12,7 @@ from engine_cells import holding, noise, rms_um, solved_rows
 
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.search import search
-from otf_core.diagnosis.engine.unnamed import find_structure
+from otf_core.diagnosis.engine.unnamed import find_structure, try_structures
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.acting import Along, rigid_tracker, vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
@@ -227,7 +227,7 @@ def test_structure_of_a_gap_without_a_name_is_found():
         for run, state in zip(rows.done.runs, rows.states, strict=True)
     ]
     given = np.concatenate(parts)
-    found = find_structure(holding(noise(5) + given))
+    found = find_structure(try_structures(holding(noise(5) + given)))
     assert set(found.effect.form.inputs) == {'time', 'x'}
     assert isinstance(found.effect.form.acts, Along)
     assert abs(found.effect.form.acts.direction[2]) > 0.98

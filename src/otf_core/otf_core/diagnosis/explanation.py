@@ -70,6 +70,11 @@ class Explanation:
         """Gap with all causes, on legs they were not fitted on, um."""
         return gap_um(self.steps[-1].rms_um, self.simulated_um)
 
+    def doubted(self, probability: float) -> Explanation:
+        """The same with every confidence times the probability that it is not something else."""
+        causes = tuple(replace(c, confidence=c.confidence * probability) for c in self.causes)
+        return replace(self, causes=causes)
+
     def without_causes(self) -> Explanation:
         """The same with nothing named: where no effect explains the gap."""
         first = self.steps[0]
