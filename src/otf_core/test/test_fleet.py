@@ -3,9 +3,11 @@
 
 import hashlib
 import json
+import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -176,6 +178,54 @@ def test_a_wrong_list_is_refused_with_its_line(tmp_path, text, said):
     (tmp_path / 'runs.csv').write_text(text)
     with pytest.raises(ConfigError, match=said):
         read_list(tmp_path / 'runs.csv')
+
+
+KILLING = """
+import os, pathlib, signal, sys
+first = pathlib.Path(os.environ['CALLS'] + '.killed')
+if 'b.mcap' in sys.argv[3] and not first.exists():
+    first.write_text('')
+    os.kill(os.getppid(), signal.SIGKILL)
+"""
+
+
+@pytest.fixture
+def dask(plant, monkeypatch):
+    """Address of a Dask scheduler with two workers; who first does run b is killed by it."""
+    pytest.importorskip('distributed')
+    (plant / 'killing.py').write_text(KILLING + STUB)
+    stub = (sys.executable, str(plant / 'killing.py'))
+    (plant / 'as_stub.py').write_text(
+        f'from otf_core.fleet import job\n\njob.COMMAND = {stub!r}\n'
+    )
+    places = (str(Path(job.__file__).parents[2]), os.environ.get('PYTHONPATH', ''))
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(places))
+    common = ['--scheduler-file', 'dask.json', '--no-dashboard']
+    words = [[sys.executable, '-m', 'distributed.cli.dask_scheduler', '--port', '0', *common]]
+    one = [sys.executable, '-m', 'distributed.cli.dask_worker', '--no-nanny', '--nthreads', '1']
+    words += [[*one, '--preload', 'as_stub.py', '--death-timeout', '60', *common]] * 2
+    with open(plant / 'dask.log', 'w') as log:
+        started = [subprocess.Popen(w, stdout=log, stderr=log) for w in words]
+        try:
+            end = time.monotonic() + 60
+            while not (plant / 'dask.json').exists() and time.monotonic() < end:
+                time.sleep(0.05)
+            yield json.loads((plant / 'dask.json').read_text())['address'], started[1:]
+        finally:
+            for process in started:
+                process.kill()
+                process.wait()
+
+
+def test_dask_workers_give_the_bits_of_processes_though_one_is_killed(plant, dask):
+    address, workers = dask
+    fleet('here')
+    words = ('--list', 'runs.csv', '--out', 'there', '--scheduler', address)
+    assert run('fleet', 'calibrate', *words) == 4
+    assert (plant / 'there/fleet.json').read_bytes() == (plant / 'here/fleet.json').read_bytes()
+    result = [(plant / n / 'b/error_tables.json').read_bytes() for n in ('here', 'there')]
+    assert result[0] == result[1]
+    assert sorted(worker.poll() is None for worker in workers) == [False, True]
 
 
 def test_a_scheduler_needs_dask(plant, monkeypatch, capsys):

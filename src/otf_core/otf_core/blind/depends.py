@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from otf_core.effects import REGISTRY, AppliedEffect
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 NAMED_AT_MOST = 2
 """Inputs of one structure: what depends on more is right with so many of them."""
-SENSES = tuple(f'sense_{a.lower()}' for a in AXES)
-PLACES = tuple(a.lower() for a in AXES)
+SENSES = tuple(f'sense_{a.lower()}' for a in XYZ)
+PLACES = tuple(a.lower() for a in XYZ)
 BEAM = ('range', 'azimuth', 'elevation')
 SPEED = ('feed', 'lap')
 """Not told apart where every lap has a feed of its own."""
@@ -60,13 +60,13 @@ def named_rightly(named: Sequence[str], groups: Sequence[Sequence[str]], *more: 
 def _axes_of(applied: AppliedEffect) -> list[str]:
     """Axes that coefficients other than zero are of, in lower case."""
     own = [n for n, v in applied.parameters.items() if v and n not in applied.effect.shape_names]
-    return [a.lower() for a in AXES if any(n.endswith(f'_{a}') for n in own)]
+    return [a.lower() for a in XYZ if any(n.endswith(f'_{a}') for n in own)]
 
 
 def _moving_axes_of(applied: AppliedEffect) -> list[str]:
     """Axes whose error motions a table of coefficients is of (EXY_1: of Y), in lower case."""
     own = [n for n, v in applied.parameters.items() if v and n not in applied.effect.shape_names]
-    return [a.lower() for a in AXES if any(n[:1] == 'E' and n[2:3] == a for n in own)]
+    return [a.lower() for a in XYZ if any(n[:1] == 'E' and n[2:3] == a for n in own)]
 
 
 def catalogue_depends(applied: AppliedEffect) -> Depends:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.effects.tracker_noise import TrackerNoise
-from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.motions import ErrorMotion
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import NominalPath
@@ -64,16 +64,17 @@ class Trial:
 
 def draw_machine(rng: Rng) -> Machine:
     """Draw chain, ranges, node spacing, target offset and tracker."""
-    chain = str(rng.choice(CHAINS if rng.random() < 0.75 else OTHER_CHAINS))
+    chain = Chain.parse(str(rng.choice(CHAINS if rng.random() < 0.75 else OTHER_CHAINS)))
     size = np.array([0.6, 0.5, 0.4])
     if rng.random() < 0.4:
         size = np.round(rng.uniform([0.45, 0.4, 0.3], [0.9, 0.7, 0.5]), 2)
     low = np.array([0.0, 0.0, -size[2]])
     pitch = 0.03 if rng.random() < 0.7 else 0.05
-    axes = {a: Axis(float(low[k]), float(low[k] + size[k]), pitch) for k, a in enumerate(AXES)}
+    names = enumerate(chain.axis_names)
+    axes = {a: Axis(float(low[k]), float(low[k] + size[k]), pitch) for k, a in names}
     offset = np.round(rng.normal((0.0, 0.0, -0.15), (0.02, 0.02, 0.02)), 4)
     spec = TrackerSpec(0.5e-6, float(rng.uniform(1.0e-6, 2.2e-6)))
-    return Machine('cell', Chain.parse(chain), axes, offset, spec)
+    return Machine('cell', chain, axes, offset, spec)
 
 
 def unit_lap(rng: Rng) -> Array:

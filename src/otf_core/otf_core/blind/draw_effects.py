@@ -25,6 +25,7 @@ from otf_core.effects.drawing import (
     Maybe,
     Normal,
     Number,
+    OfMachine,
     OneOf,
     Several,
     Share,
@@ -32,7 +33,7 @@ from otf_core.effects.drawing import (
     Uniform,
     Value,
 )
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.nodes import axis_nodes
 
 Rng = np.random.Generator
@@ -96,7 +97,7 @@ class Draw:
         count = int(self.rng.integers(1, item.most + 1))
         axes = self.rng.choice(3, count, replace=False)
         values = self.rng.uniform(0.4, 1.0, count) * self.rng.choice(SIGNS, count)
-        names = [f'{item.prefix}_{AXES[a]}' for a in axes]
+        names = [f'{item.prefix}_{self.machine.axis_names[a]}' for a in axes]
         return {n: float(item.size * v) for n, v in zip(names, values, strict=True)}
 
     @one.register
@@ -119,6 +120,10 @@ class Draw:
     @one.register
     def _(self, item: Either) -> Parameters:
         return self.all(item.ways[int(self.rng.integers(len(item.ways)))])
+
+    @one.register
+    def _(self, item: OfMachine) -> Parameters:
+        return self.one(item.item(self.machine.axis_names))
 
     @one.register
     def _(self, item: BetweenNodes) -> Parameters:

@@ -18,7 +18,7 @@ from otf_core.blind.depends import PLACES, SENSES, SPEED, Depends, on
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.base import Array
 from otf_core.effects.drawing import Axes, Drawn, Number, Trial, Uniform
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 _MOMENT = Number('t0', Uniform(0.15, 0.85), of_duration=True)
 
@@ -60,7 +60,7 @@ class UnknownEffect(Effect):
         factor = self.factor(state, shape)
         factor = factor[:, None] if factor.ndim == 1 else factor
         columns = factor[:, :, None] * np.eye(3)
-        return Terms(self.vector, ('m',) * 3, AXES, columns)
+        return Terms(self.vector, ('m',) * 3, XYZ, columns)
 
     def displacement(self, state: State, parameters: Shape) -> Array:
         """Displacement of all samples at once, shape (n, 3), m."""
@@ -105,7 +105,7 @@ class TrackerStep(UnknownEffect):
         """Return A_X, A_Y, A_Z: turns about the axes, rad."""
         after = self.factor(state, shape)[:, None]
         columns = np.stack([after * np.cross(e, state.beam) for e in np.eye(3)], axis=2)
-        return Terms(self.vector, ('rad',) * 3, AXES, columns)
+        return Terms(self.vector, ('rad',) * 3, XYZ, columns)
 
 
 class SlowSwing(UnknownEffect):
@@ -223,7 +223,7 @@ class BallPassage(UnknownEffect):
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return A_X, A_Y, A_Z: lifts of the slides of X, Y, Z along Y, Z, X."""
         columns = self.factor(state, shape)[:, None, :] * np.roll(np.eye(3), 1, axis=0)
-        return Terms(self.vector, ('m',) * 3, AXES, columns)
+        return Terms(self.vector, ('m',) * 3, state.machine.axis_names, columns)
 
 
 class AxisBrake(UnknownEffect):

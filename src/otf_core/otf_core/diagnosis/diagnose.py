@@ -203,6 +203,7 @@ def run_views(
     return tuple(
         RunView(
             name=run.recording.name or f'run {k}',
+            axis_names=state.machine.axis_names,
             time=state.time,
             leg=run.pieces.leg,
             q=state.q,

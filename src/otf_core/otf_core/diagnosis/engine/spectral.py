@@ -19,7 +19,7 @@ from scipy.ndimage import median_filter
 
 from otf_core.effects import Effect
 from otf_core.effects.base import Wave
-from otf_core.model.machine import AXES
+from otf_core.model.path import TRAVELS
 from otf_core.solving.sample_states import SampleResiduals
 
 Array = NDArray[np.float64]
@@ -36,12 +36,10 @@ PERIODS = (0.0015, 0.06)
 """m; longer ones are followed by the tables, shorter ones by no tracker."""
 BIN = 2.5e-4
 """m; raster of axis positions."""
-MOVING = 0.05
-"""Least share of an axis in the travel direction."""
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """A spectral line.
 
     Attributes
@@ -107,10 +105,10 @@ def line_in_time(residuals: SampleResiduals) -> Peak | None:
 
 def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     """Find the strongest line over the position of one axis."""
-    k = AXES.index(axis)
-    moving = np.abs(residuals.state.direction[:, k]) > MOVING
+    k = residuals.state.machine.axis_names.index(axis)
+    moving = np.abs(residuals.state.direction[:, k]) > TRAVELS
     across = 1.0 - residuals.state.direction[:, k] ** 2
-    moving &= across > MOVING
+    moving &= across > TRAVELS
     if moving.sum() < 100:
         return None
     q = residuals.state.q[moving, k]
@@ -126,7 +124,7 @@ def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     return float(1.0 / number[use][best]), score
 
 
-def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> list[Line]:
+def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> list[SpectralLine]:
     """Lines that effects make, strongest first.
 
     Parameters
@@ -136,9 +134,9 @@ def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> li
         Those that make no lines are passed over.
     """
     in_time = [line_in_time(residuals)]
-    along_axes = [line_along_axis(residuals, a) for a in AXES]
+    along_axes = [line_along_axis(residuals, a) for a in residuals.state.machine.axis_names]
     lines = [
-        Line(effect.name, effect.wave, *peak)
+        SpectralLine(effect.name, effect.wave, *peak)
         for effect in effects
         if effect.wave is not None
         for peak in (in_time if effect.wave.in_time else along_axes)

@@ -23,7 +23,6 @@ from otf_core.diagnosis.place.groups import (
     make_groups,
 )
 from otf_core.diagnosis.place.views import RunView
-from otf_core.model.machine import AXES
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -34,7 +33,7 @@ WAVE_BANDS = (0.4, 0.2, 0.1, 0.05, 0.025)
 """m; edges of the bands along an axis: lengths of waves."""
 FEWEST_PIECES = 6
 """Legs with fewer pieces tell nothing of frequencies."""
-MOVING = 0.2
+WELL_ALONG = 0.2
 """Direction component from which an axis counts as moving along."""
 
 
@@ -99,10 +98,10 @@ def band_groups(
             along = view.time[part] if axis is None else view.q[part, axis]
             if part.stop - part.start < FEWEST_PIECES:
                 continue
-            if axis is not None and np.abs(view.direction[part, axis]).min() < MOVING:
+            if axis is not None and np.abs(view.direction[part, axis]).min() < WELL_ALONG:
                 continue
             sums.append(_band_sums(rows, 1.0 / max(_span(along), 1e-9), edges))
-    kind = 'frequency' if axis is None else f'waves along {AXES[axis]}'
+    kind = 'frequency' if axis is None else f'waves along {views[0].axis_names[axis]}'
     return make_groups(labels, kind, sums) if sums else []
 
 
@@ -117,5 +116,6 @@ def wave_bands(views: Sequence[RunView], residuals: Sequence[Array], axis: int) 
     """Groups by length of waves along an axis."""
     mm = [f'{1e3 * w:g} mm' for w in WAVE_BANDS]
     middle = (f'{b} to {a}' for a, b in pairwise(mm))
-    labels = [f'{AXES[axis]}: {text}' for text in (f'above {mm[0]}', *middle, f'below {mm[-1]}')]
+    name = views[0].axis_names[axis]
+    labels = [f'{name}: {text}' for text in (f'above {mm[0]}', *middle, f'below {mm[-1]}')]
     return band_groups(views, residuals, axis, 1.0 / np.array(WAVE_BANDS), labels)

@@ -28,7 +28,7 @@ from otf_core.diagnosis.place.where_words import (
     structure_words,
     summary_words,
 )
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 Array = NDArray[np.float64]
 Rows = list[dict[str, Any]]
@@ -62,7 +62,7 @@ def pointing_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> lis
                 joined = rows_along(rows, weights)
                 sums[k].append(leg_sums([joined], seen, seen.sum(axis=0)))
     found = []
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(XYZ):
         found += make_groups([f'along machine {axis}'], 'points', sums[k])
     return found
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.place.bands import band_groups
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.model.machine import AXES
 from otf_core.reports.drawing.panel import Panel, words
 from otf_core.reports.drawing.scale import Scale, around
 from otf_core.reports.gap_pictures import key, states
@@ -53,8 +52,9 @@ def _edges(low: float, high: float) -> Array:
 
 def _panel(diagnosis: Diagnosis, axis: int | None, edges: Array) -> str:
     """Root mean square by band, per half octave."""
-    name = 'frequency (Hz)' if axis is None else f'length of waves along {AXES[axis]} (mm)'
-    heading = 'in time' if axis is None else f'along {AXES[axis]}'
+    own = '' if axis is None else diagnosis.shown.views[0].axis_names[axis]
+    name = f'length of waves along {own} (mm)' if own else 'frequency (Hz)'
+    heading = f'along {own}' if own else 'in time'
     labels = [str(k) for k in range(len(edges) + 1)]
     ratio = float(np.sqrt(edges[1] / edges[0]))
     lines: list[tuple[Array, Array, str]] = []
