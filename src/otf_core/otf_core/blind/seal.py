@@ -26,7 +26,7 @@ from otf_core.files.manifest import MANIFEST
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.fleet.call import RESULT, call_job
 from otf_core.fleet.fleet import STATE, Workers, run_fleet
-from otf_core.fleet.job import Outcome
+from otf_core.fleet.job import JobResult
 from otf_core.model.provenance import provenance
 
 KEY, SEAL = 'key.json', 'key.sha256'
@@ -122,7 +122,7 @@ def seal(
     folder: Path,
     workers: Workers,
     progress: Callable[[str], None],
-) -> dict[str, Outcome]:
+) -> dict[str, JobResult]:
     """Write all cells and the key; unless they are there from a trial that was interrupted.
 
     A cell that cannot be drawn is named in the key, and the trial goes on without it.
@@ -137,7 +137,7 @@ def seal(
 
     Returns
     -------
-    mapping of name to Outcome
+    mapping of name to JobResult
         Of those that could not be drawn.
 
     Raises
@@ -155,7 +155,7 @@ def seal(
         o.cell for o in wanted
     ):
         raise ConfigError(f'{folder}: holds another trial; choose another folder')
-    return {_run_name(c): Outcome(1, said, None) for c, said in key['not_drawn'].items()}
+    return {_run_name(c): JobResult(1, said, None) for c, said in key['not_drawn'].items()}
 
 
 def _draw(

@@ -33,7 +33,7 @@ from otf_core.files.writing import ensure_folder, write_text
 from otf_core.fleet import fleet
 from otf_core.fleet.call import RESULT, call_job
 from otf_core.fleet.fleet import STATE, Workers, run_fleet
-from otf_core.fleet.job import Outcome as Ended
+from otf_core.fleet.job import JobResult
 from otf_core.model.provenance import provenance
 
 Progress = Callable[[str], None]
@@ -58,7 +58,7 @@ def _blind_questions(folder: Path, cells: Sequence[str]) -> list[Question]:
 
 def _recover_all(
     asked: Iterable[tuple[Entry, Question]], folder: Path, workers: Workers, progress: Progress
-) -> tuple[dict[str, Recovery], dict[str, Ended]]:
+) -> tuple[dict[str, Recovery], dict[str, JobResult]]:
     """Compare answers with the truth, cell by cell, each in a process of its own."""
     jobs = []
     for entry, question in asked:
@@ -130,12 +130,12 @@ class Trialled:
     ----------
     words : str
         The tables; ``score.txt`` and ``score.json`` hold them too.
-    ended : mapping of name to Outcome
+    ended : mapping of name to JobResult
         How the process of every diagnosis ended, and every cell that could not be drawn.
     """
 
     words: str
-    ended: Mapping[str, Ended]
+    ended: Mapping[str, JobResult]
 
 
 def run_trial(
