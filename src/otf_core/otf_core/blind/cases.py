@@ -52,11 +52,11 @@ KINDS = {
     'none': Kind(0.10),
     'one': Kind(0.20, 0.7e-6),
     'faint': Kind(0.08, 0.3e-6, 0.7e-6),
-    'departed': Kind(0.23, 0.7e-6, 6e-6),
+    'departed': Kind(0.23, 1e-6, 6e-6),
     'large': Kind(0.08, 20e-6, 30e-6, displaced=True),
     'two': Kind(0.04),
     'three': Kind(0.06, 0.7e-6, 6e-6),
-    'unknown': Kind(0.14, 0.7e-6, 6e-6),
+    'unknown': Kind(0.14, 1e-6, 6e-6),
     'places': Kind(0.07),
 }
 """Families: nothing; one of the catalogue; a faint one; a known cause in another form; a very

@@ -25,9 +25,10 @@ def tiring_clamp(v: View) -> Nameless:
 
 
 def sagging_bed(v: View) -> Nameless:
-    """The middle of a bed sinks as time goes on."""
+    """The middle of a bed sinks as time goes on, and its ends rise."""
     a, b = v.axes()
-    sunk = v.share**1.5 * np.exp(-2.0 * v.u[:, a] ** 2)
+    shape = np.exp(-2.0 * v.u[:, a] ** 2)
+    sunk = v.share**1.5 * (shape - shape.mean())
     return sunk[:, None] * _UNIT[b], on('time', PLACES[a])
 
 
