@@ -32,14 +32,15 @@ def strained(state: State, shape: Shape) -> Terms:
 def grown(state: State, shape: Shape) -> Terms:
     """S_X, S_Y, S_Z: displacement of each axis along itself."""
     columns = np.broadcast_to(np.eye(3), (len(state), 3, 3))
-    return Terms(tuple(f'S_{a}' for a in AXES), ('m',) * 3, AXES, columns)
+    axes = state.machine.axis_names
+    return Terms(tuple(f'S_{a}' for a in axes), ('m',) * 3, axes, columns)
 
 
 def approached(state: State, shape: Shape) -> Terms:
     """S_X, S_Y, S_Z: displacement of each axis along itself that approaches its end."""
     _, course = drift.time_functions(state, shape)[0]
     terms = grown(state, shape)
-    return Terms(terms.names, terms.units, AXES, terms.columns * course[:, None, None])
+    return Terms(terms.names, terms.units, terms.axes, terms.columns * course[:, None, None])
 
 
 class ThermalAxisExpansion(drift.DriftingEffect):
