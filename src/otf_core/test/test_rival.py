@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Something else as a rival of the causes that are named."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from engine_cells import holding, noise, solved_rows
@@ -8,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.evidence import SPREADS
-from otf_core.diagnosis.engine.rival import rival_of, together
+from otf_core.diagnosis.engine.rival import Rival, rival_of, together
 from otf_core.diagnosis.engine.search import search
 from otf_core.diagnosis.engine.unnamed import try_structures
 from otf_core.effects import REGISTRY
@@ -40,7 +42,7 @@ def sagging(s):
 def test_a_right_cause_has_no_rival():
     rows = held(drift)
     causes = found_in(rows, 'thermal_structure_drift')
-    assert rival_of(causes, try_structures(rows)).named > 0.999
+    assert rival_of(causes, try_structures(rows)).confidence(causes[0]) > 0.999
 
 
 def test_a_cause_that_only_follows_something_else_is_doubted():
@@ -49,7 +51,21 @@ def test_a_cause_that_only_follows_something_else_is_doubted():
     assert causes and causes[0].confidence > 0.99  # the only one in its catalogue
     rival = rival_of(causes, try_structures(rows))
     assert set(rival.inputs) == {'time', 'x'}
-    assert rival.named < 1e-3
+    assert rival.confidence(causes[0]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ('own', 'score', 'odds', 'stated'),
+    [
+        (1.0, 200.0, -np.inf, 1.0),
+        (1.0, 9.0, -np.inf, 0.5),  # just enough to be named at all
+        (0.5, 200.0, 0.0, 0.25),  # as likely another effect, as likely something else
+        (1.0, 9.0, 0.0, 1 / 3),
+    ],
+)
+def test_confidence_counts_effects_something_else_and_nothing(own, score, odds, stated):
+    cause = SimpleNamespace(confidence=own, score=score)
+    assert Rival(odds).confidence(cause) == pytest.approx(stated, abs=1e-9)
 
 
 def test_evidence_of_causes_together_is_that_of_the_normal_distribution():

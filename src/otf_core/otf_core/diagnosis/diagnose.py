@@ -97,7 +97,7 @@ def diagnose(
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
     nameless = find_unnamed(rows, explained, verdict, tried)
     verdict = 'unknown' if nameless else verdict
-    explained = explained.doubted(rival.named)
+    explained = explained.doubted(rival)
     if verdict == 'unknown':
         explained, noise_cause = explained.without_causes(), None
     else:

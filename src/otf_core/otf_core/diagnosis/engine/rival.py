@@ -5,9 +5,12 @@ The rival of the causes is the likeliest smooth function of one or two inputs, w
 priced as an effect is and by the number of functions looked at. With E_c the evidence of the
 causes together, E_s that of the rival, both for the noise that the better of them leaves,
 
-    P(causes) = 1 / (1 + exp(E_s - E_c)).
+    P(causes) : P(something else) = exp(E_c) : exp(E_s).
 
 A function that leaves the trace of the causes is no rival: it is what they do, in other words.
+
+The odds that an effect needs before it is named are odds of "nothing, and noise other than
+assumed"; they count in its confidence as well.
 """
 
 from __future__ import annotations
@@ -18,11 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
-from scipy.special import expit
 
 from otf_core.diagnosis.engine.evidence import estimate, log_evidence
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import (
+    NEEDED_EVIDENCE,
     SAME_TRACE,
     Cause,
     fit_jointly,
@@ -53,10 +56,10 @@ class Rival:
     odds: float = -np.inf
     inputs: tuple[str, ...] = ()
 
-    @property
-    def named(self) -> float:
-        """Probability of the causes against it."""
-        return float(expit(-self.odds))
+    def confidence(self, cause: Cause) -> float:
+        """Probability of a cause among the effects, something else, and nothing."""
+        against = np.logaddexp.reduce([0.0, self.odds, NEEDED_EVIDENCE - cause.score])
+        return cause.confidence * float(np.exp(-against))
 
 
 def rival_of(causes: Sequence[Cause], structures: Structures) -> Rival:
