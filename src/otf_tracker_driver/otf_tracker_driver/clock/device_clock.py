@@ -24,7 +24,9 @@ BUCKET = 25 * 10**7
 SETTLING, UNSURE_FOR = 2 * 10**9, 3 * 10**9
 """ns; so long packets are collected at least, and at most, before the first line is believed."""
 SURE = 6e5
-"""ns; standard uncertainty of a line that is believed at once."""
+"""ns; standard uncertainty of a line that is believed after the least time."""
+CERTAIN = 1e6
+"""ns; a line that cannot be off by more is believed at once."""
 WANDERS = 2e-6
 """A quartz that has been seen keeps its rate within this."""
 EARLY = 5 * 10**6
@@ -163,15 +165,14 @@ class DeviceClock:
         if not self._points:
             self._began = arrival_ns
         self._add(device_ns, delay)
-        if len(self._points) < 2:
-            return Verdict.WAIT
         return self._settled(arrival_ns - self._began)
 
     def _settled(self, lasted: int) -> Verdict:
         """Draw the first line of an epoch if enough is known."""
-        if lasted < SETTLING:
-            return Verdict.WAIT
-        if lasted < UNSURE_FOR and beneath(*self._arrays(), self._known).u_base > SURE:
+        line = beneath(*self._arrays(), self._known)
+        enough = lasted >= SETTLING and len(self._points) > 1
+        sure = line.u_base <= SURE or lasted >= UNSURE_FOR
+        if line.bound > CERTAIN and not (enough and sure):
             return Verdict.WAIT
         self._fit()
         return Verdict.STAMP

@@ -85,6 +85,8 @@ class Line:
         Standard uncertainty of the rate.
     u_base : float, ns
         Standard uncertainty of ``base``.
+    bound : float, ns
+        ``base`` cannot be off by more; infinite if nothing bounds it from both sides.
     """
 
     origin: int
@@ -92,6 +94,7 @@ class Line:
     rate: float
     u_rate: float = 0.0
     u_base: float = 0.0
+    bound: float = math.inf
 
     def at(self, device_ns: NDArray[np.int64] | int) -> NDArray[np.int64]:
         """Host minus device time at these device times, ns."""
@@ -131,12 +134,14 @@ def beneath(
     u_rate = math.sqrt(float(likely @ (RATES - rate) ** 2))
     delay = (n * middle + ASSUMED * known.delay) / (n + ASSUMED)
     lowered = min(LOWERED * delay / math.sqrt(n), MOST_LOWERED)
-    offset, u = highest - lowered, lowered
+    offset, u, bound = highest - lowered, lowered, math.inf
     if known.floor is not None:
         unsure = u_rate * origin
         floor = known.floor - base + rate * origin - unsure
         offset, u = _between(floor, highest, offset, u)
-    return Line(origin, base + round(offset), rate, u_rate, u)
+        if floor <= offset <= highest:
+            bound = max(offset - floor, highest - offset)
+    return Line(origin, base + round(offset), rate, u_rate, u, bound)
 
 
 def _between(lowest: float, highest: float, offset: float, u: float) -> tuple[float, float]:
