@@ -50,6 +50,7 @@ def main(minutes: float = 30.0, times: float = 1.0) -> None:
         simulated = {'simulated.rate': RATE, 'simulated.seed': SEED, 'time_scale': times}
         graph.start('tracker_driver', **machine, **simulated)
         graph.status()
+        graph.state()
         graph.wait_for_status('STREAMING')
         began, rows, loads = time.monotonic(), [], []
         before = [processor_time(node.process.pid) for node in graph.nodes]
@@ -70,7 +71,7 @@ def main(minutes: float = 30.0, times: float = 1.0) -> None:
               f'{os.cpu_count()} cores: {np.mean(loads):.1f} processes')  # fmt: skip
         print(f'published {sent}, arrived {state.samples}, lost {result.samples_lost}')
         print(f'result: status {result.status}: {result.message}')
-        print('| node | share of a core % | memory at first, at the end of the stream, at most MB |')
+        print('| node | share of a core % | memory at first, end of stream, most, MB |')
         print('|---|---:|---:|')
         used = np.array(rows)
         for node, first, last, mb in zip(graph.nodes, before, after, used.T, strict=True):

@@ -49,8 +49,8 @@ class Link:
     ----------
     ended : asyncio.Future
         Holds the LinkError that ended the connection.
-    asked_ns : int
-        When the last command was sent, on the clock of ``now_ns``.
+    asked_ns, answered_ns : int
+        When the last command was sent, and the last answer arrived, on the clock of ``now_ns``.
     unreadable, late_answers : int
         Packets that were framed but made no sense; answers that nobody waits for.
     """
@@ -61,7 +61,7 @@ class Link:
         self._waiting: dict[int, deque[asyncio.Queue[packets.Answer]]] = {}
         self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._heard = False
-        self.asked_ns = 0
+        self.asked_ns = self.answered_ns = 0
         self.unreadable = self.late_answers = 0
 
     async def read(self) -> None:
@@ -112,6 +112,7 @@ class Link:
             return
         waiting = self._waiting.get(packet.command)
         if waiting and not waiting[0].full():
+            self.answered_ns = arrival_ns
             waiting[0].put_nowait(packet)
         else:
             self.late_answers += 1
