@@ -10,6 +10,7 @@ Usage: eval "$(./otf env)"; python bench/dds_load.py [MINUTES [TIMES]]
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import tempfile
@@ -23,7 +24,7 @@ from otf_bringup.domain import free_domain
 
 ROOT = Path(__file__).resolve().parents[1]
 SEED = 20_260_082
-LAP = 280.0
+LAP = 240.0
 """s; of a lap of the default path of the default machine, about."""
 EVERY = 1.0
 """s; between looks at memory and load."""
@@ -44,7 +45,7 @@ def main(minutes: float = 30.0, times: float = 1.0) -> None:
     with tempfile.TemporaryDirectory() as scratch, free_domain() as domain:
         graph = Graph(domain, Path(scratch))
         machine = {'machine_file': MACHINE}
-        passes = max(1, round(60 * minutes * times / LAP))
+        passes = math.ceil(60 * minutes * times / LAP)
         graph.start('path_planner', **machine, passes=passes)
         graph.start('calibrator', **machine, output_directory=Path(scratch) / 'out')
         simulated = {'simulated.rate': RATE, 'simulated.seed': SEED, 'time_scale': times}
@@ -71,11 +72,13 @@ def main(minutes: float = 30.0, times: float = 1.0) -> None:
               f'{os.cpu_count()} cores: {np.mean(loads):.1f} processes')  # fmt: skip
         print(f'published {sent}, arrived {state.samples}, lost {result.samples_lost}')
         print(f'result: status {result.status}: {result.message}')
-        print('| node | share of a core % | memory at first, end of stream, most, MB |')
+        print('| node | share of a core % | memory, MB: median of every tenth of it; most |')
         print('|---|---:|---:|')
         used = np.array(rows)
         for node, first, last, mb in zip(graph.nodes, before, after, used.T, strict=True):
-            sizes = f'{mb[min(10, len(mb) - 1)]:.0f}, {mb[streamed - 1]:.0f}, {mb.max():.0f}'
+            streaming = mb[:streamed]
+            tenths = [np.median(part) for part in np.array_split(streaming, 10)]
+            sizes = ' '.join(f'{size:.0f}' for size in tenths) + f'; {mb.max():.0f}'
             name = node.name.rpartition('-')[0]
             print(f'| {name} | {100 * (last - first) / wall:.1f} | {sizes} |', flush=True)
         graph.close()

@@ -47,7 +47,7 @@ ARGUMENTS = [
     ('rate', '', 'samples per second, simulated or of an emScon tracker'),
 ]
 FILES = 'cell.launch.py', 'replay.launch.py'
-RESPAWN_DELAY = 1.0
+RESPAWN_DELAY = 0.3
 """s"""
 SHORT = {
     'replay.bag': 'bag',

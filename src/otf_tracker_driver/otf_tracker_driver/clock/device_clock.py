@@ -22,7 +22,8 @@ WINDOW = 120 * 10**9
 BUCKET = 25 * 10**7
 """ns; of packets within it only the least late one is kept."""
 SETTLING, UNSURE_FOR = 2 * 10**9, 3 * 10**9
-"""ns; so long packets are collected at least, and at most, before the first line is believed."""
+"""ns; so long packets are collected at least, and at most, before the first line is believed; half
+of it where the start of the clock bounds the line."""
 SURE = 6e5
 """ns; standard uncertainty of a line that is believed after the least time."""
 CERTAIN = 1e6
@@ -168,6 +169,7 @@ class DeviceClock:
     def _settled(self, lasted: int) -> Verdict:
         """Draw the first line of an epoch if enough is known."""
         line = beneath(*self._arrays(), self._known)
+        lasted = 2 * lasted if math.isfinite(line.bound) else lasted
         enough = lasted >= SETTLING and len(self._points) > 1
         sure = line.u_base <= SURE or lasted >= UNSURE_FOR
         if line.bound > CERTAIN and not (enough and sure):

@@ -140,7 +140,9 @@ def beneath(
     above -= least[:, None]
     median = np.median(above, axis=1)
     mean = np.minimum(above, VERY_LATE * median[:, None]).mean(axis=1)
-    cost = math.sqrt(n) * np.log(mean + SHARPEST) + 0.5 * ((RATES - known.rate) / known.u_rate) ** 2
+    cost = (
+        math.sqrt(n) * np.log(mean + SHARPEST) + 0.5 * ((RATES - known.rate) / known.u_rate) ** 2
+    )
     delay = (n * median + ASSUMED * known.delay) / (n + ASSUMED)
     u = np.minimum(LOWERED * delay / math.sqrt(n), MOST_LOWERED)
     offset, drift = least - u, RATES * origin

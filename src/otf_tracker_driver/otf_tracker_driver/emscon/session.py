@@ -37,7 +37,7 @@ CONNECT_WITHIN = 2.0
 """s"""
 FIRST_PAUSE, LONGEST_PAUSE = 0.2, 1.0
 """s; between attempts, doubled each time."""
-SILENT_FOR = 1.5
+SILENT_FOR = 1.0
 """s; a tracker that streams sends packets three times per second, late by 60 ms at most."""
 LINGERS = 3.0
 """s; a tracker may take a connection for open for a while after its end."""

@@ -12,6 +12,8 @@ from otf_tracker_driver.clock.arrival import receive, stamp_arrivals
 from otf_tracker_driver.emscon.errors import LinkError
 
 CHUNK = 1 << 16
+ENDED_WITHIN = 0.3
+"""s"""
 HINT = 'is it on, and the address right?'
 
 
@@ -49,6 +51,16 @@ class Wire:
         if sent < len(data):
             raise LinkError('the tracker takes no commands any more')
 
+    async def end(self) -> None:
+        """Let what was sent arrive: a socket that is closed with bytes unread resets its peer."""
+        with contextlib.suppress(OSError, TimeoutError, asyncio.TimeoutError):
+            self._socket.shutdown(socket.SHUT_WR)
+            await asyncio.wait_for(self._rest(), ENDED_WITHIN)
+
+    async def _rest(self) -> None:
+        while (await self.read())[0]:
+            pass
+
     async def _readable(self) -> None:
         loop = asyncio.get_running_loop()
         ready: asyncio.Future[None] = loop.create_future()
@@ -76,7 +88,11 @@ async def wired(host: str, port: int, within: float) -> AsyncIterator[Wire]:
         reason = getattr(error, 'strerror', None) or error
         raise LinkError(f'no connection ({reason}); {HINT}') from None
     with opened:
-        yield Wire(opened)
+        wire = Wire(opened)
+        try:
+            yield wire
+        finally:
+            await wire.end()
 
 
 async def _connected(host: str, port: int) -> socket.socket:
