@@ -56,6 +56,7 @@ def view_of(cell, time, q, velocity, rng):
         inside_end=last[leg],
         since_start=np.maximum(time - drive.start[leg], 0.0),
         beam=q - cell.place,
+        warmth=np.zeros(0),
         rng=rng,
     )
 

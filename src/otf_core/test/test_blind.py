@@ -12,12 +12,12 @@ from otf_core.blind.cases import KINDS, TAKE_TURNS, kinds_of
 from otf_core.blind.depends import WITHOUT, kin_of
 from otf_core.blind.draw import draw_trial, nodal
 from otf_core.blind.draw_effects import draw_effect, scaled
-from otf_core.blind.natures import DEPARTED, OUTSIDE, UNKNOWN_EFFECTS
+from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS
 from otf_core.blind.outcome import NOISE
 from otf_core.blind.seal import orders
 from otf_core.blind.sight import see
 from otf_core.blind.trace import make_ruler, sample_state
-from otf_core.blind.view import since_reversal
+from otf_core.blind.view import SENSOR, since_reversal
 from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.model.kinematics import exact_position
@@ -27,7 +27,7 @@ from otf_core.sim.cell import simulate
 
 @pytest.fixture(scope='module')
 def trial():
-    return draw_trial('000', np.random.default_rng(5))
+    return draw_trial('000', np.random.default_rng(5), signals=True)
 
 
 @pytest.fixture(scope='module')
@@ -41,7 +41,7 @@ def ruler(trial):
 
 
 def test_same_seed_draws_the_same_cell(trial):
-    again = draw_trial('000', np.random.default_rng(5))
+    again = draw_trial('000', np.random.default_rng(5), signals=True)
     assert again.machine.to_dict() == trial.machine.to_dict()
     assert np.array_equal(again.plan.path.points, trial.plan.path.points)
 
@@ -95,14 +95,22 @@ def test_natures_share_no_code_with_catalogue_or_free_forms(module):
         find_spec(f'otf_core.blind.{module}').origin).decode())  # fmt: skip
     imports = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
     assert {m for m in imports if m.startswith('otf_core.effects.')} == set()
-    used = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)}
-    assert 'more' not in used  # the history that free forms use
+    used = [n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)]
+    assert used.count('more') == (module == 'view')  # the sensor, not the history of free forms
 
 
 def share_left(form, columns):
     """What least squares by columns (3n, k) leaves of a displacement."""
     rest = form - columns @ np.linalg.lstsq(columns, form, rcond=None)[0]
     return np.linalg.norm(rest) / np.linalg.norm(form)
+
+
+def test_what_follows_a_signal_is_late_and_in_proportion(state):
+    warm = FOLLOWING['departed_warm_head'].displacement(state, {'draw': 5.0, 'A': 1e-6})
+    size, sensor = np.linalg.norm(warm, axis=1), state.more[SENSOR]
+    assert np.allclose(np.cross(warm, warm[-1]), 0.0, atol=1e-20)  # one direction
+    assert size[0] == 0.0 and np.argmax(size) > np.argmax(sensor > 0.9 * sensor.max())
+    assert np.corrcoef(size, sensor)[0, 1] > 0.5
 
 
 @pytest.mark.parametrize('name', DEPARTED)

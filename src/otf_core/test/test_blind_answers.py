@@ -208,3 +208,14 @@ def test_gap_left_is_that_of_the_cause_without_a_name_where_there_is_one():
     assert outcome(hidden, said).gap_left == pytest.approx(0.25)
     rows = {r.name: r for r in summary([outcome(hidden, said)])}
     assert rows[', less than half of the gap left'][1:] == (1, 1)
+
+
+def test_a_cause_that_follows_a_signal_is_judged_by_the_signal_too():
+    hidden = part('departed_warm_head', groups=[['signal:/spindle/temperature']])
+    said = answer(('thermal_structure_drift', ()))
+    assert outcome(entry(hidden, kind='signal'), said).follows is False
+    curve = {'input': 'signal:/spindle/temperature@30', 'held': {}}
+    said['causes'][0]['curves'] = [curve]
+    scored = outcome(entry(hidden, kind='signal'), said)
+    assert (scored.follows, scored.result) == (True, 'right')
+    assert outcome(entry(part('backlash')), said).follows is None

@@ -12,7 +12,7 @@ from engine_cells import holding, noise, solved_rows
 
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.search import search
-from otf_core.diagnosis.engine.unnamed import find_structure
+from otf_core.diagnosis.engine.unnamed import find_structure, try_structures
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.acting import Along, rigid_tracker, vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
@@ -249,7 +249,7 @@ def test_structure_of_a_gap_without_a_name_is_found():
         u = 2 * s.q[:, 0] / s.machine.upper[0] - 1
         return (8e-6 * (s.time / s.end) ** 2 * np.tanh(2 * u))[:, None] * [0, 0, 1]
 
-    found = find_structure(gap_of(sinking, 5))
+    found = find_structure(try_structures(gap_of(sinking, 5)))
     assert set(found.effect.form.inputs) == {'time', 'x'}
     assert isinstance(found.effect.form.acts, Along)
     assert abs(found.effect.form.acts.direction[2]) > 0.98
@@ -262,7 +262,7 @@ def test_what_comes_and_goes_in_turn_is_found_with_its_period():
         phase = np.mod(s.time, period) / period
         return (4e-6 * np.exp(-4.0 * phase))[:, None] * [0.6, 0.0, 0.8]
 
-    (name,) = find_structure(gap_of(pump, 8)).effect.form.inputs
+    (name,) = find_structure(try_structures(gap_of(pump, 8))).effect.form.inputs
     assert cycle_period(name) == pytest.approx(period, rel=2e-3)
 
 
@@ -274,7 +274,7 @@ def test_what_switches_now_and_then_is_a_function_of_time():
         on = np.searchsorted(moments, s.time) % 2
         return (6e-6 * on)[:, None] * [0.0, 1.0, 0.0]
 
-    assert find_structure(gap_of(switched, 9)).effect.form.inputs == ('time',)
+    assert find_structure(try_structures(gap_of(switched, 9))).effect.form.inputs == ('time',)
 
 
 def test_free_forms_are_bound_to_the_ranges_of_the_runs():

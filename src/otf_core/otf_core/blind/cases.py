@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from otf_core.blind.depends import Depends, catalogue_depends
 from otf_core.blind.draw import Trial, draw_trial, nodal
 from otf_core.blind.draw_effects import draw_effect, scaled
-from otf_core.blind.natures import DEPARTED, OUTSIDE, UNKNOWN_EFFECTS
+from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS
 from otf_core.blind.trace import Ruler, make_ruler
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.model.kinematics import displacement
@@ -50,18 +50,19 @@ class Kind:
 
 KINDS = {
     'none': Kind(0.10),
-    'one': Kind(0.20, 0.7e-6),
-    'faint': Kind(0.08, 0.3e-6, 0.7e-6),
-    'departed': Kind(0.23, 0.7e-6, 6e-6),
+    'one': Kind(0.18, 0.7e-6),
+    'faint': Kind(0.07, 0.3e-6, 0.7e-6),
+    'departed': Kind(0.22, 1e-6, 6e-6),
     'large': Kind(0.08, 20e-6, 30e-6, displaced=True),
-    'two': Kind(0.04),
+    'two': Kind(0.03),
     'three': Kind(0.06, 0.7e-6, 6e-6),
-    'unknown': Kind(0.14, 0.7e-6, 6e-6),
+    'unknown': Kind(0.14, 1e-6, 6e-6),
+    'signal': Kind(0.05, 1e-6, 6e-6),
     'places': Kind(0.07),
 }
 """Families: nothing; one of the catalogue; a faint one; a known cause in another form; a very
-large one, of either; two and three of the catalogue; a cause of no catalogue; one of the catalogue
-seen from two tracker places."""
+large one, of either; two and three of the catalogue; a cause of no catalogue; a known one that
+follows a signal recorded beside the samples; one of the catalogue seen from two tracker places."""
 PLACE_EFFECTS = tuple(
     sorted(
         (n for n, e in REGISTRY.items() if e.trial.second_place),
@@ -73,6 +74,8 @@ CLEAR = tuple(
     if not e.trial.hard_to_see and e.belongs_to is not BelongsTo.NOISE
 )  # fmt: skip
 """Effects that leave a trace from one tracker place."""
+SIGNAL = 'signal'
+"""Family whose cells record a signal."""
 ACTS = 0.02
 """Share of the largest displacement from which an effect counts as acting."""
 MOST = 25e-6
@@ -182,6 +185,11 @@ def _where_it_acts(ruler: Ruler, applied: AppliedEffect) -> float:
     return float(np.sqrt(np.mean(length[length > ACTS * length.max()] ** 2)))
 
 
+def places_of(kind: str) -> int:
+    """Tracker places from which cells of a family are measured."""
+    return 2 if kind == 'places' else 1
+
+
 TAKE_TURNS = {
     'none': (),
     'one': tuple(REGISTRY),
@@ -189,6 +197,7 @@ TAKE_TURNS = {
     'departed': tuple(DEPARTED),
     'large': tuple(n for pair in zip(CLEAR, DEPARTED, strict=False) for n in pair),
     'unknown': tuple(UNKNOWN_EFFECTS),
+    'signal': tuple(FOLLOWING),
     'places': PLACE_EFFECTS,
 }
 """What the cells of a family hide in turn."""
@@ -231,7 +240,7 @@ def draw_case(seed: int, number: int, kind: str, turn: int, names: Sequence[str]
         Effects to hide instead.
     """
     rng = np.random.default_rng([seed, number + 1])
-    trial = draw_trial(f'{number:03d}', rng, 2 if kind == 'places' else 1)
+    trial = draw_trial(f'{number:03d}', rng, places_of(kind), signals=kind == SIGNAL)
     ruler = make_ruler(trial)
     parts = []
     for name in names or _names(kind, turn, rng):

@@ -157,6 +157,26 @@ def ringing(v: View) -> Array:
     return wave[:, None] * v.unit()
 
 
+def _late(v: View, tau: float) -> Array:
+    """The warmth of the spindle as a mass beside it feels it."""
+    state, step = np.zeros(len(v.time)), np.diff(v.time) / tau
+    for k, share in enumerate(step.tolist(), start=1):
+        state[k] = state[k - 1] + share * (v.warmth[k - 1] - state[k - 1])
+    return state
+
+
+def warm_head(v: View) -> Array:
+    """The head leans as the spindle warms it, later than the sensor says."""
+    return np.asarray(_late(v, v.between(40.0, 90.0))[:, None] * v.unit())
+
+
+def warm_screw(v: View) -> Array:
+    """A screw grows with the spindle beside it, a little more than in proportion."""
+    a = v.axis()
+    grown = _late(v, v.between(15.0, 60.0)) ** 1.1 * (0.5 * v.u[:, a] + 0.5)
+    return np.asarray(grown[:, None] * _UNIT[a])
+
+
 _PLAY = frozenset({'backlash'})
 _PLAY_ALONG = frozenset({'backlash', 'direction_dependent_tables'})
 _EXPANSION = frozenset({'thermal_axis_expansion'})
@@ -164,6 +184,8 @@ _DRIFT = frozenset({'thermal_structure_drift', 'tracker_pose_drift'})
 _ROUNDING = frozenset({'corner_rounding'})
 _COUPLING = frozenset({'cross_coupling'})
 
+FOLLOWING_FORMS = {warm_head: _DRIFT, warm_screw: _EXPANSION}
+"""Forms that follow the temperature of the spindle, which the cell records."""
 DEPARTED_FORMS = {
     corner_cosine: _ROUNDING,
     corner_parabola: _ROUNDING,

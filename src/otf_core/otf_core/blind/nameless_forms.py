@@ -24,10 +24,11 @@ def tiring_clamp(v: View) -> Nameless:
     return stands[:, None] * np.roll(_UNIT[a], 1), on(SENSES[a], besides=['time'])
 
 
-def sinking_side(v: View) -> Nameless:
-    """One side of the machine sinks as time goes on."""
+def sagging_bed(v: View) -> Nameless:
+    """The middle of a bed sinks as time goes on, and its ends rise."""
     a, b = v.axes()
-    sunk = v.share**1.5 * np.tanh(2.0 * v.u[:, a])
+    shape = np.exp(-2.0 * v.u[:, a] ** 2)
+    sunk = v.share**1.5 * (shape - shape.mean())
     return sunk[:, None] * _UNIT[b], on('time', PLACES[a])
 
 
@@ -54,4 +55,4 @@ def oil_at_one_end(v: View) -> Nameless:
     return lift[:, None] * np.array([0.2, 0.1, 1.0]), on(SPEED, PLACES[a])
 
 
-NAMELESS_FORMS = (tiring_clamp, sinking_side, warm_air, slow_settling, oil_at_one_end)
+NAMELESS_FORMS = (tiring_clamp, sagging_bed, warm_air, slow_settling, oil_at_one_end)

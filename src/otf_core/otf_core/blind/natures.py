@@ -8,15 +8,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.blind.departed_forms import DEPARTED_FORMS
-from otf_core.blind.depends import Depends
+from otf_core.blind.departed_forms import DEPARTED_FORMS, FOLLOWING_FORMS
+from otf_core.blind.depends import Depends, on
 from otf_core.blind.nameless_forms import NAMELESS_FORMS, Nameless
 from otf_core.blind.unknown_effects import WRITTEN_OUT, UnknownEffect
-from otf_core.blind.view import Array, View, view_of
+from otf_core.blind.view import SENSOR, Array, View, view_of
 from otf_core.effects import Shape, State, Terms
 from otf_core.effects.drawing import Drawn, Number, Trial, Uniform
 
 _SIZE = 1e-6
+_ANY = Depends()
 _SEEDS = Uniform(1.0, 1e9)
 
 
@@ -28,6 +29,8 @@ class Nature(UnknownEffect):
     form : callable(View)
         Displacement (n, 3), m, or that and what it depends on.
     stands_for : frozenset of str
+    depends : Depends
+        Where the form does not say it.
     """
 
     cause: ClassVar[str] = 'nature'
@@ -41,10 +44,12 @@ class Nature(UnknownEffect):
         self,
         form: Callable[[View], Array | Nameless],
         stands_for: frozenset[str] = frozenset(),
+        depends: Depends = _ANY,
     ) -> None:
         self.form = form
         prefix = 'departed' if stands_for else 'unknown'
-        vars(self).update(name=f'{prefix}_{form.__name__}', stands_for=stands_for)
+        name = f'{prefix}_{form.__name__}'
+        vars(self).update(name=name, stands_for=stands_for, depends=depends)
 
     @property
     def drawn(self) -> tuple[Drawn, ...]:
@@ -53,7 +58,7 @@ class Nature(UnknownEffect):
 
     def _made(self, state: State, shape: Shape) -> Nameless:
         made = self.form(view_of(state, shape['draw']))
-        return made if isinstance(made, tuple) else (made, Depends())
+        return made if isinstance(made, tuple) else (made, self.depends)
 
     def factor(self, state: State, shape: Shape) -> Array:
         """Displacement per unit of A."""
@@ -72,9 +77,13 @@ DEPARTED: dict[str, UnknownEffect] = {
     n.name: n for n in (Nature(form, names) for form, names in DEPARTED_FORMS.items())
 }
 """Known causes in other forms."""
+FOLLOWING: dict[str, UnknownEffect] = {
+    n.name: n for n in (Nature(form, names, on(SENSOR)) for form, names in FOLLOWING_FORMS.items())
+}
+"""Known causes that follow a signal recorded beside the samples."""
 UNKNOWN_EFFECTS: dict[str, UnknownEffect] = {
     effect.name: effect for effect in (*WRITTEN_OUT, *(Nature(form) for form in NAMELESS_FORMS))
 }
 """Effects whose right answer is 'unknown'."""
-OUTSIDE = {**DEPARTED, **UNKNOWN_EFFECTS}
+OUTSIDE = {**DEPARTED, **FOLLOWING, **UNKNOWN_EFFECTS}
 """All that the catalogue lacks."""

@@ -18,6 +18,7 @@ from typing import Any
 from otf_core.blind.depends import named_rightly
 from otf_core.blind.natures import OUTSIDE
 from otf_core.effects import REGISTRY, BelongsTo, names_of
+from otf_core.model.declared_signals import HEAD
 
 NOISE = names_of(BelongsTo.NOISE)
 BENDS = names_of(BelongsTo.TABLES)
@@ -72,6 +73,8 @@ class Outcome:
     inputs_right, inputs_among : bool, optional
         Whether these are those of the truth; whether those of the truth are among them. None
         where the answer is not 'unknown' or the truth has no such inputs.
+    follows : bool, optional
+        Whether the signal that the truth follows is named; None where it follows none.
     """
 
     cell: str
@@ -91,6 +94,7 @@ class Outcome:
     inputs: tuple[str, ...] = ()
     inputs_right: bool | None = None
     inputs_among: bool | None = None
+    follows: bool | None = None
 
     @property
     def is_right(self) -> bool:
@@ -182,6 +186,18 @@ def _inputs(parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> di
     }
 
 
+def _follows(parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> bool | None:
+    """Whether the signals of the truth are inputs of a cause, named or not."""
+    groups = [g for p in parts for g in p['depends']['groups']]
+    signals = {n for g in groups for n in g if n.startswith(HEAD)}
+    if not signals:
+        return None
+    said = set((answer.get('unnamed') or {}).get('depends_on', ()))
+    for cause in answer.get('causes', ()):
+        said |= {n for c in cause.get('curves', ()) for n in (c['input'], *c['held'])}
+    return signals <= {n.partition('@')[0] for n in said}
+
+
 def outcome(
     entry: Mapping[str, Any],
     answer: Mapping[str, Any],
@@ -228,5 +244,6 @@ def outcome(
         has_decoy=any(t in OUTSIDE and OUTSIDE[t].has_decoy for t in truth),
         noise_as_specified=not entry['heavy_tails'] and not NOISE & set(truth),
         gap_left=_gap_left(answer),
+        follows=_follows(parts, answer),
         **_inputs(parts, answer),
     )

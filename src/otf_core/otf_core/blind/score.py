@@ -103,6 +103,8 @@ def summary(outcomes: Sequence[Outcome]) -> list[Row]:
         _left(', less than a third of the gap left', of('departed'), THIRD),
         _right('a very large one: named rightly', of('large')),
         _needless([o for o in of('large') if o.is_right]),
+        _right('one that follows a signal: named rightly', of('signal')),
+        Row(', with its signal', sum(bool(o.follows) for o in of('signal')), len(of('signal'))),
         _right('one effect, two tracker places: named rightly', of('places')),
         *_parts('two effects', of('two')),
         *_parts('three effects', of('three')),

@@ -102,7 +102,7 @@ def write_cell(order: Order, folder: Path) -> Entry:
     write_text(cell / 'machine.yaml', description)
     for k, run in enumerate(case.trial.runs(case.effects)):
         name = 'bag' if k == 0 else f'bag_{k + 1}'
-        content = BagContent(run.samples, case.trial.plan.path)
+        content = BagContent(run.samples, case.trial.plan.path, signals=run.signals)
         write_bag(cell / name, content, overwrite=True)
     return key_entry(order, case)
 

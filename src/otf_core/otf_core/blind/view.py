@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 STILL = 1e-10
 """m; travel from sample to sample below which an axis stands."""
+SENSOR = 'signal:/spindle/temperature'
+"""Of cells that record a signal beside the samples."""
 ALONG = 1e-9
 """Component of the direction below which an axis does not take part."""
 
@@ -71,6 +73,8 @@ class View:
     since_start : ndarray, shape (n,), s
         Since the target last began to move.
     beam : ndarray, shape (n, 3), m
+    warmth : ndarray, shape (n,)
+        Of the spindle as its sensor has it, from 0 to 1; empty without the sensor.
     rng : numpy.random.Generator
         What is drawn by a nature itself.
     """
@@ -91,6 +95,7 @@ class View:
     inside_end: Array
     since_start: Array
     beam: Array
+    warmth: Array
     rng: np.random.Generator
 
     def between(self, low: float, high: float) -> float:
@@ -114,6 +119,11 @@ class View:
         """Draw a direction, no component of it small."""
         v = self.rng.choice([-1.0, 1.0], 3) * self.rng.uniform(0.3, 1.0, 3)
         return np.asarray(v / np.linalg.norm(v))
+
+
+def _from_0_to_1(values: Array) -> Array:
+    low, high = values.min(initial=np.inf), values.max(initial=-np.inf)
+    return np.asarray((values - low) / (high - low)) if high > low else values
 
 
 def view_of(state: State, draw: float) -> View:
@@ -144,5 +154,6 @@ def view_of(state: State, draw: float) -> View:
         inside_end=state.after - state.direction,
         since_start=state.time - started,
         beam=state.beam,
+        warmth=_from_0_to_1(state.more.get(SENSOR, np.zeros(0))),
         rng=np.random.default_rng(int(draw)),
     )

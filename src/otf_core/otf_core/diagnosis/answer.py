@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -49,9 +49,10 @@ def named_causes(
         Of the pieces of every run.
     """
     sizes = [gap_um(s.rms_um, explained.simulated_um) for s in explained.steps]
+    units = {s.name: s.unit for s in states[0].machine.signals}
     named: list[NamedCause] = []
     for part, before, after in zip(fitted, sizes[:-1], sizes[1:], strict=True):
-        cause = _named_cause(part, before, after)
+        cause = _named_cause(part, before, after, units)
         _add(named, replace(cause, direction=_direction(part, states)))
     named.sort(key=lambda cause: cause.after_um - cause.before_um)
     if noise is not None:
@@ -59,7 +60,9 @@ def named_causes(
     return tuple(named)
 
 
-def _named_cause(part: FittedCause, before_um: float, after_um: float) -> NamedCause:
+def _named_cause(
+    part: FittedCause, before_um: float, after_um: float, signal_units: Mapping[str, str]
+) -> NamedCause:
     option = part.cause.option
     units = dict(zip(option.terms.names, option.terms.units, strict=True))
     units |= dict(zip(option.effect.shape_names, option.effect.shape_units, strict=True))
@@ -76,8 +79,8 @@ def _named_cause(part: FittedCause, before_um: float, after_um: float) -> NamedC
         confidence=part.cause.confidence,
         indistinguishable_from=part.cause.indistinguishable,
         form=FREE if option.terms.orders else FORMULA,
-        departs=departs_words(part),
-        curves=curves_of(part),
+        departs=departs_words(part, signal_units),
+        curves=curves_of(part, signal_units),
     )
 
 

@@ -15,7 +15,7 @@ from otf_core.diagnosis.engine.assess import (
     shrink_percent,
 )
 from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.unnamed import Structure, find_structure
+from otf_core.diagnosis.engine.unnamed import Structure, Structures, find_structure
 from otf_core.diagnosis.explanation import Explanation
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.free_curves import Curve, curves_of, range_words
@@ -101,7 +101,9 @@ class Nameless:
     applied: tuple[AppliedEffect, ...]
 
 
-def find_unnamed(rows: Rows, explained: Explanation, verdict: str) -> Nameless | None:
+def find_unnamed(
+    rows: Rows, explained: Explanation, verdict: str, tried: Structures | None
+) -> Nameless | None:
     """Look for a cause without a name where the named ones leave a gap.
 
     Parameters
@@ -110,6 +112,8 @@ def find_unnamed(rows: Rows, explained: Explanation, verdict: str) -> Nameless |
     explained : Explanation
     verdict : str
         By the effects of the catalogue.
+    tried : Structures, optional
+        What may explain the gap; None where there is nothing to explain.
 
     Returns
     -------
@@ -117,9 +121,9 @@ def find_unnamed(rows: Rows, explained: Explanation, verdict: str) -> Nameless |
         None if nothing is left to explain, if no structure explains it, or if the named causes
         are about as good.
     """
-    if verdict not in ('unknown', 'partly_explained'):
+    if tried is None or verdict not in ('unknown', 'partly_explained'):
         return None
-    structure = find_structure(rows)
+    structure = find_structure(tried)
     if structure is None:
         return None
     found = _said(rows, explained, structure)

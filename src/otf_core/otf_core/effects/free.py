@@ -212,8 +212,10 @@ def free_forms(effect: Effect, states: Sequence[State]) -> list[FreeForm]:
 
 
 def signal_forms(effect: Effect, states: Sequence[State]) -> list[Free]:
-    """In proportion to each signal that all runs have and that changes."""
+    """In proportion to each signal that all runs have, that changes and may drive the effect."""
+    others = {s.name for s in states[0].machine.signals if effect.name not in s.acts_on}
     names = [n for n in states[0].more if n.startswith(SIGNAL)]
+    names = [n for n in names if n.partition('@')[0] not in others]
     names = [n for n in names if all(n in s.more and np.ptp(s.more[n]) > 0.0 for s in states)]
     return [follower(acts, name) for name in names for acts in effect.follows]
 

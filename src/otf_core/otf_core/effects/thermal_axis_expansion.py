@@ -29,6 +29,20 @@ def strained(state: State, shape: Shape) -> Terms:
     return Terms(tuple(f'S_{a}' for a in axes), ('m/m',) * 3, axes, columns)
 
 
+def grown(state: State, shape: Shape) -> Terms:
+    """S_X, S_Y, S_Z: displacement of each axis along itself."""
+    columns = np.broadcast_to(np.eye(3), (len(state), 3, 3))
+    axes = state.machine.axis_names
+    return Terms(tuple(f'S_{a}' for a in axes), ('m',) * 3, axes, columns)
+
+
+def approached(state: State, shape: Shape) -> Terms:
+    """S_X, S_Y, S_Z: displacement of each axis along itself that approaches its end."""
+    _, course = drift.time_functions(state, shape)[0]
+    terms = grown(state, shape)
+    return Terms(terms.names, terms.units, terms.axes, terms.columns * course[:, None, None])
+
+
 class ThermalAxisExpansion(drift.DriftingEffect):
     """Strain of each axis that grows with time."""
 
@@ -72,11 +86,19 @@ class ThermalAxisExpansion(drift.DriftingEffect):
             zero_at=-1.0,
         ),
         Free(
+            ('{axis}',),
+            (2,),
+            'the axis does not grow in proportion to the distance from its zero position',
+            acts=approached,
+            of_shape=True,
+        ),
+        Free(
             ('time', '{axis}'),
             (6, 2),
-            'the strain is not the same all along the axis, and follows no exponential in time',
+            'the axis does not grow in proportion to the distance from its zero position, and '
+            'follows no exponential in time',
             (1, 0),
-            acts=strained,
+            acts=grown,
             zero_at=-1.0,
         ),
     )

@@ -18,6 +18,7 @@ from otf_core.files.json_file import read_json
 from otf_core.files.manifest import file_digest
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.fleet.job import Job, JobResult
+from otf_core.live.time_left import StepsLeft
 
 SCHEMA = 'otf-fleet/1'
 FILE, PAGE, STATE = 'fleet.json', 'fleet.html', '.fleet'
@@ -73,11 +74,13 @@ def run_fleet(
     if outcomes:
         progress(f'{len(outcomes)} of {len(jobs)} runs are done already')
     left = [job for job in jobs if job.name not in outcomes]
+    to_go = StepsLeft(len(left))
     for number, (job, outcome) in enumerate(workers(left), start=1 + len(outcomes)):
         outcomes[job.name] = outcome
         state = {'inputs': job.inputs, 'outcome': asdict(outcome)}
         write_text(folder / STATE / f'{job.name}.json', json.dumps(state) + '\n')
-        progress(f'{number}/{len(jobs)} {job.name}: {outcome.message or "done"}')
+        said = outcome.message or 'done'
+        progress(f'{number}/{len(jobs)} {job.name}: {said}{to_go.after_one()}')
     return {job.name: outcomes[job.name] for job in jobs}
 
 

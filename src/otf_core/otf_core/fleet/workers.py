@@ -46,7 +46,7 @@ def done_by_dask(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, JobRe
         If Dask distributed is missing, or nothing answers at the address.
     """
     try:
-        from distributed import Client, as_completed  # type: ignore[import-not-found]
+        from distributed import Client, as_completed
     except ImportError:
         raise ConfigError(
             '--scheduler: needs Dask distributed on this computer and on the workers: '

@@ -21,6 +21,7 @@ from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import Fields, parse_yaml, read_yaml_bytes
 from otf_core.model.circumstances import Circumstances, circumstances_from_fields
 from otf_core.model.declared import DeclaredUncertainty, declared_from_fields
+from otf_core.model.declared_signals import SignalSpec, signals_from_fields
 from otf_core.model.limits import Limits, limits_from_fields
 from otf_core.model.presets import TRACKERS, chosen
 
@@ -117,6 +118,8 @@ class Machine:
         What a calibration is judged by.
     stated : Circumstances
         Instrument and conditions, for reports alone.
+    signals : tuple of SignalSpec
+        What is recorded beside the samples.
     file_sha256 : str
         SHA-256 of the file it was read from; empty if there is none.
     """
@@ -129,6 +132,7 @@ class Machine:
     uncertainty: DeclaredUncertainty | None = None
     limits: Limits | None = None
     stated: Circumstances = field(default_factory=Circumstances)
+    signals: tuple[SignalSpec, ...] = ()
     file_sha256: str = field(default='', repr=False, compare=False)
 
     @property
@@ -172,6 +176,8 @@ class Machine:
         for key in ('instrument', 'conditions'):
             if getattr(self.stated, key):
                 data[key] = dict(getattr(self.stated, key))
+        if self.signals:
+            data['signals'] = {s.wanted: s.to_dict() for s in self.signals}
         return data
 
 
@@ -218,8 +224,12 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         for key in ('instrument', 'conditions')
     )
     stated = circumstances_from_fields(instrument, conditions)
+    signals: tuple[SignalSpec, ...] = ()
+    if top.has('signals'):
+        section = top.mapping('signals')
+        signals = signals_from_fields(section, section.keys)
     top.done()
-    return Machine(name, chain, axes, offset, spec, declared, limits, stated)
+    return Machine(name, chain, axes, offset, spec, declared, limits, stated, signals)
 
 
 def _tracker(fields: Fields) -> TrackerSpec:

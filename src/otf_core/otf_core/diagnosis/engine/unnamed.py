@@ -57,6 +57,9 @@ NEEDED = 12.0
 """Logarithm of the odds that a structure needs."""
 
 
+_EMPIRICAL = Empirical()
+
+
 @dataclass(frozen=True)
 class Structure:
     """A structure that was found.
@@ -78,8 +81,34 @@ class Structure:
         return effect
 
 
-def find_structure(rows: Rows) -> Structure | None:
-    """Find what a gap depends on, and how it acts; None if no structure has the odds."""
+@dataclass(frozen=True, eq=False)
+class Structures:
+    """Smooth functions of one and of two inputs, acting as vectors, that were fitted to runs.
+
+    Attributes
+    ----------
+    rows : Rows
+    ranked : tuple of Tried
+    looked : float
+        Logarithm of the number of structures that were looked at.
+    """
+
+    rows: Rows
+    ranked: tuple[Tried, ...]
+    looked: float
+
+    def tried(self, free: Free) -> Tried:
+        """Fit one structure."""
+        spans = {name: span_of(self.rows.states, name) for name in free.inputs}
+        return tried_shapes(self.rows, FreeForm(_EMPIRICAL, free, spans), [{}])[0]
+
+    def score(self, tried: Tried, variance: float) -> float:
+        """Evidence of one of them, less the price of having looked at all."""
+        return tried.odds(np.arange(len(tried.size)), variance) - self.looked
+
+
+def try_structures(rows: Rows) -> Structures:
+    """Fit every structure of one input, and those of two that a score test prefers."""
     scores = Scores.of(rows)
     inputs = _inputs(rows)
     if period := strongest_cycle(rows, scores):
@@ -89,23 +118,22 @@ def find_structure(rows: Rows) -> Structure | None:
     pairs = [_form(names) for names in combinations(inputs, 2)]
     spans = {name: span_of(rows.states, name) for name in inputs}
     best = np.argsort(_screened(rows, scores, pairs, spans))[::-1][:SCREENED]
-    empirical = Empirical()
+    found = Structures(rows, (), float(np.log(len(alone) + len(pairs))))
+    forms = (*alone, *(pairs[k] for k in best))
+    return replace(found, ranked=tuple(found.tried(form) for form in forms))
 
-    def tried(free: Free) -> Tried:
-        own = {name: spans[name] for name in free.inputs}
-        return tried_shapes(rows, FreeForm(empirical, free, own), [{}])[0]
 
-    looked = float(np.log(len(alone) + len(pairs)))
-    ranked = [tried(form) for form in (*alone, *(pairs[k] for k in best))]
+def find_structure(tried: Structures) -> Structure | None:
+    """Find what a gap depends on, and how it acts; None if no structure has the odds."""
+    rows, ranked = tried.rows, tried.ranked
     variance = noise_variance(rows, _left(_likeliest(ranked, 1.0), rows))
     first = _simplest(ranked, variance)
-    ways = [first, *(tried(f) for f in _ways(first, rows, variance))]
+    ways = [first, *(tried.tried(f) for f in _ways(first, rows, variance))]
     found = _likeliest(ways, variance)
-    take = np.arange(len(found.size))
-    score = found.odds(take, variance) - looked
+    score = tried.score(found, variance)
     if score < NEEDED:
         return None
-    return Structure(Cause(found.made(take, variance), score, 1.0, ()))
+    return Structure(Cause(found.made(np.arange(len(found.size)), variance), score, 1.0, ()))
 
 
 def _inputs(rows: Rows) -> list[str]:
@@ -165,13 +193,14 @@ def _simplest(ranked: Sequence[Tried], variance: float) -> Tried:
     """The likeliest, or one of its inputs alone where that is about as good."""
     best = _likeliest(ranked, variance)
     score = best.odds(np.arange(len(best.size)), variance)
-    names = set(_inputs_of(best))
-    inner = [t for t in ranked if set(_inputs_of(t)) < names]
+    names = set(inputs_of(best))
+    inner = [t for t in ranked if set(inputs_of(t)) < names]
     enough = [t for t in inner if t.odds(np.arange(len(t.size)), variance) > ENOUGH * score]
     return _likeliest(enough, variance) if enough else best
 
 
-def _inputs_of(tried: Tried) -> tuple[str, ...]:
+def inputs_of(tried: Tried) -> tuple[str, ...]:
+    """Inputs of a structure."""
     effect = tried.effect
     assert isinstance(effect, FreeForm)
     return effect.form.inputs
