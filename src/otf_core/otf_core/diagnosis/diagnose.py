@@ -117,7 +117,7 @@ def diagnose(
     told = [(c.confidence, c.indistinguishable) for c in explained.causes]
     left, visible, considered = left if told else shape, found.visible, found.considered
     views = tuple(replace(v) for v in views)  # without what they have worked out
-    del rows, seen, found, explained, fitted  # their memory is needed now
+    del rows, seen, found, explained, tried, fitted  # their memory is needed now
     progress('correcting', 0.0)
     taken = [applied[k] for k in solved.source]
     calibration = with_causes(solved, plain, told, taken, config, sentence)

@@ -33,6 +33,7 @@ from otf_core.effects.inputs import (
     scaled_input,
     span_of,
 )
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -120,7 +121,7 @@ def try_structures(rows: Rows) -> Structures:
     best = np.argsort(_screened(rows, scores, pairs, spans))[::-1][:SCREENED]
     found = Structures(rows, (), float(np.log(len(alone) + len(pairs))))
     forms = (*alone, *(pairs[k] for k in best))
-    return replace(found, ranked=tuple(found.tried(form) for form in forms))
+    return replace(found, ranked=tuple(side_by_side(found.tried, forms)))
 
 
 def find_structure(tried: Structures) -> Structure | None:
