@@ -47,7 +47,7 @@ ARGUMENTS = [
     ('rate', '', 'samples per second, simulated or of an emScon tracker'),
 ]
 FILES = 'cell.launch.py', 'replay.launch.py'
-RESPAWN_DELAY = 1.0
+RESPAWN_DELAY = 0.3
 """s"""
 AGAIN = '; respawn:=true starts a node again'
 SHORT = {

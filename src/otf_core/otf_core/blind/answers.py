@@ -10,7 +10,7 @@ from typing import Any
 
 from otf_core.files.json_file import read_json
 from otf_core.fleet.fleet import Workers, run_fleet
-from otf_core.fleet.job import VERBS, Job, Outcome, hash_of
+from otf_core.fleet.job import VERBS, Job, JobResult, hash_of
 from otf_core.sim.cell import EPOCH_NS
 
 Answer = dict[str, Any]
@@ -77,7 +77,7 @@ def ask_all(
     sealed: str,
     workers: Workers,
     progress: Callable[[str], None],
-) -> tuple[dict[tuple[str, str], Answer], dict[str, Outcome]]:
+) -> tuple[dict[tuple[str, str], Answer], dict[str, JobResult]]:
     """Diagnose all.
 
     Parameters
@@ -95,7 +95,7 @@ def ask_all(
     -------
     answers : mapping of label and cell to mapping
         gap.json, or the key ``failed`` with the message of the command.
-    outcomes : mapping of name to Outcome
+    outcomes : mapping of name to JobResult
     """
     jobs = [_job(question, folder, sealed) for question in questions]
     outcomes = run_fleet(jobs, folder, workers, progress)

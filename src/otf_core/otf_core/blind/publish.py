@@ -14,7 +14,7 @@ from otf_core.blind.table import Table, as_markdown
 from otf_core.files.json_file import read_json
 from otf_core.fleet.fleet import STATE
 
-README, PARTICULARS = 'readme.md', 'particulars.md'
+README, PARTICULARS, DIAGRAM = 'readme.md', 'particulars.md', 'reliability.svg'
 
 
 @dataclass(frozen=True)

@@ -19,18 +19,18 @@ import yaml
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.blind.cases import Case, Part, draw_case, kinds_of
-from otf_core.effects import REGISTRY
+from otf_core.blind.depends import WITHOUT
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.json_file import read_json
 from otf_core.files.manifest import MANIFEST
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.fleet.call import RESULT, call_job
 from otf_core.fleet.fleet import STATE, Workers, run_fleet
-from otf_core.fleet.job import Outcome
+from otf_core.fleet.job import JobResult
 from otf_core.model.provenance import provenance
 
 KEY, SEAL = 'key.json', 'key.sha256'
-SCHEMA = 'otf-blind-key/1'
+SCHEMA = 'otf-blind-key/2'
 
 Entry = dict[str, Any]
 
@@ -52,10 +52,9 @@ class Order:
 
 
 def orders(trials: int, seed: int, *, leave_one_out: bool = False) -> list[Order]:
-    """List the cells of a trial; with ``leave_one_out`` every effect of the catalogue in turn."""
+    """List the cells of a trial; with ``leave_one_out`` the effects of ``WITHOUT`` in turn."""
     if leave_one_out:
-        names = list(REGISTRY)
-        return [Order(seed, k, 'one', 0, (names[k % len(names)],)) for k in range(trials)]
+        return [Order(seed, k, 'one', 0, (WITHOUT[k % len(WITHOUT)],)) for k in range(trials)]
     return [Order(seed, k, *kind) for k, kind in enumerate(kinds_of(trials, seed))]
 
 
@@ -63,6 +62,8 @@ def _parts(parts: Sequence[Part]) -> list[Entry]:
     return [
         {
             'effect': p.name,
+            'names': list(p.names),
+            'depends': p.depends.to_dict(),
             'parameters': {k: float(v) for k, v in p.applied.parameters.items()},
             'size_um': 1e6 * p.size,
             'raw_um': 1e6 * p.raw,
@@ -101,7 +102,7 @@ def write_cell(order: Order, folder: Path) -> Entry:
     write_text(cell / 'machine.yaml', description)
     for k, run in enumerate(case.trial.runs(case.effects)):
         name = 'bag' if k == 0 else f'bag_{k + 1}'
-        content = BagContent(run.samples, case.trial.plan.path)
+        content = BagContent(run.samples, case.trial.plan.path, signals=run.signals)
         write_bag(cell / name, content, overwrite=True)
     return key_entry(order, case)
 
@@ -121,7 +122,7 @@ def seal(
     folder: Path,
     workers: Workers,
     progress: Callable[[str], None],
-) -> dict[str, Outcome]:
+) -> dict[str, JobResult]:
     """Write all cells and the key; unless they are there from a trial that was interrupted.
 
     A cell that cannot be drawn is named in the key, and the trial goes on without it.
@@ -136,7 +137,7 @@ def seal(
 
     Returns
     -------
-    mapping of name to Outcome
+    mapping of name to JobResult
         Of those that could not be drawn.
 
     Raises
@@ -154,7 +155,7 @@ def seal(
         o.cell for o in wanted
     ):
         raise ConfigError(f'{folder}: holds another trial; choose another folder')
-    return {_run_name(c): Outcome(1, said, None) for c, said in key['not_drawn'].items()}
+    return {_run_name(c): JobResult(1, said, None) for c, said in key['not_drawn'].items()}
 
 
 def _draw(

@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.blind.answers import Answer, Question, answer_file, ask_all
+from otf_core.blind.counts import reliability
+from otf_core.blind.depends import kin_of
+from otf_core.blind.diagram import reliability_svg
 from otf_core.blind.outcome import NOISE, Outcome, outcome
-from otf_core.blind.publish import PARTICULARS, README, Measured, fragment
+from otf_core.blind.publish import DIAGRAM, PARTICULARS, README, Measured, fragment
 from otf_core.blind.recovery import Recovery, recovery_from
-from otf_core.blind.score import score_to_dict
+from otf_core.blind.score import score_to_dict, stated
 from otf_core.blind.seal import KEY, SEAL, Entry, open_key, orders, seal, sealed
 from otf_core.blind.table import (
     Table,
@@ -30,7 +33,7 @@ from otf_core.files.writing import ensure_folder, write_text
 from otf_core.fleet import fleet
 from otf_core.fleet.call import RESULT, call_job
 from otf_core.fleet.fleet import STATE, Workers, run_fleet
-from otf_core.fleet.job import Outcome as Ended
+from otf_core.fleet.job import JobResult
 from otf_core.model.provenance import provenance
 
 Progress = Callable[[str], None]
@@ -55,7 +58,7 @@ def _blind_questions(folder: Path, cells: Sequence[str]) -> list[Question]:
 
 def _recover_all(
     asked: Iterable[tuple[Entry, Question]], folder: Path, workers: Workers, progress: Progress
-) -> tuple[dict[str, Recovery], dict[str, Ended]]:
+) -> tuple[dict[str, Recovery], dict[str, JobResult]]:
     """Compare answers with the truth, cell by cell, each in a process of its own."""
     jobs = []
     for entry, question in asked:
@@ -87,6 +90,7 @@ def _score(
             answer = answers[FIRST, entry['cell']]
             alone.append(outcome(entry, answer, first_place=True))
     main, rest = criteria(outcomes, recovered, alone), particulars(outcomes)
+    write_text(folder / DIAGRAM, reliability_svg(reliability(stated(outcomes))))
     _publish(folder, score_to_dict(outcomes, recovered, alone), main, rest)
     every = [*main, *rest, misses([*outcomes, *alone])]
     return '\n\n'.join([f'{len(outcomes)} cells', *map(as_text, every), shrink_words(recovered)])
@@ -105,13 +109,14 @@ def _publish(
     write_text(folder / 'score.json', json.dumps({**data, 'provenance': block}, indent=1))
     measured = Measured.of(folder, open_key(folder), block['written'][:10], leave_one_out)
     write_text(folder / README, fragment(measured, main))
-    write_text(folder / PARTICULARS, fragment(measured, rest))
+    picture = '' if leave_one_out else f'\n![Reliability diagram](images/{DIAGRAM})\n'
+    write_text(folder / PARTICULARS, fragment(measured, rest) + picture)
 
 
 def list_files(folder: Path) -> None:
     """Write the manifest of a trial, whole or interrupted: of what it writes, nothing else."""
-    parts = ('cells', WHOLE, FIRST, WITHOUT, STATE, KEY, SEAL, README, PARTICULARS, 'score.json',
-             'score.txt', fleet.FILE)  # fmt: skip
+    parts = ('cells', WHOLE, FIRST, WITHOUT, STATE, KEY, SEAL, README, PARTICULARS, DIAGRAM,
+             'score.json', 'score.txt', fleet.FILE)  # fmt: skip
     files = [f for f in written_files(folder) if f.relative_to(folder).parts[0] in parts]
     if files:
         write_manifest(folder / MANIFEST, files, 'blind')
@@ -125,12 +130,12 @@ class Trialled:
     ----------
     words : str
         The tables; ``score.txt`` and ``score.json`` hold them too.
-    ended : mapping of name to Outcome
+    ended : mapping of name to JobResult
         How the process of every diagnosis ended, and every cell that could not be drawn.
     """
 
     words: str
-    ended: Mapping[str, Ended]
+    ended: Mapping[str, JobResult]
 
 
 def run_trial(
@@ -176,13 +181,15 @@ def run_leave_one_out(
     workers: Workers,
     progress: Progress = lambda text: None,
 ) -> Trialled:
-    """Diagnose runs with their own effect taken out of the catalogue; as ``run_trial``."""
+    """Diagnose runs with their effect and its kin taken out of the catalogue; as ``run_trial``.
+
+    What is taken out is taken out in every form.
+    """
     folder = ensure_folder(folder)
     ended = seal(orders(trials, seed, leave_one_out=True), folder, workers, progress)
     entries = open_key(folder)
     questions = [
-        Question(e['cell'], ('bag',), tuple(p['effect'] for p in e['parts']), WITHOUT)
-        for e in entries
+        Question(e['cell'], ('bag',), kin_of(e['parts'][0]['effect']), WITHOUT) for e in entries
     ]
     answers, asked = ask_all(questions, folder, sealed(folder), workers, progress)
     outcomes: list[Outcome] = []

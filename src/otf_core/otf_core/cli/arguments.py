@@ -114,7 +114,11 @@ def _add_diagnose(verb: AddVerb) -> None:
 
 def _add_predict_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument('--tables', required=True, help='error_tables.json')
-    sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
+    sub.add_argument(
+        '--points',
+        required=True,
+        help='CSV with the header x,y,z in m, or a text that states its units',
+    )
     add_out(sub, 'CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside; m, k = 1')
     sub.add_argument(
         '--target-offset', type=float, nargs=3, metavar=('X', 'Y', 'Z'),

@@ -13,7 +13,7 @@ from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
 from otf_core.cli.progress import progress_of
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, OtfError
-from otf_core.live.stages import PLAN
+from otf_core.live.stages import PLAN, SIMULATE
 
 if TYPE_CHECKING:
     from otf_core.validation.table import Row
@@ -23,8 +23,8 @@ MOST_CELLS = 1000
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
     """Plan, and the place of the tracker that it assumes or None; as plan.json has them."""
-    from otf_core.files.csv_points import read_points_csv
     from otf_core.inputs.plan_json import PlanFile, looks_like_json, read_plan
+    from otf_core.inputs.points_file import read_points
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import check_inside, plan_for_path
     from otf_core.planning.creator import plan_path
@@ -36,8 +36,8 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
         if looks_like_json(name):
             file = _with_dwells(read_plan(name), arguments, config)
         else:
-            points = read_points_csv(name)
-            file = PlanFile(plan_for_path(NominalPath(points), config), None)
+            path = NominalPath(read_points(name)[0])
+            file = PlanFile(plan_for_path(path, config), None)
         check_inside(file.plan.path, machine)
     except ConfigError as error:
         if 'x,y,z' not in str(error):
@@ -83,8 +83,9 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     if tables is not None:
         tables = dataclasses.replace(tables, machine=machine)
     file = _plan_of(arguments, planning, machine)
-    with progress_of(arguments, 'simulating'):
+    with progress_of(arguments, 'simulating', SIMULATE) as progress:
         run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)
+        progress('writing', 0.0)
         del read['machine']  # the description has a place of its own in the block provenance
         out.write(run, file.plan, config, effects, read)
     place = ', '.join(f'{v:.3f}' for v in run.place)

@@ -127,6 +127,11 @@ class Fields:
         if not isinstance(data, Mapping):
             kind = 'nothing' if data is None else type(data).__name__
             raise ConfigError(f'{where}: expected a mapping of keys to values, got {kind}')
+        for key in data:
+            if not isinstance(key, str):
+                raise ConfigError(
+                    f'{where}: {shown(key)} is no key; decimals have a point, as in 0.3'
+                )
         self._data = dict(data)
         self._where = where
         self._taken: list[str] = []
@@ -139,6 +144,11 @@ class Fields:
     def fail(self, key: str, problem: str) -> NoReturn:
         """Raise a ConfigError about one key."""
         raise ConfigError(f'{self._where}: {key[:60]}: {problem}')
+
+    @property
+    def keys(self) -> list[str]:
+        """Keys that nobody has asked for yet, in their order."""
+        return [str(key) for key in self._data]
 
     def has(self, key: str) -> bool:
         """Tell whether an optional key is there."""

@@ -17,12 +17,13 @@ from otf_core.errors import ConfigError
 from otf_core.files.json_file import read_json
 from otf_core.files.manifest import file_digest
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.fleet.job import Job, Outcome
+from otf_core.fleet.job import Job, JobResult
+from otf_core.live.time_left import StepsLeft
 
 SCHEMA = 'otf-fleet/1'
 FILE, PAGE, STATE = 'fleet.json', 'fleet.html', '.fleet'
 VERB_FILE = 'verb.json'
-Workers = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
+Workers = Callable[[Sequence[Job]], Iterator[tuple[Job, JobResult]]]
 Progress = Callable[[str], None]
 
 
@@ -50,7 +51,7 @@ def take_folder(folder: Path, verb: str) -> Path:
 
 def run_fleet(
     jobs: Sequence[Job], folder: Path, workers: Workers, progress: Progress
-) -> dict[str, Outcome]:
+) -> dict[str, JobResult]:
     """Do all jobs that are not done.
 
     Parameters
@@ -64,7 +65,7 @@ def run_fleet(
 
     Returns
     -------
-    mapping of name to Outcome
+    mapping of name to JobResult
         In the order of the jobs.
     """
     ensure_folder(folder / STATE)
@@ -73,28 +74,30 @@ def run_fleet(
     if outcomes:
         progress(f'{len(outcomes)} of {len(jobs)} runs are done already')
     left = [job for job in jobs if job.name not in outcomes]
+    to_go = StepsLeft(len(left))
     for number, (job, outcome) in enumerate(workers(left), start=1 + len(outcomes)):
         outcomes[job.name] = outcome
         state = {'inputs': job.inputs, 'outcome': asdict(outcome)}
         write_text(folder / STATE / f'{job.name}.json', json.dumps(state) + '\n')
-        progress(f'{number}/{len(jobs)} {job.name}: {outcome.message or "done"}')
+        said = outcome.message or 'done'
+        progress(f'{number}/{len(jobs)} {job.name}: {said}{to_go.after_one()}')
     return {job.name: outcomes[job.name] for job in jobs}
 
 
-def _done_before(folder: Path, job: Job) -> Outcome | None:
-    """Outcome of an earlier start, if its results are there and its inputs are the same."""
+def _done_before(folder: Path, job: Job) -> JobResult | None:
+    """Result of an earlier start, if its results are there and its inputs are the same."""
     state = folder / STATE / f'{job.name}.json'
     if not state.exists():
         return None
     known = read_json(state)
-    outcome = Outcome(**known['outcome'])
+    outcome = JobResult(**known['outcome'])
     result = Path(job.out) / job.result
     if known['inputs'] != job.inputs or not outcome.done or not result.exists():
         return None
     return outcome if file_digest(result) == outcome.sha256 else None
 
 
-def fleet_to_dict(verb: str, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
+def fleet_to_dict(verb: str, outcomes: Mapping[str, JobResult]) -> dict[str, Any]:
     """Return a fleet as plain data: fleet.json."""
     done = sum(outcome.done for outcome in outcomes.values())
     runs = {

@@ -67,7 +67,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class JobResult:
     """How a run ended.
 
     Attributes
@@ -98,7 +98,7 @@ def hash_of(*given: Any) -> str:
     return hashlib.sha256(json.dumps([__version__, *given]).encode()).hexdigest()
 
 
-def run_job(job: Job) -> Outcome:
+def run_job(job: Job) -> JobResult:
     """Run one job to its end, in a process."""
     environment = {DATE: str(job.date), **os.environ}
     places = [str(Path(__file__).resolve().parents[2]), *job.places]
@@ -117,7 +117,7 @@ def run_job(job: Job) -> Outcome:
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
-            return Outcome(1, f'took longer than {job.limit:.0f} s', None)
+            return JobResult(1, f'took longer than {job.limit:.0f} s', None)
         finally:
             process.kill()
         code = process.returncode
@@ -127,7 +127,7 @@ def run_job(job: Job) -> Outcome:
     result = Path(job.out) / job.result
     worked = code in (0, 4) and result.exists()
     digest = file_digest(result) if worked else None
-    return Outcome(code, _message(code, said), digest, time.monotonic() - start)
+    return JobResult(code, _message(code, said), digest, time.monotonic() - start)
 
 
 def _clear_half(out: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from otf_core.files.json_file import read_json
 from otf_core.files.manifest import file_digest, written_files
-from otf_core.fleet.job import VERBS, Job, Outcome, hash_of
+from otf_core.fleet.job import VERBS, Job, JobResult, hash_of
 from otf_core.fleet.run_list import ListedRun
 
 RESULTS = {'calibrate': 'error_tables.json', 'diagnose': 'gap.json'}
@@ -63,7 +63,7 @@ def _inputs(verb: str, run: ListedRun) -> str:
 
 
 def listed_results(
-    verb: str, folder: Path, outcomes: Mapping[str, Outcome]
+    verb: str, folder: Path, outcomes: Mapping[str, JobResult]
 ) -> Iterator[tuple[str, Any]]:
     """Names of the runs that are done, with the content of their result files."""
     for name, outcome in outcomes.items():

@@ -12,7 +12,7 @@ from typing import Any
 from otf_core.files.manifest import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import write_text
 from otf_core.fleet.fleet import FILE, PAGE, fleet_to_dict
-from otf_core.fleet.job import Outcome
+from otf_core.fleet.job import JobResult
 from otf_core.fleet.listed import listed_results
 from otf_core.model.motions import SQUARENESS
 from otf_core.reports.page import Heading, page_html
@@ -55,7 +55,7 @@ def cause_names(data: Mapping[str, Any]) -> list[str]:
 
 
 def fleet_rows(
-    verb: str, folder: Path, outcomes: Mapping[str, Outcome]
+    verb: str, folder: Path, outcomes: Mapping[str, JobResult]
 ) -> tuple[tuple[str, ...], list[Row], list[str]]:
     """Columns, a row per run that is done, and what many runs share.
 
@@ -64,7 +64,7 @@ def fleet_rows(
     verb : str
         'calibrate' or 'diagnose'.
     folder : Path
-    outcomes : mapping of run to Outcome
+    outcomes : mapping of run to JobResult
     """
     done = list(listed_results(verb, folder, outcomes))
     if verb == 'calibrate':
@@ -80,7 +80,7 @@ def fleet_rows(
     return GAP_COLUMNS, rows, shared
 
 
-def format_fleet(verb: str, outcomes: Mapping[str, Outcome], *, gates: bool = True) -> str:
+def format_fleet(verb: str, outcomes: Mapping[str, JobResult], *, gates: bool = True) -> str:
     """Return the text for a terminal: counts, every run that failed and, with ``gates``, those."""
     data = fleet_to_dict(verb, outcomes)
     lines = [f'{data["done"]} of {len(outcomes)} runs done, {data["failed"]} failed']
@@ -91,7 +91,7 @@ def format_fleet(verb: str, outcomes: Mapping[str, Outcome], *, gates: bool = Tr
     return '\n'.join(lines)
 
 
-def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> str:
+def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> str:
     """Return the page of machines side by side: self-contained HTML."""
     columns, rows, shared = fleet_rows(verb, folder, outcomes)
     numbers = tuple(k for k, column in enumerate(columns) if '(u' in column)
@@ -116,7 +116,7 @@ def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> str:
     return page_html(heading, sections)
 
 
-def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> list[Path]:
+def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> list[Path]:
     """Write fleet.json and fleet.html into the folder of a fleet.
 
     Returns
@@ -134,7 +134,7 @@ def list_results(verb: str, folder: Path) -> None:
     write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
 
 
-def write_outcomes(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> Path:
+def write_outcomes(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> Path:
     """Write fleet.json into the folder of a fleet; its path."""
     data = fleet_to_dict(verb, outcomes)
     write_text(folder / FILE, json.dumps(data, indent=1) + '\n')

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from otf_core.files.json_file import read_json
-from otf_core.fleet.job import VERBS, Job, Outcome, hash_of
+from otf_core.fleet.job import VERBS, Job, JobResult, hash_of
 from otf_core.sim.cell import EPOCH_NS
 from otf_core.validation.table import Row, rows_from_dict, side_by_side
 
@@ -35,7 +35,7 @@ def cell_jobs(seed: int, cells: int, folder: Path) -> list[Job]:
     return jobs
 
 
-def table_of(folder: Path, outcomes: Mapping[str, Outcome]) -> tuple[list[int], tuple[Row, ...]]:
+def table_of(folder: Path, outcomes: Mapping[str, JobResult]) -> tuple[list[int], tuple[Row, ...]]:
     """Return seeds and table of the cells that are done."""
     names = [name for name, ended in outcomes.items() if ended.done]
     tables = [rows_from_dict(read_json(folder / name / RESULT)['rows']) for name in names]
