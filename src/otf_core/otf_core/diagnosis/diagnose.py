@@ -24,7 +24,7 @@ from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows, build_rows
-from otf_core.diagnosis.engine.unnamed import try_structures
+from otf_core.diagnosis.engine.unnamed import AS_RIVALS, Structures, try_structures
 from otf_core.diagnosis.explanation import Explanation, explain
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.place.views import RunView
@@ -92,10 +92,10 @@ def diagnose(
     if matters(explained.after_um, explained.simulated_um):
         noise = check_noise(rows, config.standstill_speed, exclude)
     left, has_place = _what_is_left(rows, explained)
-    tried = try_structures(rows) if _to_explain(explained) else None
-    rival = rival_of(explained.causes, tried) if tried and explained.causes else Rival()
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
-    nameless = find_unnamed(rows, explained, verdict, tried)
+    tried = _structures(rows, explained, verdict)
+    rival = rival_of(explained.causes, tried) if tried and explained.causes else Rival()
+    nameless = find_unnamed(rows, explained, verdict, tried, rival)
     verdict = 'unknown' if nameless else verdict
     explained = explained.doubted(rival)
     if verdict == 'unknown':
@@ -150,9 +150,13 @@ def _as_recorded(
     return solve_recordings(recordings, config, mend=False)
 
 
-def _to_explain(explained: Explanation) -> bool:
-    """Tell whether there are causes, or a gap without."""
-    return bool(explained.causes) or matters(explained.before_um, explained.simulated_um)
+def _structures(rows: Rows, explained: Explanation, verdict: str) -> Structures | None:
+    """What may explain a gap without a name, or instead of the names; None without a gap."""
+    if explained.causes and verdict == 'explained':
+        return try_structures(rows, AS_RIVALS)
+    if explained.causes or matters(explained.before_um, explained.simulated_um):
+        return try_structures(rows)
+    return None
 
 
 def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:
