@@ -24,7 +24,11 @@ from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows, build_rows
-from otf_core.diagnosis.engine.unnamed import AS_RIVALS, Structures, try_structures
+from otf_core.diagnosis.engine.unnamed import (
+    AS_RIVALS,
+    SCREENED,
+    try_structures,
+)
 from otf_core.diagnosis.explanation import Explanation, explain
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.place.views import RunView
@@ -32,7 +36,7 @@ from otf_core.diagnosis.place.where import describe_structure, where_and_shape
 from otf_core.diagnosis.place.where_words import EVERYWHERE, NO_STRUCTURE
 from otf_core.diagnosis.result import Diagnosis, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
-from otf_core.diagnosis.unnamed import find_unnamed
+from otf_core.diagnosis.unnamed import Nameless, find_unnamed
 from otf_core.diagnosis.verdict import Case, matters, verdict_of
 from otf_core.effects import REGISTRY, Effect
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
@@ -93,11 +97,8 @@ def diagnose(
         noise = check_noise(rows, config.standstill_speed, exclude)
     left, has_place = _what_is_left(rows, explained)
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
-    tried = _structures(rows, explained, verdict)
-    rival = rival_of(explained.causes, tried) if tried and explained.causes else Rival()
-    nameless = find_unnamed(rows, explained, verdict, tried, rival)
+    explained, nameless = _or_something_else(rows, explained, verdict)
     verdict = 'unknown' if nameless else verdict
-    explained = explained.doubted(rival)
     if verdict == 'unknown':
         explained, noise_cause = explained.without_causes(), None
     else:
@@ -150,13 +151,18 @@ def _as_recorded(
     return solve_recordings(recordings, config, mend=False)
 
 
-def _structures(rows: Rows, explained: Explanation, verdict: str) -> Structures | None:
-    """What may explain a gap without a name, or instead of the names; None without a gap."""
-    if explained.causes and verdict == 'explained':
-        return try_structures(rows, AS_RIVALS)
-    if explained.causes or matters(explained.before_um, explained.simulated_um):
-        return try_structures(rows)
-    return None
+def _or_something_else(
+    rows: Rows, explained: Explanation, verdict: str
+) -> tuple[Explanation, Nameless | None]:
+    """Doubt the names for what else may explain the gap; that, where it is to be said instead."""
+    if explained.causes:
+        tried = try_structures(rows, AS_RIVALS if verdict == 'explained' else SCREENED)
+        rival = rival_of(explained.causes, tried)
+    elif matters(explained.before_um, explained.simulated_um):
+        tried, rival = try_structures(rows, SCREENED), Rival()
+    else:
+        return explained, None
+    return explained.doubted(rival), find_unnamed(rows, explained, verdict, tried, rival)
 
 
 def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:

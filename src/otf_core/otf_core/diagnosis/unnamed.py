@@ -103,7 +103,7 @@ class Nameless:
 
 
 def find_unnamed(
-    rows: Rows, explained: Explanation, verdict: str, tried: Structures | None, rival: Rival
+    rows: Rows, explained: Explanation, verdict: str, tried: Structures, rival: Rival
 ) -> Nameless | None:
     """Look for a cause without a name where the named ones leave a gap.
 
@@ -113,8 +113,8 @@ def find_unnamed(
     explained : Explanation
     verdict : str
         By the effects of the catalogue.
-    tried : Structures, optional
-        What may explain the gap; None where there is nothing to explain.
+    tried : Structures
+        What may explain the gap.
     rival : Rival
         Of the named causes.
 
@@ -124,7 +124,7 @@ def find_unnamed(
         None if nothing is left to explain, if no structure explains it, or if the named causes
         are about as good.
     """
-    if tried is None or (verdict not in ('unknown', 'partly_explained') and not rival.wins):
+    if verdict not in ('unknown', 'partly_explained') and not rival.wins:
         return None
     structure = find_structure(tried)
     if structure is None:
