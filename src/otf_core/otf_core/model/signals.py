@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 LAGS = (15.0, 30.0, 60.0, 120.0, 240.0, 480.0)
 """s; time constants that are tried beside none: one is always within a factor of 1.4, which leaves
-a few percent of what follows the signal; a factor of two leaves enough to prefer functions of time."""
+a few percent of what follows the signal; wider steps leave enough to prefer functions of time."""
 
 
 @dataclass(frozen=True, eq=False)
