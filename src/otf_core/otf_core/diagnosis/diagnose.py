@@ -9,6 +9,7 @@ not fitted on; where the gap lies; the calibration with the causes taken off.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,26 +92,16 @@ def diagnose(
     progress('diagnosing', 0.0)
     found = search_catalogue(rows, exclude, own)
     progress('diagnosing', 0.5)
-    explained = explain(rows, found.causes, simulated_um)
-    noise = None
-    if matters(explained.after_um, explained.simulated_um):
-        noise = check_noise(rows, config.standstill_speed, exclude)
-    left, has_place = _what_is_left(rows, explained)
-    verdict = verdict_of(_case(explained, noise, has_place=has_place))
-    explained, nameless = _or_something_else(rows, explained, verdict)
-    verdict = 'unknown' if nameless else verdict
-    if verdict == 'unknown':
-        explained, noise_cause = explained.without_causes(), None
-    else:
-        noise_cause = noise
-        verdict = 'explained' if noise and verdict == 'none' else verdict
+    judged = _judged(rows, explain(rows, found.causes, simulated_um), config, exclude)
+    explained, noise, nameless = judged.explained, judged.noise, judged.nameless
     fitted = fitted_causes(explained.causes, rows)
     applied = tuple(tuple(part.applied(k) for part in fitted) for k in range(len(rows.runs)))
     gap = gap_of(explained, noise)
-    causes = named_causes(explained, fitted, noise_cause, gap, rows.states)
-    sentence = sentence_of(verdict, gap, causes, noise, nameless.said if nameless else None)
+    causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)
+    said = nameless.said if nameless else None
+    sentence = sentence_of(judged.verdict, gap, causes, noise, said)
     views = run_views(rows, explained)
-    known = known_words(causes, nameless.said if nameless else None)
+    known = known_words(causes, said)
     where, shape = where_and_shape(
         views, project=rows.project, known=known, certain=nameless is None
     )
@@ -120,12 +111,12 @@ def diagnose(
     calibration = with_causes(solved, plain, explained.causes, taken, config, sentence)
     return Diagnosis(
         runs=tuple(r.name or f'run {k}' for k, r in enumerate(recordings, start=1)),
-        verdict=verdict,
+        verdict=judged.verdict,
         sentence=sentence,
         gap=gap,
         causes=causes,
         unexplained_um=gap.after_um,
-        unexplained_where=left if explained.causes else shape,
+        unexplained_where=judged.left if explained.causes else shape,
         not_visible=_not_visible(found.visible, causes),
         where=where,
         considered=found.considered,
@@ -134,12 +125,57 @@ def diagnose(
         },
         contradictions=solved.runs[0].remarks,
         table_change_um=_table_change_um(calibration),
-        unnamed=nameless.said if nameless else None,
+        unnamed=said,
         applied=tuple((e,) for e in nameless.applied) if nameless else applied,
         calibration=calibration,
         origin=plain.origin,
         shown=Shown(views, _conditions(solved, plain)),
     )
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What a search gave, after what else could be.
+
+    Attributes
+    ----------
+    verdict : str
+    explained : Explanation
+        Without causes where they are not enough.
+    noise : NoiseFinding or None
+    left : str
+        Where what the causes leave lies.
+    nameless : Nameless or None
+    """
+
+    verdict: str
+    explained: Explanation
+    noise: NoiseFinding | None
+    left: str
+    nameless: Nameless | None
+
+    @property
+    def noise_cause(self) -> NoiseFinding | None:
+        """Noise as a cause: not where something is there that nobody knows."""
+        return None if self.verdict == 'unknown' else self.noise
+
+
+def _judged(
+    rows: Rows, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
+) -> _Judged:
+    """Weigh the causes found against noise, and against what has no name."""
+    noise = None
+    if matters(explained.after_um, explained.simulated_um):
+        noise = check_noise(rows, config.standstill_speed, exclude)
+    left, has_place = _what_is_left(rows, explained)
+    verdict = verdict_of(_case(explained, noise, has_place=has_place))
+    explained, nameless = _or_something_else(rows, explained, verdict)
+    verdict = 'unknown' if nameless else verdict
+    if verdict == 'unknown':
+        explained = explained.without_causes()
+    elif noise and verdict == 'none':
+        verdict = 'explained'
+    return _Judged(verdict, explained, noise, left, nameless)
 
 
 def _as_recorded(

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from otf_core.loop.circle import AXES_WAY, PROGRAM, VOLUME, Circle
-from otf_core.model.machine import AXES
 from otf_core.reports.page import Heading, page_html
 from otf_core.reports.section import Section, Table
 
@@ -47,7 +46,8 @@ def _determination(circle: Circle) -> Section:
     result, machine = circle.result, circle.truth.machine
     fit, path = result.fit, circle.recordings['fit'].path
     ranges = ', '.join(
-        f'{a} {1e3 * machine.axes[a].min:g} to {1e3 * machine.axes[a].max:g} mm' for a in AXES
+        f'{name} {1e3 * axis.min:g} to {1e3 * axis.max:g} mm'
+        for name, axis in machine.axes.items()
     )
     offset = ', '.join(f'{1e3 * v:g}' for v in machine.target_offset)
     return Section(
