@@ -25,7 +25,11 @@ from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows, build_rows
-from otf_core.diagnosis.engine.unnamed import try_structures
+from otf_core.diagnosis.engine.unnamed import (
+    AS_RIVALS,
+    SCREENED,
+    try_structures,
+)
 from otf_core.diagnosis.explanation import Explanation, explain
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.place.views import RunView
@@ -168,12 +172,9 @@ def _judged(
     if matters(explained.after_um, explained.simulated_um):
         noise = check_noise(rows, config.standstill_speed, exclude)
     left, has_place = _what_is_left(rows, explained)
-    tried = try_structures(rows) if _to_explain(explained) else None
-    rival = rival_of(explained.causes, tried) if tried and explained.causes else Rival()
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
-    nameless = find_unnamed(rows, explained, verdict, tried)
+    explained, nameless = _or_something_else(rows, explained, verdict)
     verdict = 'unknown' if nameless else verdict
-    explained = explained.doubted(rival)
     if verdict == 'unknown':
         explained = explained.without_causes()
     elif noise and verdict == 'none':
@@ -190,9 +191,18 @@ def _as_recorded(
     return solve_recordings(recordings, config, mend=False)
 
 
-def _to_explain(explained: Explanation) -> bool:
-    """Tell whether there are causes, or a gap without."""
-    return bool(explained.causes) or matters(explained.before_um, explained.simulated_um)
+def _or_something_else(
+    rows: Rows, explained: Explanation, verdict: str
+) -> tuple[Explanation, Nameless | None]:
+    """Doubt the names for what else may explain the gap; that, where it is to be said instead."""
+    if explained.causes:
+        tried = try_structures(rows, AS_RIVALS if verdict == 'explained' else SCREENED)
+        rival = rival_of(explained.causes, tried)
+    elif matters(explained.before_um, explained.simulated_um):
+        tried, rival = try_structures(rows, SCREENED), Rival()
+    else:
+        return explained, None
+    return explained.doubted(rival), find_unnamed(rows, explained, verdict, tried, rival)
 
 
 def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:
