@@ -17,7 +17,7 @@ from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.diagnostics import tell
 from otf_calibrator.intake import Batch
 from otf_calibrator.job import Calibrated, check_files
-from otf_calibrator.listening import keep_journal, status_of
+from otf_calibrator.listening import listen, status_of
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.results import ResultPublishers
 from otf_calibrator.session import Session
@@ -56,7 +56,7 @@ class Calibrator(Node):
             raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
         check_files(files)
         self._session = Session(self._read_settings, self.get_logger().warning)
-        keep_journal(self, self._session.intake, files)
+        listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
         self._results = ResultPublishers(self)

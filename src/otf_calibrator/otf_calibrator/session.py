@@ -109,8 +109,9 @@ class Session:
         """Return the samples so far, and all that is known of them."""
         collector = self.collector
         assert collector.path is not None, 'asked before'
+        samples = collector.buffer.snapshot()
         return Request(
-            collector.buffer.snapshot(),
+            samples,
             collector.path,
             *self._settings(),
             collector.lost_for_sure(time.monotonic()),
@@ -118,6 +119,7 @@ class Session:
             copy.deepcopy(collector.screening),
             self.intake.journal.folder if self.intake.journal else None,
             final,
+            self.intake.beside.of(samples),
         )
 
     def cancel(self) -> None:
