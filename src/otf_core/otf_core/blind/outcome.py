@@ -71,8 +71,8 @@ class Outcome:
     inputs : tuple of str
         That the answer names for a cause without a name.
     inputs_right, inputs_among : bool, optional
-        Whether these are those of the truth; whether those of the truth are among them. None
-        where the answer is not 'unknown' or the truth has no such inputs.
+        Whether these are those of the truth; whether those of the truth are among them; not
+        where the answer is not 'unknown'. None where the truth has a name or no such inputs.
     follows : bool, optional
         Whether the signal that the truth follows is named; None where it follows none.
     """
@@ -172,12 +172,15 @@ def _gap_left(answer: Mapping[str, Any]) -> float | None:
     return float(gap['after_um']) / before if before > 0.0 else None
 
 
-def _inputs(parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> dict[str, Any]:
-    """Inputs that an answer of 'unknown' names, and whether they are those of the truth."""
+def _inputs(
+    parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any], exclude: Sequence[str]
+) -> dict[str, Any]:
+    """Inputs that an answer names for a truth without a name, and whether they are its own."""
     groups = [g for p in parts for g in p['depends']['groups']]
-    if answer.get('verdict') != 'unknown' or not groups:
+    if not groups or not (exclude or all(not p['names'] for p in parts)):
         return {}
-    named = tuple((answer.get('unnamed') or {}).get('depends_on', ()))
+    unnamed = answer.get('unnamed') if answer.get('verdict') == 'unknown' else None
+    named = tuple((unnamed or {}).get('depends_on', ()))
     besides = [n for p in parts for n in p['depends']['besides']]
     return {
         'inputs': named,
@@ -245,5 +248,5 @@ def outcome(
         noise_as_specified=not entry['heavy_tails'] and not NOISE & set(truth),
         gap_left=_gap_left(answer),
         follows=_follows(parts, answer),
-        **_inputs(parts, answer),
+        **_inputs(parts, answer, exclude),
     )
