@@ -42,6 +42,7 @@ from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.reports.budget import budget_lines, expanded
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.tracker import measure, specified_noise
+from otf_core.solving.basis import linear
 from otf_core.solving.unknowns import layout
 
 Array = NDArray[np.float64]
@@ -109,7 +110,7 @@ def truth_in_gauge(case: Case) -> dict[str, Array]:
     nodes = {a: tables.motions[f'EX{a}'].position for a in machine.axis_names}
     points = np.stack(np.meshgrid(*nodes.values(), indexing='ij'), axis=-1)
     q = points.reshape(-1, 3)
-    unknowns = layout(nodes)
+    unknowns = layout({a: linear(nodes[a]) for a in AXES})
     rows = np.zeros((3 * len(q), unknowns.full))
     model = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, q).reshape(
         3 * len(q), -1
