@@ -39,8 +39,6 @@ ERROR_SIZE = 1e-4
 """m; mean volumetric error of the simulated machine."""
 RATE = 500.0
 """Hz"""
-WALL_TIME = 55.0
-"""s; the run is simulated so fast that it takes about so long."""
 
 
 class DemoError(OtfError):

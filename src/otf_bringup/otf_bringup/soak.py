@@ -50,7 +50,7 @@ START = 60.0
 """s; until the first samples come."""
 LAP = 280.0
 """s; of a lap of the default path of the default machine, about."""
-RESPAWN = 1.0
+RESPAWN = 0.3
 """s; as the launch files do."""
 
 

@@ -49,6 +49,15 @@ def stepped(recording, shift, at=0.5, turn=(0.0, 0.0, 0.0)):
     return again(recording, recording.name, xyz=xyz)
 
 
+def warmed(recording, strain, early=0.1):
+    """A bed that grows along one direction, most of it in an early share of the samples."""
+    xyz = recording.samples.xyz
+    way = np.array([2.0, 1.0, -1.0]) / np.sqrt(6.0)
+    share = np.linspace(0.0, 1.0, len(xyz))
+    growth = strain * (1.0 - np.exp(-share / early)) * (xyz @ way)
+    return again(recording, recording.name, xyz=xyz + growth[:, None] * way)
+
+
 def broken(recording, breaks, shift, seed=0):
     """Beam broken for 0.3 s and found again, each time with another offset of a length, m."""
     rng = np.random.default_rng(seed)

@@ -59,9 +59,15 @@ PUBLIC = 'api'  # hands the twin to the diagnosis, as the command line does
 
 @every_file
 def test_what_calibrates_and_diagnoses_knows_nothing_of_simulations(file):
-    if not {file.parent.name, file.stem} & {*SIMULATING, COMMAND_LINE, PUBLIC}:
+    if not {file.parent.name, file.stem.split('_')[0]} & {*SIMULATING, COMMAND_LINE, PUBLIC}:
         packages = {name.split('.')[1] for name in imports(TREES[file]) if name.count('.') > 1}
         assert not packages & set(SIMULATING)
+
+
+@every_file
+def test_axes_are_asked_of_the_machine_above_the_room_that_describes_it(file):
+    if file.parent.name != 'model':
+        assert 'otf_core.model.machine.AXES' not in set(imports(TREES[file]))
 
 
 @every_file
@@ -101,6 +107,14 @@ def inside_private(tree, node):
 @every_file
 def test_no_module_is_longer_than_400_lines(file):
     assert len(file.read_text().splitlines()) <= 400
+
+
+def test_tests_are_no_longer_than_that_either_and_bear_names_of_their_own():
+    here = Path(__file__).parent
+    files = [f for folder in (here, here.parents[2] / 'tests') for f in folder.rglob('*.py')]
+    assert not [f.name for f in files if len(f.read_text().splitlines()) > 400]
+    names = [f.name for f in files if f.name.startswith('test_')]
+    assert len(names) == len(set(names)) > 100, 'one call of pytest collects them all'
 
 
 @every_file

@@ -252,6 +252,38 @@ def test_no_more_than_four_are_named():
     assert len(considered) == 3  # of the last round
 
 
+def crossing(size, stray):
+    """Rows that hold p + q, and columns: p, q, and nearly the sum of both, a share astray."""
+    rows = solved_rows()
+    own = rows.project(np.random.default_rng(17).standard_normal((len(rows.deviation), 3)))
+    p, q, r = size * np.linalg.qr(own)[0].T
+    total = p + q
+    sum_like = p + 0.8 * q + stray * r
+    effects = (REGISTRY['thermal_structure_drift'], COUPLING, BACKLASH)
+    options = {
+        e.name: [replace(stand_in(options_of(LAG)[1], e, v[:, None]), size=np.array([1e-6]))]
+        for e, v in zip(effects, (sum_like, p, q), strict=True)
+    }
+    return holding(coloured(rows, total)), options
+
+
+@pytest.mark.parametrize(
+    ('size', 'stray', 'left'),
+    [
+        (60.0, 0.0, {'thermal_structure_drift', 'cross_coupling'}),  # as good as the true pair
+        (30.0, 0.15, {'backlash', 'cross_coupling'}),  # two were named, one of them wrong
+        (30.0, 0.3, {'backlash', 'cross_coupling'}),  # all three were named
+    ],
+    ids=['stays', 'exchanged', 'left out'],
+)
+def test_what_stood_for_two_others_is_not_named_beside_them(size, stray, left):
+    rows, options = crossing(size, stray)
+    first = max(options, key=lambda n: evidence_of(rows.residual, options[n]))
+    assert first == 'thermal_structure_drift'
+    causes, _ = found_in(rows, options)
+    assert set(named(causes)) == left
+
+
 @pytest.mark.parametrize(('share', 'same'), [(0.028, True), (0.032, False)])
 def test_an_effect_that_leaves_three_hundredths_is_the_same_and_one_that_leaves_more_is_not(
     share, same

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,10 @@ from otf_core.bags.sample_order import in_time_order, usable_path
 from otf_core.bags.screening import Screening
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import InputError
+from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.model.signals import Signal
 
 _log = logging.getLogger(__name__)
 
@@ -40,11 +42,14 @@ class BagContent:
     path : NominalPath
     remarks : tuple of str
         What was repaired or left out, in words.
+    signals : mapping of SignalSpec to Signal
+        To be written beside them; reading is ``signals.read_signals``.
     """
 
     samples: Samples
     path: NominalPath
     remarks: tuple[str, ...] = ()
+    signals: Mapping[SignalSpec, Signal] = field(default_factory=dict)
 
 
 def read_bag(
@@ -151,8 +156,8 @@ def samples_of(where: str, parts: Sequence[Reading], remarks: list[str]) -> Samp
 def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = False) -> None:
     """Write a rosbag2 folder (metadata.yaml and one MCAP file with zstd chunks).
 
-    The path comes first, then every point with its stamp as log time. The same content gives the
-    same bytes. The folder appears under its name only when it is complete.
+    The path comes first, then every point and signal with its stamp as log time. The same content
+    gives the same bytes. The folder appears under its name only when it is complete.
 
     Parameters
     ----------
@@ -177,4 +182,4 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
     if remarks:
         raise InputError(f'{folder}: samples would not be read as they are: {remarks[0]}')
     usable_path(f'{folder}: path', content.path.points)
-    write_recording(Path(folder), samples, content.path, overwrite)
+    write_recording(Path(folder), samples, content.path, overwrite, content.signals)

@@ -10,7 +10,10 @@ from __future__ import annotations
 import os
 import shutil
 import uuid
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import yaml
@@ -23,17 +26,26 @@ from otf_core.bags.rosbag2_metadata import (
     channel_metadata,
     metadata_text,
 )
-from otf_core.bags.topics import PATH, POINT
+from otf_core.bags.signal_messages import signal_messages
+from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import ConfigError, InputError
+from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.model.signals import Signal
 
 FILE_NAME = 'bag_0.mcap'
 """The same in every bag, so that equal content gives equal bytes."""
 
 
-def write_recording(folder: Path, samples: Samples, path: NominalPath, overwrite: bool) -> None:
-    """Write points and path; see ``bag.write_bag``."""
+def write_recording(
+    folder: Path,
+    samples: Samples,
+    path: NominalPath,
+    overwrite: bool,
+    signals: Mapping[SignalSpec, Signal] = MappingProxyType({}),
+) -> None:
+    """Write points, path and signals; see ``bag.write_bag``."""
     folder = Path(os.path.abspath(folder))
     for stamp in (samples.stamp_ns[0], samples.stamp_ns[-1]):
         if not -(2**31) <= stamp // SECOND_NS < 2**31:
@@ -44,7 +56,7 @@ def write_recording(folder: Path, samples: Samples, path: NominalPath, overwrite
         new = folder.parent / f'.{folder.name}.{uuid.uuid4().hex}.new'
         new.mkdir()
         try:
-            _write_files(new, samples, path)
+            _write_files(new, samples, path, signals)
             _replace(new, folder)
         finally:
             shutil.rmtree(new, ignore_errors=True)
@@ -77,32 +89,53 @@ def _replace(new: Path, folder: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _write_files(folder: Path, samples: Samples, path: NominalPath) -> None:
+def _write_files(
+    folder: Path, samples: Samples, path: NominalPath, signals: Mapping[SignalSpec, Signal]
+) -> None:
     from mcap.writer import CompressionType, Writer  # with rosbags: 0.2 s only writers pay
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
     # a log time is unsigned; stamps may have any epoch
     log_time = np.maximum(samples.stamp_ns, 0).tolist()
-    hashes = {topic: store.hash_rihs01(topic.type) for topic in (PATH, POINT)}
-    part = Part(FILE_NAME, log_time[0], log_time[-1], {PATH: 1, POINT: len(samples)})
+    beside = signal_messages(signals, store)
+    counts = Counter({PATH: 1, POINT: len(samples)}) + Counter(topic for _, topic, _ in beside)
+    hashes = {topic: store.hash_rihs01(topic.type) for topic in counts}
+    start, end = (
+        f([log_time[k], *(beside[k][0] for _ in beside[:1])]) for f, k in ((min, 0), (max, -1))
+    )
+    part = Part(FILE_NAME, max(start, 0), end, counts)
     metadata = bag_metadata([part], hashes)
     with (folder / FILE_NAME).open('wb') as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
         writer.start(profile='ros2', library=CREATOR)
-        channels = []
-        for topic in (PATH, POINT):
+        channels = {}
+        for topic in counts:
             text, _ = store.generate_msgdef(topic.type, ros_version=2)
             schema = writer.register_schema(topic.type, 'ros2msg', text.encode())
             about = channel_metadata(topic)
-            channels.append(writer.register_channel(topic.name, 'cdr', schema, about))
+            channels[topic] = writer.register_channel(topic.name, 'cdr', schema, about)
         first = encode_path(path.points, int(samples.stamp_ns[0]), PATH.frame)
-        writer.add_message(channels[0], log_time[0], first, log_time[0])
-        rows = encode_points(samples.stamp_ns, samples.xyz, POINT.frame)
-        data, width = rows.tobytes(), rows.dtype.itemsize
-        for i, time in enumerate(log_time):
-            writer.add_message(channels[1], time, data[i * width : (i + 1) * width], time)
+        writer.add_message(channels[PATH], log_time[0], first, log_time[0])
+        for time, topic, data in _in_order(samples, log_time, beside):
+            writer.add_message(channels[topic], time, data, time)
         inner = yaml.safe_dump(metadata, sort_keys=False)
         writer.add_metadata('rosbag2', {'serialized_metadata': inner})
         writer.finish()  # type: ignore[no-untyped-call]
     (folder / 'metadata.yaml').write_text(metadata_text(metadata), encoding='utf-8')
+
+
+def _in_order(
+    samples: Samples, log_time: list[int], beside: list[tuple[int, Topic, bytes]]
+) -> Iterator[tuple[int, Topic, bytes]]:
+    """Points and signals as they come: log time in ns, topic, serialized message."""
+    rows = encode_points(samples.stamp_ns, samples.xyz, POINT.frame)
+    data, width = rows.tobytes(), rows.dtype.itemsize
+    next_beside = 0
+    for i, time in enumerate(log_time):
+        while next_beside < len(beside) and beside[next_beside][0] <= time:
+            stamp, topic, message = beside[next_beside]
+            yield max(stamp, 0), topic, message
+            next_beside += 1
+        yield time, POINT, data[i * width : (i + 1) * width]
+    yield from beside[next_beside:]

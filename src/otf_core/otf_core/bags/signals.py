@@ -8,14 +8,19 @@ time of reception.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from otf_core.bags.bag_source import locate
 from otf_core.errors import ConfigError, InputError
+from otf_core.model.declared_signals import HEAD, PLAIN, SignalSpec
 from otf_core.model.signals import Signal
+
+_log = logging.getLogger(__name__)
 
 FIELDS = (
     'temperature', 'fluid_pressure', 'relative_humidity', 'illuminance', 'range', 'data',
@@ -23,10 +28,11 @@ FIELDS = (
 """Of sensor_msgs and std_msgs messages with one number."""
 FEWEST = 3
 """Messages that make a signal."""
-HEAD = 'signal:'
 
 
-def read_signals(source: str | Path, wanted: Sequence[str]) -> dict[str, Signal]:
+def read_signals(
+    source: str | Path, wanted: Sequence[str], declared: Sequence[SignalSpec] = ()
+) -> dict[str, Signal]:
     """Read signals of a bag.
 
     Parameters
@@ -34,6 +40,8 @@ def read_signals(source: str | Path, wanted: Sequence[str]) -> dict[str, Signal]
     source : str or Path
     wanted : sequence of str
         ``TOPIC`` or ``TOPIC:field``.
+    declared : sequence of SignalSpec
+        Those of the machine; the log says which of them the bag lacks.
 
     Returns
     -------
@@ -47,26 +55,91 @@ def read_signals(source: str | Path, wanted: Sequence[str]) -> dict[str, Signal]
     InputError
         If there are too few messages.
     """
-    if not wanted:
+    declared = [one for one in declared if one.wanted not in wanted]
+    if not wanted and not declared:
         return {}
-    from rosbags.highlevel import AnyReader  # 0.2 s
+    names = [*wanted, *(one.wanted for one in declared)]
+    held: dict[str, str] = {}
+    for _ in locate(source).messages({}, held, []):
+        pass
+    for name in wanted:
+        if (topic := name.partition(':')[0]) not in held:
+            known = ', '.join(sorted(held))
+            raise ConfigError(f'--signal: {source} has no topic {topic}; it has {known}')
+    for one in declared:
+        if one.topic not in held:
+            _log.warning('%s: no topic %s, a signal of the machine', source, one.topic)
+    rows = _rows(source, [n for n in names if n.partition(':')[0] in held], held)
+    return {
+        HEAD + name: signal_of(f'{source}: {name}', own)
+        for name, own in rows.items()
+        if name in wanted or _enough(f'{source}: {name}', own)
+    }
+
+
+def _rows(
+    source: str | Path, names: Sequence[str], held: dict[str, str]
+) -> dict[str, list[tuple[int, float]]]:
+    """Stamps, ns, and numbers of every name, in the order in which they were received."""
+    rows: dict[str, list[tuple[int, float]]] = {name: [] for name in names}
+
+    def take(topic: str, message: Any, received: int) -> None:
+        for name in names:
+            if name.partition(':')[0] == topic:
+                number = _number(message, name, held[topic])
+                rows[name].append((_stamp(message, received), number))
+
+    topics = {name.partition(':')[0] for name in names}
+    plain: dict[str, tuple[str, ...]] = {t: (held[t],) for t in topics if held[t] in PLAIN}
+    for topic, message, received in _plain_messages(source, plain):
+        take(topic, message, received)
+    if topics - set(plain):
+        for topic, message, received in _other_messages(source, topics - set(plain)):
+            take(topic, message, received)
+    return rows
+
+
+def _plain_messages(
+    source: str | Path, plain: dict[str, tuple[str, ...]]
+) -> Iterator[tuple[str, Any, int]]:
+    """Messages of types that are known, of any bag that can be read, whole or not."""
+    if not plain:
+        return
+    from rosbags.typesys import Stores, get_typestore  # 0.2 s
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for block in locate(source).messages(plain, {}, []):
+        for start, size, received in zip(
+            block.start.tolist(), block.size.tolist(), block.log_time.tolist(), strict=True
+        ):
+            data = bytes(block.buffer[start : start + size])
+            yield block.topic, store.deserialize_cdr(data, plain[block.topic][0]), received
+
+
+def _other_messages(source: str | Path, topics: set[str]) -> Iterator[tuple[str, Any, int]]:
+    """Messages that the bag itself describes; InputError if it is not whole."""
+    from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.typesys import Stores, get_typestore
 
-    rows: dict[str, list[tuple[int, float]]] = {name: [] for name in wanted}
-    topics = {name: name.partition(':')[0] for name in wanted}
-    with AnyReader([Path(source)], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-        for topic in topics.values():
-            if topic not in reader.topics:
-                known = ', '.join(sorted(reader.topics))
-                raise ConfigError(f'--signal: {source} has no topic {topic}; it has {known}')
-        chosen = [c for c in reader.connections if c.topic in topics.values()]
-        for connection, received, raw in reader.messages(connections=chosen):
-            message = reader.deserialize(raw, connection.msgtype)
-            for name, topic in topics.items():
-                if topic == connection.topic:
-                    stamp = _stamp(message, received)
-                    rows[name].append((stamp, _number(message, name, connection.msgtype)))
-    return {HEAD + name: _signal(str(source), name, own) for name, own in rows.items()}
+    try:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        with AnyReader([Path(source)], default_typestore=store) as reader:
+            chosen = [c for c in reader.connections if c.topic in topics]
+            for connection, received, raw in reader.messages(connections=chosen):
+                yield connection.topic, reader.deserialize(raw, connection.msgtype), received
+    except AnyReaderError as error:
+        raise InputError(
+            f'{source}: {", ".join(sorted(topics))} cannot be read ({error}); such messages are '
+            f'read from whole bags alone'
+        ) from None
+
+
+def _enough(where: str, rows: Sequence[tuple[int, float]]) -> bool:
+    """Tell whether a declared signal can be used; the log says if not."""
+    if len({stamp for stamp, value in rows if np.isfinite(value)}) >= FEWEST:
+        return True
+    _log.warning('%s: too few messages for a signal', where)
+    return False
 
 
 def _stamp(message: Any, received: int) -> int:
@@ -90,11 +163,10 @@ def _number(message: Any, name: str, kind: str) -> float:
     return float(found)
 
 
-def _signal(source: str, name: str, rows: Sequence[tuple[int, float]]) -> Signal:
+def signal_of(where: str, rows: Sequence[tuple[int, float]]) -> Signal:
+    """Signal of stamps, ns, and values; InputError if there are too few."""
     ordered = dict(sorted(row for row in rows if np.isfinite(row[1])))
     if len(ordered) < FEWEST:
-        raise InputError(
-            f'{source}: {name}: {len(ordered)} usable messages; a signal needs {FEWEST}'
-        )
+        raise InputError(f'{where}: {len(ordered)} usable messages; a signal needs {FEWEST}')
     stamps = np.array(list(ordered), dtype=np.int64)
     return Signal(stamps, np.array(list(ordered.values())))

@@ -15,7 +15,8 @@ from otf_core.cli.measuring import (
     run_predict,
 )
 from otf_core.cli.options import AddVerb, add_out, add_parameters, add_reading
-from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
+from otf_core.cli.plant import run_blind
+from otf_core.cli.simulating import run_plan, run_simulate, run_validate
 from otf_core.config import (
     METHODS,
     OTF,
@@ -157,7 +158,10 @@ def add_judging_verbs(verb: AddVerb) -> None:
 
     sub = verb('validate', run_validate)
     add_out(sub, 'folder for table and figures')
-    sub.add_argument('--quick', action='store_true', help='two cells instead of eight')
+    sub.add_argument(
+        '--quick', action='store_true', help='two cells instead of eight, and shorter stops'
+    )
+    sub.add_argument('--cells', type=int, metavar='N', help='so many cells')
     sub.add_argument(
         '--seed', dest='first_cell', type=_seed, default=2001, metavar='N',
         help='of the first cell (default 2001)',

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that plan, simulate and judge: plan, simulate, validate, blind."""
+"""Verbs that plan, simulate and judge: plan, simulate, validate."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
@@ -13,6 +14,11 @@ from otf_core.cli.progress import progress_of
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, OtfError
 from otf_core.live.stages import PLAN, SIMULATE
+
+if TYPE_CHECKING:
+    from otf_core.validation.table import Row
+
+MOST_CELLS = 1000
 
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
@@ -147,33 +153,24 @@ def run_validate(arguments: argparse.Namespace) -> int:
     from otf_core.validation.table import format_rows
 
     out = output_folder(arguments)
-    laboratory, cells = SimulatedLaboratory(), scale(arguments.quick, arguments.first_cell)
+    if arguments.cells is not None and not 1 <= arguments.cells <= MOST_CELLS:
+        raise ConfigError(f'--cells: {arguments.cells} is out of range [1, {MOST_CELLS}]')
+    laboratory, cells = (
+        SimulatedLaboratory(),
+        scale(arguments.quick, arguments.first_cell, arguments.cells),
+    )
     found = validate(laboratory, cells, (lambda text: None) if arguments.quiet else note)
     truth = found.cells[0].reference.truth
     direct = laboratory.measure_directly(truth, found.seeds[0])
     with out.filled('validate') as folder:
         files = write_validation(found, direct, folder)
     answer_from(arguments, format_rows(found.rows) + '\n', files, 'validation.json')
-    failed = [row.quantity for row in found.rows if row.passed is False]
+    return told_limits(found.rows)
+
+
+def told_limits(rows: Sequence[Row]) -> int:
+    """Name the rows beyond their limits; the exit code."""
+    failed = [row.quantity for row in rows if row.passed is False]
     for quantity in failed:
         note(f'otf: quality gate failed: {quantity}')
     return QUALITY_GATE_FAILED if failed else 0
-
-
-def run_blind(arguments: argparse.Namespace) -> int:
-    """Blind trial: draw and seal cells, diagnose them, score."""
-    from pathlib import Path
-
-    from otf_core.blind.seal import holds_trial
-    from otf_core.blind.trial import list_files, run_leave_one_out, run_trial
-
-    if arguments.overwrite or not holds_trial(arguments.out):
-        output_folder(arguments).clear()
-    run = run_leave_one_out if arguments.leave_one_out else run_trial
-    tell = (lambda text: None) if arguments.quiet else note
-    try:
-        words = run(arguments.trials, arguments.seed, arguments.out, arguments.jobs, tell)
-        answer_from(arguments, words, [Path(arguments.out) / 'score.txt'], 'score.json')
-    finally:
-        list_files(Path(arguments.out))
-    return 0

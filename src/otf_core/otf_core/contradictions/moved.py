@@ -3,7 +3,7 @@
 
 Six numbers before and after a moment explain what tables, reversal and a drift of third order in
 time leave. A step shows as a peak over time; other misfit explains little, or at no moment more
-than at others.
+than at others, or a smooth change of the machine explains it as well (``smooth_change``).
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.model import Model
 from otf_core.contradictions.rows import pose_columns
+from otf_core.contradictions.smooth_change import sharp_share
 from otf_core.contradictions.steps import Profile, step_profile
 from otf_core.errors import InputError
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.pieces import reduce_to_pieces
 from otf_core.pieces.runs import Run, rigid_pose
@@ -43,6 +44,9 @@ LONELY = 0.5
 STEEP, CLEAR = 0.8, 5.0
 """What a step near the peak explains of it at most, and how many standard deviations of a sample
 it measures, where there may be several; noise that wanders gives small and broad peaks."""
+SHARP = 0.03
+"""Share of what a step explains that a smooth change must not explain as well; axes that warm up
+gave up to 0.011, steps 0.07 and more."""
 MAX_STEPS = 5
 """Steps that are looked for in one run; as many are none: something changes all the time."""
 MIN_PIECES = 60
@@ -78,7 +82,7 @@ class Step:
     @property
     def words(self) -> str:
         """When, where and how much."""
-        place = ', '.join(f'{a} {1e3 * v:.0f}' for a, v in zip(AXES, self.place, strict=True))
+        place = ', '.join(f'{a} {1e3 * v:.0f}' for a, v in zip(XYZ, self.place, strict=True))
         return (
             f'{self.time:.1f} s after the start, near {place} mm, by {_um(self.shift)}'
             f'{f" and {1e6 * self.turn:.0f} urad" if self.turn > 1e-5 else ""}'
@@ -123,7 +127,9 @@ def find_step(model: Model, run: int) -> Step | None:
     if step.shift < LEAST * level:
         return None
     clear = drop > LARGE_GAIN and step.shift > CLEAR * level
-    return step if _is_peak(profile, best, len(order), clear=clear) else None
+    if not _is_peak(profile, best, len(order), clear=clear):
+        return None
+    return step if sharp_share(rows, fit, run, step.time) > SHARP else None
 
 
 def _level(run: Run) -> float:

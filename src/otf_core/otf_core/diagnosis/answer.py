@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from otf_core.diagnosis.free_curves import curves_of, departs_words
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
 from otf_core.diagnosis.unnamed import Unnamed
 from otf_core.effects import State
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 ALONG = 0.2
 """Share of the largest mean square displacement from which a direction is named as well."""
@@ -49,9 +49,10 @@ def named_causes(
         Of the pieces of every run.
     """
     sizes = [gap_um(s.rms_um, explained.simulated_um) for s in explained.steps]
+    units = {s.name: s.unit for s in states[0].machine.signals}
     named: list[NamedCause] = []
     for part, before, after in zip(fitted, sizes[:-1], sizes[1:], strict=True):
-        cause = _named_cause(part, before, after)
+        cause = _named_cause(part, before, after, units)
         _add(named, replace(cause, direction=_direction(part, states)))
     named.sort(key=lambda cause: cause.after_um - cause.before_um)
     if noise is not None:
@@ -59,7 +60,9 @@ def named_causes(
     return tuple(named)
 
 
-def _named_cause(part: FittedCause, before_um: float, after_um: float) -> NamedCause:
+def _named_cause(
+    part: FittedCause, before_um: float, after_um: float, signal_units: Mapping[str, str]
+) -> NamedCause:
     option = part.cause.option
     units = dict(zip(option.terms.names, option.terms.units, strict=True))
     units |= dict(zip(option.effect.shape_names, option.effect.shape_units, strict=True))
@@ -76,8 +79,8 @@ def _named_cause(part: FittedCause, before_um: float, after_um: float) -> NamedC
         confidence=part.cause.confidence,
         indistinguishable_from=part.cause.indistinguishable,
         form=FREE if option.terms.orders else FORMULA,
-        departs=departs_words(part),
-        curves=curves_of(part),
+        departs=departs_words(part, signal_units),
+        curves=curves_of(part, signal_units),
     )
 
 
@@ -88,7 +91,7 @@ def _direction(part: FittedCause, states: Sequence[State]) -> str:
         one = part.applied(run)
         square += np.sum(one.effect.displacement(state, one.parameters) ** 2, axis=0)
     strong = [k for k in np.argsort(-square) if square[k] > ALONG * square.max()]
-    return ' and '.join(AXES[k] for k in strong) if square.max() > 0.0 else ''
+    return ' and '.join(XYZ[k] for k in strong) if square.max() > 0.0 else ''
 
 
 def _add(named: list[NamedCause], cause: NamedCause) -> None:

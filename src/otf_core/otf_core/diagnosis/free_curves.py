@@ -3,18 +3,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.fitted import FittedCause
 from otf_core.effects.free import FreeForm, coefficient_name
-from otf_core.effects.inputs import SIGNAL, unit_of_input, unscaled_input
+from otf_core.effects.inputs import SIGNAL, cycle_period, unit_of_input, unscaled_input
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+NO_UNITS: Mapping[str, str] = MappingProxyType({})
 POINTS = 41
 """Points of a curve."""
 LEAST_SHARE = 0.1
@@ -54,11 +57,17 @@ class Curve:
     held: dict[str, float]
 
 
-def curves_of(part: FittedCause) -> tuple[Curve, ...]:
+def curves_of(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> tuple[Curve, ...]:
     """Curves of a free form, the largest first; none of a formula.
 
     Where a function has two inputs, it is shown along each at the middle of the other, and along
     the first at both ends of the second.
+
+    Parameters
+    ----------
+    part : FittedCause
+    units : mapping of str to str
+        Of declared signals, by their names as inputs.
     """
     effect, option = part.cause.option.effect, part.cause.option
     if not isinstance(effect, FreeForm):
@@ -72,7 +81,7 @@ def curves_of(part: FittedCause) -> tuple[Curve, ...]:
             continue
         term = option.terms.names[first].rsplit('_', len(effect.form.orders))[0]
         assert option.terms.names[first] == coefficient_name(term, effect.form.numbers[0])
-        for curve in _curves(part, effect, place, term):
+        for curve in _curves(part, effect, place, term, units):
             size = float(np.sqrt(np.mean(np.square(curve.value)))) * float(option.size[place[0]])
             found.append((size, curve))
     largest = max((size for size, _ in found), default=0.0)
@@ -80,7 +89,9 @@ def curves_of(part: FittedCause) -> tuple[Curve, ...]:
     return tuple(c for _, c in sorted(kept, key=lambda pair: -pair[0]))
 
 
-def _curves(part: FittedCause, effect: FreeForm, place: Index, term: str) -> list[Curve]:
+def _curves(
+    part: FittedCause, effect: FreeForm, place: Index, term: str, units: Mapping[str, str]
+) -> list[Curve]:
     option = part.cause.option
     axis = option.terms.axes[option.take[place[0]]]
     inputs = effect.inputs_of(term, axis)
@@ -101,7 +112,7 @@ def _curves(part: FittedCause, effect: FreeForm, place: Index, term: str) -> lis
                 term,
                 axis,
                 inputs[0],
-                unit_of_input(inputs[0]),
+                units.get(inputs[0].partition('@')[0]) or unit_of_input(inputs[0]),
                 tuple(at.tolist()),
                 tuple((table @ value).tolist()),
                 tuple(u.tolist()),
@@ -120,11 +131,16 @@ def number_words(value: float, unit: str) -> str:
     return f'{factor * value:.3g} {name}'.rstrip()
 
 
-def departs_words(part: FittedCause) -> str:
-    """How a free form departs from the formula, in words; empty for a formula."""
-    effect, curves = part.cause.option.effect, curves_of(part)
+def departs_words(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> str:
+    """How a free form departs from the formula, in words; empty for a formula.
+
+    Of what follows a signal all coefficients are stated: what a thermal model needs.
+    """
+    effect, curves = part.cause.option.effect, curves_of(part, units)
     if not isinstance(effect, FreeForm) or not curves:
         return ''
+    if slopes := [f'{c.term}{words}' for c in curves if (words := _slope_words(c))]:
+        return f'{effect.form.words}: {", ".join(slopes)} (k = 1)'
     return f'{effect.form.words}: {range_words(curves[0])}'
 
 
@@ -132,13 +148,11 @@ def range_words(curve: Curve) -> str:
     """Where a curve is lowest and highest, in words."""
     low, high = int(np.argmin(curve.value)), int(np.argmax(curve.value))
     ends = ' to '.join(
-        f'{number_words(curve.value[k], curve.unit)} at {curve.input} = '
-        f'{_input_words(curve.at[k], curve.input_unit)}'
+        f'{number_words(curve.value[k], curve.unit)} at {_at_words(curve.input, curve.at[k])}'
         for k in sorted((low, high), key=lambda k: curve.at[k])
     )
-    held = ', '.join(f'{n} = {_input_words(v, unit_of_input(n))}' for n, v in curve.held.items())
-    words = f'{curve.term} goes from {ends}' + (f' ({held})' if held else '')
-    return words + _slope_words(curve)
+    held = ', '.join(_at_words(n, v) for n, v in curve.held.items())
+    return f'{curve.term} goes from {ends}' + (f' ({held})' if held else '')
 
 
 def _slope_words(curve: Curve) -> str:
@@ -148,9 +162,12 @@ def _slope_words(curve: Curve) -> str:
         return ''
     slope, u = (curve.value[-1] - curve.value[0]) / width, curve.u[-1] / width
     factor, unit = SCALES.get(curve.unit, (1.0, curve.unit))
-    return f'; {factor * slope:.3g} +/- {factor * u:.1g} {unit} (k = 1) per unit of the signal'
+    per = curve.input_unit or 'unit of the signal'
+    return f' {factor * slope:.3g} +/- {factor * u:.1g} {unit} per {per}'
 
 
-def _input_words(value: float, unit: str) -> str:
-    """Value of an input in words."""
-    return f'{1e3 * value:.3g} mm' if unit == 'm' else f'{value:.3g} {unit}'.rstrip()
+def _at_words(name: str, value: float) -> str:
+    """An input and its value in words."""
+    unit = unit_of_input(name)
+    words = f'{1e3 * value:.3g} mm' if unit == 'm' else f'{value:.3g} {unit}'.rstrip()
+    return f'{words} of the cycle' if cycle_period(name) else f'{name} = {words}'

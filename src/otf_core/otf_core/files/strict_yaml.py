@@ -145,6 +145,11 @@ class Fields:
         """Raise a ConfigError about one key."""
         raise ConfigError(f'{self._where}: {key[:60]}: {problem}')
 
+    @property
+    def keys(self) -> list[str]:
+        """Keys that nobody has asked for yet, in their order."""
+        return [str(key) for key in self._data]
+
     def has(self, key: str) -> bool:
         """Tell whether an optional key is there."""
         return key in self._data

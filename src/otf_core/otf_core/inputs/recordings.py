@@ -118,6 +118,7 @@ def read_recording(
     used = machine if isinstance(machine, Machine) else load_machine(machine)
     if given.signals and (len(sources) > 1 or is_text(sources[0])):
         raise ConfigError('--signal: only of one bag a run, neither of texts nor with --join')
-    signals = read_signals(sources[0], given.signals)
+    declared = () if len(sources) > 1 or is_text(sources[0]) else used.signals
+    signals = read_signals(sources[0], given.signals, declared)
     name = str(sources[0])
     return Recording(content.samples, content.path, used, name, content.remarks, signals)

@@ -21,10 +21,16 @@ from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import Fields, parse_yaml, read_yaml_bytes
 from otf_core.model.circumstances import Circumstances, circumstances_from_fields
 from otf_core.model.declared import DeclaredUncertainty, declared_from_fields
+from otf_core.model.declared_signals import SignalSpec, signals_from_fields
 from otf_core.model.limits import Limits, limits_from_fields
 from otf_core.model.presets import TRACKERS, chosen
 
 AXES = ('X', 'Y', 'Z')
+"""What axes of machines are called, in the order of the columns of positions.
+
+For this room alone: all others ask the machine for its own (``axis_names``); the directions of
+space are ``frames.XYZ``.
+"""
 
 
 @dataclass(frozen=True)
@@ -81,6 +87,12 @@ class Chain:
         """Return the chain string."""
         return '-'.join(['w', *self.table_side, 'b', *self.target_side, 't'])
 
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Its axes, in the order of the columns of positions."""
+        own = (*self.table_side, *self.target_side)
+        return tuple(a for a in AXES if a in own)
+
     def lever_axes(self, axis: str) -> tuple[str, ...]:
         """Axes whose travel is part of the lever arm L of one axis (INTERFACES model)."""
         if axis in self.target_side:
@@ -106,6 +118,8 @@ class Machine:
         What a calibration is judged by.
     stated : Circumstances
         Instrument and conditions, for reports alone.
+    signals : tuple of SignalSpec
+        What is recorded beside the samples.
     file_sha256 : str
         SHA-256 of the file it was read from; empty if there is none.
     """
@@ -118,17 +132,23 @@ class Machine:
     uncertainty: DeclaredUncertainty | None = None
     limits: Limits | None = None
     stated: Circumstances = field(default_factory=Circumstances)
+    signals: tuple[SignalSpec, ...] = ()
     file_sha256: str = field(default='', repr=False, compare=False)
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Its axes, in the order of the columns of positions."""
+        return self.chain.axis_names
 
     @property
     def lower(self) -> NDArray[np.float64]:
         """Lower ends of the axis ranges, shape (3,), m."""
-        return np.array([self.axes[a].min for a in AXES])
+        return np.array([self.axes[a].min for a in self.axis_names])
 
     @property
     def upper(self) -> NDArray[np.float64]:
         """Upper ends of the axis ranges, shape (3,), m."""
-        return np.array([self.axes[a].max for a in AXES])
+        return np.array([self.axes[a].max for a in self.axis_names])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the description as plain data, in the layout of machine.yaml.
@@ -156,6 +176,8 @@ class Machine:
         for key in ('instrument', 'conditions'):
             if getattr(self.stated, key):
                 data[key] = dict(getattr(self.stated, key))
+        if self.signals:
+            data['signals'] = {s.wanted: s.to_dict() for s in self.signals}
         return data
 
 
@@ -202,8 +224,12 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         for key in ('instrument', 'conditions')
     )
     stated = circumstances_from_fields(instrument, conditions)
+    signals: tuple[SignalSpec, ...] = ()
+    if top.has('signals'):
+        section = top.mapping('signals')
+        signals = signals_from_fields(section, section.keys)
     top.done()
-    return Machine(name, chain, axes, offset, spec, declared, limits, stated)
+    return Machine(name, chain, axes, offset, spec, declared, limits, stated, signals)
 
 
 def _tracker(fields: Fields) -> TrackerSpec:

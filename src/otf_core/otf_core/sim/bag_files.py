@@ -82,7 +82,7 @@ class SimulatedBag:
         files : mapping of str to path
             What was read, for the block ``provenance``.
         """
-        content = BagContent(run.samples, plan.path)
+        content = BagContent(run.samples, plan.path, signals=run.signals)
         if self._folder is not None:
             with self._folder.filled('simulate') as folder:
                 write_bag(folder, content, overwrite=True)

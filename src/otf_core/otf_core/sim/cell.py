@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.errors import ConfigError
+from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, exact_position
@@ -20,9 +21,11 @@ from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.plan import Plan
+from otf_core.model.signals import Signal
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, displaced, run_state
+from otf_core.sim.signals import signal_courses, simulated_signals
 from otf_core.sim.tracker import measure, place_tracker, received, specified_noise
 
 Array = NDArray[np.float64]
@@ -43,12 +46,15 @@ class SimulatedRun:
     truth : ErrorTables
     rotation, place : ndarray, shape (3, 3) and (3,), m
         Tracker point = rotation @ (machine point - place).
+    signals : mapping of SignalSpec to Signal
+        What is recorded beside the samples.
     """
 
     samples: Samples
     truth: ErrorTables
     rotation: Array
     place: Array
+    signals: Mapping[SignalSpec, Signal] = field(default_factory=dict)
 
 
 def _random_curve(nodes: Array, rng: np.random.Generator) -> Array:
@@ -119,7 +125,7 @@ def simulate(
     ConfigError
         If an effect's parameters are wrong, or the run takes more than ``MOST_SAMPLES``.
     """
-    rngs = [np.random.default_rng([config.seed, part]) for part in range(4)]
+    rngs = [np.random.default_rng([config.seed, part]) for part in range(5)]
     truth = tables if tables is not None else random_tables(machine, config.error_size, rngs[0])
     rotation, place = place_tracker(machine, rngs[1])
     if tracker_place is not None:
@@ -135,9 +141,11 @@ def simulate(
     time = np.arange(count) / config.rate
     clock = time * (1 + config.clock_drift)
     position = exact_position(truth, drive.position(time))
+    signals = simulated_signals(machine, effects, drive.duration, EPOCH_NS, rngs[4])
     if effects:
         pose = RigidTransform(rotation.T, place)
-        state = run_state(machine, plan, drive, time, clock, pose, truth)
+        beside = signal_courses(signals, effects, EPOCH_NS, clock)
+        state = run_state(machine, plan, drive, time, clock, pose, truth, beside)
         position = position + displaced(state, effects)
     noise = changed_noise(specified_noise(machine, config), effects)
     xyz = measure((position - place) @ rotation.T, noise, config.rate, rngs[2])
@@ -147,4 +155,4 @@ def simulate(
     if config.packet_loss:
         arrived = received(time, config.packet_loss, rngs[3])
         stamp_ns, xyz = stamp_ns[arrived], xyz[arrived]
-    return SimulatedRun(Samples(stamp_ns, xyz), truth, rotation, place)
+    return SimulatedRun(Samples(stamp_ns, xyz), truth, rotation, place, signals)

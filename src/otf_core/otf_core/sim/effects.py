@@ -18,6 +18,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import MIN_LEG, NominalPath
 from otf_core.model.plan import Plan
+from otf_core.model.signals import Course
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.model import NoiseComponent, NoiseModel
 from otf_core.sim.drive import Drive
@@ -50,6 +51,7 @@ def run_state(
     clock: Array,
     pose: RigidTransform,
     tables: ErrorTables,
+    signals: Course | None = None,
 ) -> State:
     """Describe every sample of a simulated run.
 
@@ -65,6 +67,8 @@ def run_state(
         Tracker to machine.
     tables : ErrorTables
         Errors of the truth machine.
+    signals : mapping of str to ndarray, shape (n,), optional
+        Recorded beside the samples.
 
     Returns
     -------
@@ -83,6 +87,7 @@ def run_state(
         {a: axis_nodes(axis) for a, axis in machine.axes.items()},
         tables,
         float(clock[-1]),
+        signals=signals,
     )
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from otf_core.model.kinematics import lever, squareness_influence
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.solving.reversal import reversal_columns
 from otf_core.solving.unknowns import Unknowns, is_reversal, pose_block
@@ -122,7 +122,7 @@ class Design:
         return [[self._part(k, self.q + shift) for k in range(3)] for shift in self.shifts]
 
     def _part(self, axis: int, q: Array) -> AxisPart:
-        name = AXES[axis]
+        name = self.machine.axis_names[axis]
         basis = self.unknowns.bases[name]
         first, weight = basis.places(q[:, axis])
         arm = lever(self.machine, name, q)
@@ -157,8 +157,9 @@ class Design:
         at = [q + (s if s.ndim == 1 else s[pieces]) for s in self.shifts]
         travel, side = (np.concatenate([values] * len(at)) for values in fixed)
         places = np.concatenate(at)
-        for name, columns in reversal_columns(self.machine, places, travel, side, self.unknowns):
-            np.mean(columns.reshape(len(at), *q.shape), axis=0, out=found[:, :, place[name]])
+        names, columns = reversal_columns(self.machine, places, travel, side, self.unknowns)
+        mean = columns.reshape(len(at), *q.shape, len(names)).mean(axis=0)
+        found[:, :, [place[name] for name in names]] = mean
         return found
 
     def _blocks(self) -> Iterator[slice]:

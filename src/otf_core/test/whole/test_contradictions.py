@@ -18,6 +18,7 @@ from contradiction_cells import (
     recorded,
     spoiled_share,
     stepped,
+    warmed,
 )  # fmt: skip
 from nature import Extra, judge
 
@@ -178,6 +179,16 @@ def test_a_tracker_that_moved_is_found_in_time(size):
     assert seconds == pytest.approx(0.5 * a.samples.time[-1], abs=1.0)
     (plain,) = asked(stepped(a, (0.6 * size, -0.8 * size, 0.0)), mend=False)
     assert 'solved each' not in plain.words
+
+
+def test_a_bed_that_warms_up_is_no_tracker_that_moved():
+    """Its early growth explains itself as a step of tens of micrometres."""
+    a = recorded(4)
+    assert not [f for f in asked(warmed(a, 1e-4, early=0.05)) if f.check == 'moved']
+    both = asked(stepped(warmed(a, 1e-4, early=0.05), (0.0, 3e-5, 0.0), at=0.6))
+    (found,) = [f for f in both if f.check == 'moved']
+    seconds = float(found.words.split('moved ')[1].split(' s ')[0])
+    assert seconds == pytest.approx(0.6 * a.samples.time[-1], abs=1.0)
 
 
 def test_tables_are_right_though_the_tracker_moved():

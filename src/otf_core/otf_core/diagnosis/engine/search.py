@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.diagnosis.engine.beside import Beside, Candidates, Pool, orthonormal
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES
 from otf_core.diagnosis.engine.evidence import (
     Estimate,
@@ -33,12 +34,15 @@ SAME_TRACE = 0.03
 """An effect that can leave all but this share of the squared trace of another is not told
 from it."""
 MAX_CAUSES = 4
-NEXT_TO_NOTHING = 1e-9
-"""Share of the largest squared singular value."""
+MAX_CHANGES = 3
+"""Causes that are left out or exchanged at most."""
+CLEARLY_BETTER = 2.0
+"""Logarithm of the odds by which another effect must be better to take the place of a cause."""
 DECOY_DOUBT = 10.0
 """Evidence by which a shape outside the catalogue must be better than any effect in it."""
 FREE_DOUBT = 10.0
-"""Evidence by which a free form must be better than the formula, which is named else."""
+"""Evidence by which a free form must be better than a formula, of the same effect or of another,
+which is named else."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,6 @@ def fit_out(option: Option, residual: Array) -> Array:
     return residual - option.white @ fit.value
 
 
-Candidates = Mapping[str, Sequence[Tried]]
 Ranking = list[tuple[float, Tried, Index]]
 """Score of every effect, and its best option: the shape and its terms."""
 
@@ -84,7 +87,7 @@ def _pairs(group: Sequence[Tried], variance: float) -> tuple[list[tuple[Tried, I
 
 
 def _ranking(candidates: Candidates, variance: float) -> Ranking:
-    """Score and best option of every effect, best first."""
+    """Score and best option of every effect; first the best of those with the odds to be named."""
     ranking: Ranking = []
     for group in candidates.values():
         pairs, scores = _pairs(group, variance)
@@ -95,7 +98,12 @@ def _ranking(candidates: Candidates, variance: float) -> Ranking:
         best = int(np.argmax(scores - FREE_DOUBT * free))
         kinds = [average(scores[free == kind]) for kind in np.unique(free)]
         ranking.append((average(kinds) - doubt, *pairs[best]))
-    return sorted(ranking, key=lambda entry: -entry[0])
+    return sorted(ranking, key=lambda e: (e[0] >= NEEDED_EVIDENCE, _worth(e)), reverse=True)
+
+
+def _worth(entry: tuple[float, Tried, Index]) -> float:
+    """Score of an entry of a ranking, less the doubt in a free form."""
+    return entry[0] - FREE_DOUBT * is_free(entry[1])
 
 
 def is_free(tried: Tried) -> bool:
@@ -143,10 +151,11 @@ def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Optio
 
 
 def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, float]]]:
-    """Find effects one after the other.
+    """Find effects one after the other, and ask each again beside those found after it.
 
-    With Q an orthonormal basis of the columns of the causes, what is left of the columns P of an
-    effect has the products P'P - (Q'P)'(Q'P) and P'y - (Q'P)'(Q'y): no columns are written again.
+    What is named early may only have stood for what is found later, as a drift does for the axis
+    that expands. So each cause is taken away in turn: it goes where the others explain the data as
+    well, and gives way where another effect does better beside them.
 
     Returns
     -------
@@ -155,52 +164,75 @@ def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, 
     considered : list of (name, score)
         The ranking of the last round.
     """
-    residual = rows.residual
-    basis = np.zeros((len(residual), 0))
-    candidates = {name: list(group) for name, group in tried.items()}
-    causes: list[Cause] = []
-    considered: list[tuple[str, float]] = []
-    while True:
-        first = _ranking(candidates, 1.0)
-        if not first:
+    causes, considered, pool = _found(Pool.of(rows, tried), [])
+    for _ in range(MAX_CHANGES):
+        changed = _changed(pool, causes)
+        if changed is None:
             break
-        # noise is judged on what the best candidate leaves: its own trace must not count as noise
-        best = _free_of(basis, first[0][1].made(first[0][2], 1.0))
-        variance = noise_variance(rows, fit_out(best, residual))
-        ranking = _ranking(candidates, variance)
-        considered = [(t.effect.name, s) for s, t, _ in ranking]
-        if ranking[0][0] < NEEDED_EVIDENCE:
-            break
-        causes.append(_cause(ranking, candidates, basis, rows, residual, variance))
-        option = causes[-1].option
-        group = candidates.pop(option.effect.name)
-        if option.effect.wave is not None:  # each axis has a period of its own
-            candidates[option.effect.name] = [_other_axes(t, option.axes) for t in group]
-        if len(causes) == MAX_CAUSES:
-            break
-        taken = _orthonormal(option.white)
-        basis = np.concatenate([basis, taken], axis=1)
-        amount, pulled = taken.T @ residual, rows.pulled(taken)
-        residual = residual - taken @ amount
-        candidates = {n: [t.without(pulled, amount) for t in g] for n, g in candidates.items()}
+        for cause in changed:
+            if all(cause is not known for known in causes):
+                pool = pool.joined(cause.option)
+        causes, ranked, pool = _found(pool, changed)
+        causes, considered = _in_order(causes), ranked or considered
     return causes, considered
 
 
-def _other_axes(tried: Tried, axes: Sequence[str]) -> Tried:
-    """Keep the options of single axes that are not among these."""
-    takes = [take for take in tried.takes if tried.axes(take)]
-    return tried.only([take for take in takes if not set(tried.axes(take)) & set(axes)])
+def _in_order(causes: Sequence[Cause]) -> list[Cause]:
+    """Columns of every cause less what those before it can follow, and nothing else."""
+    placed: list[Cause] = []
+    basis = np.zeros((len(causes[0].option.own), 0)) if causes else np.zeros((0, 0))
+    for cause in causes:
+        option = _free_of(basis, cause.option)
+        placed.append(replace(cause, option=option))
+        basis = np.concatenate([basis, orthonormal(option.white, option.own)], axis=1)
+    return placed
 
 
-def _cause(
-    ranking: Ranking,
-    candidates: Candidates,
-    basis: Array,
-    rows: Rows,
-    residual: Array,
-    variance: float,
-) -> Cause:
+def _found(
+    pool: Pool, causes: Sequence[Cause]
+) -> tuple[list[Cause], list[tuple[str, float]], Pool]:
+    """Find effects beside causes, one after the other."""
+    causes, considered = list(causes), []
+    while len(causes) < MAX_CAUSES:
+        beside = pool.beside([c.option for c in causes])
+        first = _ranking(beside.candidates, 1.0)
+        if not first:
+            break
+        # noise is judged on what the best candidate leaves: its own trace must not count as noise
+        best = _free_of(beside.basis, first[0][1].made(first[0][2], 1.0))
+        variance = noise_variance(pool.rows, fit_out(best, beside.residual))
+        ranking = _ranking(beside.candidates, variance)
+        considered = [(t.effect.name, s) for s, t, _ in ranking]
+        if ranking[0][0] < NEEDED_EVIDENCE:
+            break
+        causes.append(_cause(ranking, beside, variance))
+        pool = pool.joined(causes[-1].option)
+    return causes, considered, pool
+
+
+def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
+    """The causes with the one that is worst placed left out or exchanged; None if all stay."""
+    if len(causes) < 2:
+        return None
+    rest = pool.beside([c.option for c in causes]).residual
+    variance = noise_variance(pool.rows, rest)
+    worst, found = 0.0, None
+    for cause in causes:
+        others = [c for c in causes if c is not cause]
+        beside = pool.beside([c.option for c in others])
+        ranking = _ranking(beside.candidates, variance)
+        (own,) = [e for e in ranking if e[1].effect.name == cause.option.effect.name]
+        if own[0] < NEEDED_EVIDENCE and own[0] - NEEDED_EVIDENCE < worst:
+            worst, found = own[0] - NEEDED_EVIDENCE, others
+        elif (lost := _worth(own) - _worth(ranking[0])) < min(worst, -CLEARLY_BETTER):
+            worst, found = lost, [*others, _cause(ranking, beside, variance)]
+    return found
+
+
+def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
     """The first of a ranking as a cause, with what is not told from it."""
+    rows, candidates = beside.rows, beside.candidates
+    basis, residual = beside.basis, beside.residual
     score, tried, take = ranking[0]
     option = _refined(_free_of(basis, tried.made(take, variance)), basis, rows, residual)
     group = [t for t in candidates[tried.effect.name] if not is_free(t) and t.effect.refine]
@@ -222,8 +254,8 @@ def _cause(
             s > score - CLOSE_EVIDENCE or (s > NEEDED_EVIDENCE and not is_free(t) and same(t, own))
         )
     ]
-    odds = np.array([0.0] + [s for s, _, _ in ranking])
-    confidence = float(np.exp(score - np.logaddexp.reduce(odds)))
+    odds = np.array([0.0, *map(_worth, ranking)])
+    confidence = float(np.exp(odds[1] - np.logaddexp.reduce(odds)))
     return Cause(option, score, confidence, tuple(close[:4]))
 
 
@@ -238,13 +270,6 @@ def _score(option: Option, residual: Array, variance: float) -> float:
 def _free_of(basis: Array, option: Option) -> Option:
     """Leave out of an option what the causes found so far, spanned by ``basis``, can follow."""
     return replace(option, white=option.own - basis @ (basis.T @ option.own))
-
-
-def _orthonormal(columns: Array) -> Array:
-    """Orthonormal basis of columns (r, k), those that are next to nothing left out."""
-    values, vectors = np.linalg.eigh(columns.T @ columns)
-    kept = values > NEXT_TO_NOTHING * values[-1]
-    return np.asarray(columns @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 
 def fit_jointly(causes: Sequence[Cause], rows: Rows) -> Estimate:

@@ -14,7 +14,7 @@ time; those of the causes found are made again.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Protocol
 
@@ -74,6 +74,8 @@ class Tried:
     takes : tuple of ndarray of int
         Terms of every option: all that act, and those of each axis.
     source : Source
+    shared : ndarray, shape (q, k)
+        Products with the orthonormal columns that were left out.
     """
 
     effect: Effect
@@ -85,6 +87,7 @@ class Tried:
     right: Array
     takes: tuple[Index, ...]
     source: Source
+    shared: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def axes(self, take: Index) -> tuple[str, ...]:
         """Machine axes of some terms."""
@@ -114,7 +117,25 @@ class Tried:
         """Leave out what orthonormal columns can follow, and of y ``amount`` (q,) of them."""
         shared = self.source.shared(pulled)
         return replace(
-            self, normal=self.normal - shared.T @ shared, right=self.right - shared.T @ amount
+            self,
+            normal=self.normal - shared.T @ shared,
+            right=self.right - shared.T @ amount,
+            shared=np.concatenate([self.shared.reshape(-1, len(self.size)), shared]),
+        )
+
+    def beside(self, back: Array, amount: Array) -> Tried:
+        """Let combinations ``back`` (q, n) of what was left out count again.
+
+        Parameters
+        ----------
+        back : ndarray, shape (q, n)
+            Orthonormal.
+        amount : ndarray, shape (n,)
+            Of y along them.
+        """
+        shared = back.T @ self.shared
+        return replace(
+            self, normal=self.normal + shared.T @ shared, right=self.right + shared.T @ amount
         )
 
     def only(self, takes: Sequence[Index]) -> Tried:

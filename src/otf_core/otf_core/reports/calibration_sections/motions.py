@@ -9,7 +9,7 @@ import numpy as np
 
 from otf_core.calibration.result import GAUGE, CalibrationResult
 from otf_core.files.csv_points import tidy
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, MOTIONS, ErrorMotion
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.panel import Panel, words
@@ -24,7 +24,7 @@ def role(motion: ErrorMotion) -> str:
     """What a motion is called."""
     if motion.is_translation:
         return ROLES[motion.is_positioning]
-    return 'roll' if motion.along == motion.place else f'rotation about {AXES[motion.along]}'
+    return 'roll' if motion.along == motion.place else f'rotation about {XYZ[motion.along]}'
 
 
 def section(facts: Facts) -> Section:
@@ -113,7 +113,9 @@ def spacing_words(result: CalibrationResult) -> str:
 
 def _pictures(facts: Facts) -> Sequence[Picture]:
     panels = tuple(
-        _panel(facts, ErrorMotion(direction, axis)) for direction in DIRECTIONS for axis in AXES
+        _panel(facts, ErrorMotion(direction, axis))
+        for direction in DIRECTIONS
+        for axis in facts.machine.axis_names
     )
     both = (
         'Forward (dashed) and backward (dotted) travel where they differ. '

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.reports.drawing.heat import heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale
@@ -112,8 +112,8 @@ def _panel(
     half = 0.5 * metre * np.array([WIDE, HIGH])
     low, high = middle - half, middle + half
     panel = Panel(
-        Scale(float(low[0]), float(high[0]), f'{AXES[plane[0]]} (m)'),
-        Scale(float(low[1]), float(high[1]), f'{AXES[plane[1]]} (m)'),
+        Scale(float(low[0]), float(high[0]), f'{XYZ[plane[0]]} (m)'),
+        Scale(float(low[1]), float(high[1]), f'{XYZ[plane[1]]} (m)'),
         height=HIGH + 62.0,
     )
     marks = []
@@ -127,5 +127,5 @@ def _panel(
     centre = found.low + 0.5 * found.size
     reach = 0.5 * ARROW * found.size.min() / max(longest, 1e-9) * found.mean
     marks.append(panel.arrows(centre - reach, centre + reach, 'dark thin'))
-    names = ' and '.join(AXES[k] for k in plane)
+    names = ' and '.join(XYZ[k] for k in plane)
     return panel.draw(marks, f'residual over {names}, {label}', label)
