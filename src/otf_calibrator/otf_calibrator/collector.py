@@ -27,6 +27,8 @@ SAME_RUN_NS = 600_000_000_000
 """ns; a driver that was started again so much later does not go on with the run."""
 LATE = 2.0
 """s; samples that have not arrived so long after the end of their stream are lost."""
+UNDER_WAY = 0.1
+"""s; what was published before a request has arrived so long after it."""
 MOTION = 0.01
 """m; travelled by less, the target has not been driven yet."""
 MOVED = 5
@@ -146,6 +148,14 @@ class Collector:
     def goes_on(self, now: float) -> bool:
         """Tell whether more samples of the run are on their way."""
         return not self.taken and not self._stream.ended and now - self._heard < LATE
+
+    def on_the_way(self, now: float, since: float) -> bool:
+        """Tell whether samples that were measured until ``since`` may still arrive."""
+        if self.taken:
+            return False
+        if self._stream.ended:
+            return not self._stream.over(now)
+        return self._heard > since - UNDER_WAY and now - since < UNDER_WAY
 
     def set_path(self, path: NominalPath) -> bool:
         """Take a path; samples that came before the first are kept. False if it is the same."""

@@ -9,7 +9,7 @@ not fitted on; where the gap lies; the calibration with the causes taken off.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,23 +105,27 @@ def diagnose(
     where, shape = where_and_shape(
         views, project=rows.project, known=known, certain=nameless is None
     )
-    del rows, seen  # their memory is needed now
+    told = [(c.confidence, c.indistinguishable) for c in explained.causes]
+    verdict, left = judged.verdict, judged.left if told else shape
+    visible, considered = found.visible, found.considered
+    views = tuple(replace(v) for v in views)  # without what they have worked out
+    del rows, seen, found, judged, explained, fitted  # their memory is needed now
     progress('correcting', 0.0)
     taken = [applied[k] for k in solved.source]
-    calibration = with_causes(solved, plain, explained.causes, taken, config, sentence)
+    calibration = with_causes(solved, plain, told, taken, config, sentence)
     return Diagnosis(
         runs=tuple(r.name or f'run {k}' for k, r in enumerate(recordings, start=1)),
-        verdict=judged.verdict,
+        verdict=verdict,
         sentence=sentence,
         gap=gap,
         causes=causes,
         unexplained_um=gap.after_um,
-        unexplained_where=judged.left if explained.causes else shape,
-        not_visible=_not_visible(found.visible, causes),
+        unexplained_where=left,
+        not_visible=_not_visible(visible, causes),
         where=where,
-        considered=found.considered,
+        considered=considered,
         smallest_found_um={
-            n: 1e6 * v.smallest for n, v in found.visible.items() if np.isfinite(v.smallest)
+            n: 1e6 * v.smallest for n, v in visible.items() if np.isfinite(v.smallest)
         },
         contradictions=solved.runs[0].remarks,
         table_change_um=_table_change_um(calibration),
