@@ -80,8 +80,8 @@ ACTS = 0.02
 """Share of the largest displacement from which an effect counts as acting."""
 MOST = 25e-6
 """m; root mean square of a displacement itself is not drawn larger, but where it is the size."""
-PEAK = 40e-6
-"""m; nor does it displace any sample by more: no guideway has such a dent."""
+PEAK = 25e-6
+"""m; nor does it displace any sample by more: dents and tolerances of corners are not larger."""
 
 
 @dataclass(frozen=True)
