@@ -32,7 +32,7 @@ from otf_core.calibration.result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.evaluation import lattice, rigid_columns, without_rigid_motion
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.planning.creator import plan_path
@@ -105,8 +105,8 @@ def splined(tables: ErrorTables) -> ErrorTables:
 def truth_in_gauge(case: Case) -> dict[str, Array]:
     """True node values and squareness in the gauge of the result, at its nodes."""
     tables, machine = case.result.tables, case.result.tables.machine
-    nodes = {a: tables.motions[f'EX{a}'].position for a in AXES}
-    points = np.stack(np.meshgrid(*(nodes[a] for a in AXES), indexing='ij'), axis=-1)
+    nodes = {a: tables.motions[f'EX{a}'].position for a in machine.axis_names}
+    points = np.stack(np.meshgrid(*nodes.values(), indexing='ij'), axis=-1)
     q = points.reshape(-1, 3)
     unknowns = layout(nodes)
     rows = np.zeros((3 * len(q), unknowns.full))

@@ -40,13 +40,6 @@ def judged(names, found):
     return all(any(CAUSES[n][1] & said for said in named) for n in names)
 
 
-def inputs_right(names, found):
-    """Whether the block without a name names the inputs of the cause put in."""
-    unnamed = getattr(found, 'unnamed', None)
-    wanted = set().union(*(CAUSES[n][1] for n in names if n in UNKNOWN))
-    return unnamed is not None and wanted <= set(unnamed.depends_on)
-
-
 def run(names, seed, size, rate):
     """Diagnose one cell and print a line."""
     cell = DepartedCell(seed, CHAINS[seed % 3], path='short', feed=0.25)
@@ -62,9 +55,8 @@ def run(names, seed, size, rate):
     )
     unnamed = getattr(found, 'unnamed', None)
     if unnamed is not None:
-        right_inputs = '+' if inputs_right(names, found) else '-'
         said += (
-            f' [{right_inputs} {"*".join(unnamed.depends_on)} as {unnamed.acts_as}: '
+            f' [{"*".join(unnamed.depends_on)} as {unnamed.acts_as}: '
             f'{unnamed.before_um:.2f} -> {unnamed.after_um:.2f}]'
         )
     title = '+'.join(names) or QUIET

@@ -31,7 +31,7 @@ from otf_core.calibration.result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.planning.creator import plan_path
 from otf_core.planning.forecast import grid_uncertainty
@@ -63,7 +63,7 @@ def size_over_u(result: CalibrationResult, truth: ErrorTables) -> Array:
     """Error components left on the grid over their standard uncertainties, shape (n, 3)."""
     machine, grid = truth.machine, lattice(truth.machine, GRID)
     field = displacement(result.tables, grid) - displacement(truth, grid)
-    nodes = {a: result.tables.motions[f'EX{a}'].position for a in AXES}
+    nodes = {a: result.tables.motions[f'EX{a}'].position for a in machine.axis_names}
     u = grid_uncertainty(machine, nodes, result.covariance, grid)[1]
     return np.asarray(np.abs(without_rigid_motion(field, grid)) / u)
 

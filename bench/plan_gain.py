@@ -20,7 +20,7 @@ from otf_core.calibration.calibrate import calibrate
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan, plan_for_path
 from otf_core.planning.creator import plan_path
@@ -98,7 +98,7 @@ def achieved(plan: Plan, bench: Machine, seeds: range) -> tuple[NDArray[np.float
         result = calibrate(run.samples, plan.path, bench)
         field = displacement(result.tables, grid) - displacement(run.truth, grid)
         errors.append(rms(without_rigid_motion(field, grid)))
-        nodes = {a: result.tables.motions[f'EX{a}'].position for a in AXES}
+        nodes = {a: result.tables.motions[f'EX{a}'].position for a in bench.axis_names}
         stated.append(rms(grid_uncertainty(bench, nodes, result.covariance, grid)[1]))
     return np.array(errors), float(np.mean(stated))
 

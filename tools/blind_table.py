@@ -2,16 +2,19 @@
 """Tables of a blind trial in README.md and docs/diagnosis.md, as the commands wrote them.
 
 ``python3 tools/blind_table.py TRIAL LEAVE_ONE_OUT`` takes the folders of ``./otf blind`` with and
-without ``--leave-one-out`` and puts their tables between the marks.
+without ``--leave-one-out`` and puts their tables between the marks, and the reliability diagram
+of the first into docs/images.
 """
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = {ROOT / 'README.md': 'readme.md', ROOT / 'docs' / 'diagnosis.md': 'particulars.md'}
+DIAGRAM, IMAGES = 'reliability.svg', ROOT / 'docs' / 'images'
 MARKS = ('blind trial', 'leave one out')
 
 
@@ -43,6 +46,7 @@ def main(folders: list[str]) -> None:
         for name, folder in zip(MARKS, folders, strict=True):
             text = with_table(text, name, (Path(folder) / file).read_text(encoding='utf-8'))
         page.write_text(text, encoding='utf-8')
+    shutil.copyfile(Path(folders[0]) / DIAGRAM, IMAGES / DIAGRAM)
 
 
 if __name__ == '__main__':

@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import hashes
 import layout
 import ros
 from layout import SetupError
@@ -139,8 +140,26 @@ def is_current(home: Path, stamp: str, key: str) -> bool:
 def pip(home: Path, title: str, words: list[str | Path], env: dict[str, str]) -> None:
     dropped = ('PIP_USER', 'PIP_TARGET', 'PIP_PREFIX', 'PIP_REQUIREMENT', 'PIP_CONSTRAINT')
     env = {name: value for name, value in env.items() if name not in dropped}
-    options = ['--no-input', '--disable-pip-version-check', '--retries', '2']
+    options: list[str | Path] = ['--no-input', '--disable-pip-version-check', '--retries', '2']
+    report = LOG / (title.replace(' ', '-') + '.json')
+    report.unlink(missing_ok=True)
+    if reports(home):
+        options += ['--report', report]
     step(title, [home / 'bin/python', '-m', 'pip', 'install', *options, *words], env)
+    changed = hashes.changed(report) if report.is_file() else []
+    if changed:
+        wipe(home)
+        raise SetupError(
+            f'{title}: another content than the one that was pinned: {", ".join(changed)}; is the '
+            f'package index that pip is set to to be trusted? Nothing of it is kept'
+        )
+
+
+def reports(home: Path) -> bool:
+    """Whether the pip of an environment tells what it has installed; since 22.3."""
+    names = [path.name for path in home.glob('lib/python3.*/site-packages/pip-*.dist-info')]
+    versions = [name.removeprefix('pip-').split('.')[:2] for name in names]
+    return any([int(part) for part in version] >= [22, 3] for version in versions)
 
 
 def need(ros_too: bool) -> None:

@@ -115,6 +115,28 @@ def test_delay_of_all_packets_is_bounded_by_the_command_to_start():
     assert worst[1] < 1.5 * MILLISECOND
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_command_to_start_and_its_answer_tell_the_clock_at_once(seed):
+    """Packets that a busy computer delivers late do not matter then."""
+    stamper = Stamper()
+    stamper.started(EPOCH - 3 * 10**5, EPOCH + 10**6)
+    source = list(packets(seed, 60, 18e-6, delays=Delays(4e-3)))
+    stamps, true = stamped(source[:1], stamper)
+    assert len(stamps) == len(source[0][0])
+    later, also = stamped(source[1:], stamper)
+    off = np.abs(np.concatenate([stamps - true, later - also]))
+    assert off.max() < MILLISECOND
+    assert stamper.clock.jumps == 0
+
+
+def test_answer_that_precedes_the_start_by_far_is_not_believed():
+    """A tracker that answers at once and starts its clock 30 ms later."""
+    stamper = Stamper()
+    stamper.started(EPOCH - 30_400_000, EPOCH - 30_000_000)
+    stamps, true = stamped(packets(8, 60, 18e-6, delays=Delays(1e-3)), stamper)
+    assert np.abs(stamps - true).max() < MILLISECOND
+
+
 def test_rate_of_the_quartz_is_kept_when_the_clock_starts_again():
     stamper = Stamper()
     stamped(packets(6, 100, 18e-6), stamper)

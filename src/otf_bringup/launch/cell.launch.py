@@ -13,18 +13,18 @@ ros2 launch otf_bringup cell.launch.py respawn:=true      nodes that die come ba
 Several cells, trackers and machines: docs/graph.md
 """
 
-import sys
 from contextlib import suppress
-from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, TextSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
+from otf_bringup.launching import ended, refuse_unknown
 from otf_core.config import PlannerConfig
 from otf_tracker_driver.backends import BACKENDS
 
@@ -47,8 +47,9 @@ ARGUMENTS = [
     ('rate', '', 'samples per second, simulated or of an emScon tracker'),
 ]
 FILES = 'cell.launch.py', 'replay.launch.py'
-RESPAWN_DELAY = 1.0
+RESPAWN_DELAY = 0.3
 """s"""
+AGAIN = '; respawn:=true starts a node again'
 SHORT = {
     'replay.bag': 'bag',
     'simulated.truth_tables': 'truth_tables',
@@ -84,7 +85,7 @@ def generate_launch_description():
 def nodes(context, known):
     """Return the nodes; no planner where the path comes with the samples."""
     given = context.launch_configurations
-    refuse_unknown([*known, 'bag'], context.argv)
+    refuse_unknown([*known, 'bag'], context.argv, FILES)
     backend = BACKENDS.get(given['backend'])
     taken = {
         'path_planner': (['machine_file', 'path_file'], further(given, PLANNER_PARAMETERS)),
@@ -107,17 +108,6 @@ def nodes(context, known):
     ]
 
 
-def refuse_unknown(known, words):
-    """Name launch arguments that nothing reads; launch itself takes any."""
-    if not any(word.endswith(FILES) for word in sys.argv):
-        return  # they are those of a launch file that includes this one
-    for name in [word.partition(':=')[0] for word in words if ':=' in word]:
-        if name not in known:
-            near = get_close_matches(name, known, 1)
-            hint = f'; did you mean {near[0]!r}?' if near else ''
-            raise RuntimeError(f'launch argument {name!r} is unknown{hint} --show-args lists all')
-
-
 def further(given, infos):
     """Return the parameters that have been given, by their names in the node."""
     words = {name: given[SHORT.get(name, name)] for name in infos}
@@ -135,18 +125,6 @@ def rate(given):
         return {'simulated.rate': hertz, 'emscon.interval': 1 / hertz}
     except (ValueError, ZeroDivisionError):
         raise RuntimeError(f'rate: {given["rate"]!r}; give samples per second') from None
-
-
-def ended(event, context):
-    """End all where one node ends by itself; with an error where that was one."""
-    if context.is_shutdown:
-        return []
-    if event.returncode:
-        raise RuntimeError(
-            f'{event.process_name} ended with exit code {event.returncode}, so all ends; '
-            f'respawn:=true starts a node again'
-        )
-    return [Shutdown(reason=f'{event.process_name} has ended')]
 
 
 def elsewhere(given):
@@ -187,5 +165,5 @@ def node(name, given, taken, own):
         emulate_tty=True,
         respawn=respawn,
         respawn_delay=RESPAWN_DELAY,
-        on_exit=None if respawn or name in VIEWERS else ended,
+        on_exit=None if respawn or name in VIEWERS else partial(ended, hint=AGAIN),
     )

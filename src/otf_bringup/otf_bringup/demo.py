@@ -39,8 +39,6 @@ ERROR_SIZE = 1e-4
 """m; mean volumetric error of the simulated machine."""
 RATE = 500.0
 """Hz"""
-WALL_TIME = 55.0
-"""s; the run is simulated so fast that it takes about so long."""
 
 
 class DemoError(OtfError):
@@ -63,7 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     share = Path(get_package_share_directory('otf_bringup'))
-    parser = argparse.ArgumentParser(prog='otf demo', description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog='otf demo',
+        description=__doc__.splitlines()[0],
+        epilog='Example: ./otf demo --view --seed 3',
+    )
     parser.add_argument(
         '--out', type=Path, default=Path('demo_output'), help='folder for all files (%(default)s)'
     )

@@ -50,7 +50,7 @@ START = 60.0
 """s; until the first samples come."""
 LAP = 280.0
 """s; of a lap of the default path of the default machine, about."""
-RESPAWN = 1.0
+RESPAWN = 0.3
 """s; as the launch files do."""
 
 
@@ -174,7 +174,8 @@ def run(given: argparse.Namespace, folder: Path) -> int:
 def main() -> int:
     """Run; returns the exit code."""
     default = Path(__file__).resolve().parents[1] / 'config' / 'machine.yaml'
-    parser = Parser('otf soak', description=__doc__)
+    example = 'Example: ./otf soak --minutes 2 --out soak'
+    parser = Parser('otf soak', description=__doc__, epilog=example)
     parser.add_argument('--minutes', type=float, default=10.0, help='of all faults together')
     parser.add_argument('--machine', default=str(default), help='machine.yaml')
     parser.add_argument('--seed', type=int, default=1, help='of cell and faults')

@@ -32,11 +32,11 @@ from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
 from otf_core.pieces.methods import PREPARATIONS
 from otf_core.pieces.runs import Recording
-from otf_core.reports.calibration import write_calibration
-from otf_core.reports.with_effects import write_with_effects
+from otf_core.reports.calibration import facts_of, write_calibration, write_report
+from otf_core.reports.with_effects import write_reports, write_with_effects
 from otf_core.sim.twin import twin_recording
 
-Writer = Callable[[Path], list[Path]]
+Writer = Callable[[Path], object]
 A = TypeVar('A')
 
 BAG = 'samples'
@@ -66,12 +66,16 @@ class Request:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A calibration that succeeded; ``folder`` is None if its files could not be written."""
+    """A calibration that succeeded; ``folder`` is None if its files could not be written.
+
+    ``report`` writes the report into it, which takes a while.
+    """
 
     request: Request
     recording: Recording
     result: CalibrationResult
     folder: Path | None
+    report: Writer
     problem: str = ''
 
 
@@ -113,19 +117,25 @@ class Worker:
         return self._pool.submit(self._provisional, request)
 
     def save(self, outcome: Calibrated) -> Future[Calibrated]:
-        """Keep path and samples as a bag beside the results, if that is wanted."""
-        self.stage, self.fraction = 'saving the samples', 0.0
+        """Add the report, and path and samples as a bag, to the results as far as wanted."""
+        self.stage, self.fraction = 'saving report and samples', 0.0
         return self._pool.submit(self._save, outcome)
 
     def _save(self, outcome: Calibrated) -> Calibrated:
-        recording, folder = outcome.recording, outcome.folder
-        if not folder or not outcome.request.files.save_bag:
+        files, recording, folder = outcome.request.files, outcome.recording, outcome.folder
+        if not folder:
             return outcome
+        what = 'the report was not written'
         try:
-            signals = outcome.request.signals
-            write_bag(folder / BAG, BagContent(recording.samples, recording.path, signals=signals))
+            if files.report:
+                outcome.report(folder)
+            what = 'the samples were not saved'
+            if files.save_bag:
+                signals = outcome.request.signals
+                content = BagContent(recording.samples, recording.path, signals=signals)
+                write_bag(folder / BAG, content)
         except OtfError as error:
-            problem = f'the samples were not saved: {error}'
+            problem = f'{what}: {error}'
             self._warn(problem)
             return replace(outcome, problem=problem)
         return outcome
@@ -157,7 +167,7 @@ class Worker:
 
     def _calibrate(self, request: Request) -> Calibrated:
         recording = recording_of(request)
-        result, write = self._solved(recording, request)
+        result, write, report = self._solved(recording, request)
         base = _base(request.files)
         folder = free_folder(base, result.run_id)
         try:
@@ -165,11 +175,14 @@ class Worker:
                 write(partial)
             point_latest(base / 'latest', folder.name)
         except OtfError as error:
-            return Calibrated(request, recording, result, None, f'files not written: {error}')
-        return Calibrated(request, recording, result, folder, _kept(request.files, folder))
+            problem = f'files not written: {error}'
+            return Calibrated(request, recording, result, None, report, problem)
+        return Calibrated(request, recording, result, folder, report, _kept(request.files, folder))
 
-    def _solved(self, recording: Recording, request: Request) -> tuple[CalibrationResult, Writer]:
-        """The result and what writes its files."""
+    def _solved(
+        self, recording: Recording, request: Request
+    ) -> tuple[CalibrationResult, Writer, Writer]:
+        """The result, what writes its files, and what adds the report to them."""
         files = request.files
         if files.effects != NONE:
             done = calibrate_with_effects(
@@ -180,10 +193,12 @@ class Worker:
                 self._progress,
                 files.method,
             )
-            return done.result, functools.partial(write_with_effects, done, report=files.report)
+            write = functools.partial(write_with_effects, done, report=False)
+            return done.result, write, functools.partial(write_reports, done)
         prepare = PREPARATIONS[files.method]
         result = calibrate_runs([recording], request.config, self._progress, prepare)
-        return result, functools.partial(write_calibration, result, report=files.report)
+        write = functools.partial(write_calibration, result, report=False)
+        return result, write, lambda folder: write_report(folder, facts_of(result))
 
 
 def recording_of(request: Request) -> Recording:

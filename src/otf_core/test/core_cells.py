@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small cells for the tests of the core: machines, drives, and ways to spoil a recording."""
 
+import json
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -17,7 +18,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath, sides_of_travel
-from otf_core.model.tables import ErrorTables, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, MotionTable, Squareness, tables_to_dict
 from otf_core.noise.model import NoiseModel, covariance_parts
 from otf_core.pieces.pieces import Pieces
 from otf_core.planning.creator import plan_path
@@ -38,6 +39,13 @@ def some_machine(chain='w-b-X-Y-Z-t', ranges=RANGES, pitch=0.05, offset=(0.02, -
     axes = {a: Axis(low, high, pitch) for a, (low, high) in zip(AXES, ranges, strict=True)}
     spec = TrackerSpec(0.5e-6, 2e-6)
     return Machine('small', Chain.parse(chain), axes, np.array(offset), spec)
+
+
+def written_tables(tmp_path, tables, **blocks):
+    """An error_tables.json with further blocks."""
+    file = tmp_path / 'error_tables.json'
+    file.write_text(json.dumps({**tables_to_dict(tables), **blocks}))
+    return file
 
 
 def zero_tables(machine, nodes=2):

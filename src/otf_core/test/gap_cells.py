@@ -5,6 +5,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from otf_core.diagnosis.place.views import RunView
+from otf_core.model.frames import XYZ
 from otf_core.noise.model import path_frame
 
 TRACKER = np.array([-0.8, -0.5, 0.3])
@@ -65,12 +66,12 @@ def run_view(gap=None, seed=1, name='run', noise=NOISE, laps=2, feed=0.25, ratio
     rng = np.random.default_rng(seed)
     pure = correlated(time, leg, rng, noise)
     parts = (time, leg, q, direction, speed, beam, axes)
-    empty = RunView(name, *parts, pure, pure, np.full(pure.shape, NOISE))
+    empty = RunView(name, XYZ, *parts, pure, pure, np.full(pure.shape, NOISE))
     if gap is None:
         return empty
     before = pure + np.einsum('cpk,pk->cp', axes, gap(empty))
     rest = pure if after is None else pure + np.einsum('cpk,pk->cp', axes, after(empty))
-    return RunView(name, *parts, before, rest, empty.expected)
+    return RunView(name, XYZ, *parts, before, rest, empty.expected)
 
 
 def along(axis, size):

@@ -65,6 +65,12 @@ def test_what_calibrates_and_diagnoses_knows_nothing_of_simulations(file):
 
 
 @every_file
+def test_axes_are_asked_of_the_machine_above_the_room_that_describes_it(file):
+    if file.parent.name != 'model':
+        assert 'otf_core.model.machine.AXES' not in set(imports(TREES[file]))
+
+
+@every_file
 def test_random_numbers_are_drawn_in_simulations_only(file):
     if file.parent.name not in SIMULATING:
         names = {n.attr for n in ast.walk(TREES[file]) if isinstance(n, ast.Attribute)}
@@ -101,6 +107,14 @@ def inside_private(tree, node):
 @every_file
 def test_no_module_is_longer_than_400_lines(file):
     assert len(file.read_text().splitlines()) <= 400
+
+
+def test_tests_are_no_longer_than_that_either_and_bear_names_of_their_own():
+    here = Path(__file__).parent
+    files = [f for folder in (here, here.parents[2] / 'tests') for f in folder.rglob('*.py')]
+    assert not [f.name for f in files if len(f.read_text().splitlines()) > 400]
+    names = [f.name for f in files if f.name.startswith('test_')]
+    assert len(names) == len(set(names)) > 100, 'one call of pytest collects them all'
 
 
 @every_file

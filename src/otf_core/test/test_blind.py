@@ -1,57 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blind trial: drawing, sealing, scoring."""
+"""Blind trial: what is drawn."""
 
-import json
+import ast
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
-from otf_core.blind.cases import KINDS, kinds_of
+from otf_core.blind.cases import KINDS, TAKE_TURNS, kinds_of
+from otf_core.blind.depends import WITHOUT, kin_of
 from otf_core.blind.draw import draw_trial, nodal
 from otf_core.blind.draw_effects import draw_effect, scaled
-from otf_core.blind.outcome import NOISE, outcome
-from otf_core.blind.publish import Measured, fragment
-from otf_core.blind.recovery import parameter_deviations
-from otf_core.blind.score import calibration, summary
-from otf_core.blind.seal import KEY, SEAL, open_key, orders
+from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS
+from otf_core.blind.outcome import NOISE
+from otf_core.blind.seal import orders
 from otf_core.blind.sight import see
-from otf_core.blind.table import criteria
 from otf_core.blind.trace import make_ruler, sample_state
-from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS, since_reversal
+from otf_core.blind.view import SENSOR, since_reversal
 from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.effects import REGISTRY, AppliedEffect
-from otf_core.errors import InputError
 from otf_core.model.kinematics import exact_position
 from otf_core.model.plan import check_inside
 from otf_core.sim.cell import simulate
 
 
-def part(effect, size_um=2.0, snr=50.0, raw_um=4.0):
-    return {'effect': effect, 'parameters': {}, 'size_um': size_um, 'raw_um': raw_um, 'snr': snr}
-
-
-def entry(*parts, kind='one', bends_um=0.0, heavy_tails=False):
-    return {
-        'cell': '000',
-        'kind': kind,
-        'parts': list(parts),
-        'bends_um': bends_um,
-        'heavy_tails': heavy_tails,
-    }
-
-
-def answer(*causes, verdict='explained', not_visible=()):
-    return {
-        'verdict': verdict,
-        'causes': [{'effect': e, 'indistinguishable_from': list(o), 'u': {}} for e, o in causes],
-        'not_visible': [{'effect': n} for n in not_visible],
-    }
-
-
 @pytest.fixture(scope='module')
 def trial():
-    return draw_trial('000', np.random.default_rng(5))
+    return draw_trial('000', np.random.default_rng(5), signals=True)
 
 
 @pytest.fixture(scope='module')
@@ -65,7 +41,7 @@ def ruler(trial):
 
 
 def test_same_seed_draws_the_same_cell(trial):
-    again = draw_trial('000', np.random.default_rng(5))
+    again = draw_trial('000', np.random.default_rng(5), signals=True)
     assert again.machine.to_dict() == trial.machine.to_dict()
     assert np.array_equal(again.plan.path.points, trial.plan.path.points)
 
@@ -79,14 +55,19 @@ def test_drawn_paths_stay_inside_the_ranges(seed):
 
 def test_kinds_come_in_their_shares():
     kinds = [k for k, _ in kinds_of(100, 3)]
-    assert {k: kinds.count(k) for k in KINDS} == {k: round(100 * v) for k, v in KINDS.items()}
+    wanted = {k: round(100 * v.share) for k, v in KINDS.items()}
+    assert {k: kinds.count(k) for k in KINDS} == wanted
+    assert sum(wanted.values()) == 100
 
 
-def test_leave_one_out_takes_every_effect_in_turn():
-    assert [o.names[0] for o in orders(len(REGISTRY), 1, leave_one_out=True)] == list(REGISTRY)
+def test_leave_one_out_takes_an_effect_and_all_that_it_can_be():
+    assert [o.names[0] for o in orders(len(WITHOUT), 1, leave_one_out=True)] == list(WITHOUT)
+    assert set(kin_of('backlash')) == {'backlash', 'direction_dependent_tables'}
+    assert kin_of('vibration') == ('vibration',)
+    assert all(name in kin_of(name) for name in REGISTRY)
 
 
-@pytest.mark.parametrize('name', [n for n in (*UNKNOWN_EFFECTS, *REGISTRY) if n not in NOISE])
+@pytest.mark.parametrize('name', [n for n in (*OUTSIDE, *REGISTRY) if n not in NOISE])
 def test_effects_are_drawn_and_scaled_in_proportion(name, trial, state):
     drawn = draw_effect(name, trial.machine, trial.plan.duration, np.random.default_rng(1))
     once = drawn.effect.displacement(state, drawn.parameters)
@@ -97,9 +78,76 @@ def test_effects_are_drawn_and_scaled_in_proportion(name, trial, state):
     assert not none.effect.displacement(state, none.parameters).any()
 
 
-def test_unknown_effects_are_not_in_the_registry():
-    assert not set(UNKNOWN_EFFECTS) & set(REGISTRY)
-    assert not {type(e) for e in UNKNOWN_EFFECTS.values()} & {type(e) for e in REGISTRY.values()}
+def test_forms_of_nature_are_not_in_the_registry():
+    assert not set(OUTSIDE) & set(REGISTRY)
+    assert not {type(e) for e in OUTSIDE.values()} & {type(e) for e in REGISTRY.values()}
+    assert len(DEPARTED) >= 15
+    assert all(e.stands_for <= set(REGISTRY) for e in OUTSIDE.values())
+    assert {n for names in TAKE_TURNS.values() for n in names} == {*OUTSIDE, *REGISTRY}
+
+
+FORBIDDEN = ('otf_core.effects.free', 'otf_core.effects.inputs', 'otf_core.effects.history')
+
+
+@pytest.mark.parametrize('module', ['view', 'departed_forms', 'nameless_forms'])
+def test_natures_share_no_code_with_catalogue_or_free_forms(module):
+    tree = ast.parse(find_spec(f'otf_core.blind.{module}').loader.get_data(
+        find_spec(f'otf_core.blind.{module}').origin).decode())  # fmt: skip
+    imports = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    assert {m for m in imports if m.startswith('otf_core.effects.')} == set()
+    used = [n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)]
+    assert used.count('more') == (module == 'view')  # the sensor, not the history of free forms
+
+
+def share_left(form, columns):
+    """What least squares by columns (3n, k) leaves of a displacement."""
+    rest = form - columns @ np.linalg.lstsq(columns, form, rcond=None)[0]
+    return np.linalg.norm(rest) / np.linalg.norm(form)
+
+
+def test_what_follows_a_signal_is_late_and_in_proportion(state):
+    warm = FOLLOWING['departed_warm_head'].displacement(state, {'draw': 5.0, 'A': 1e-6})
+    size, sensor = np.linalg.norm(warm, axis=1), state.more[SENSOR]
+    assert np.allclose(np.cross(warm, warm[-1]), 0.0, atol=1e-20)  # one direction
+    assert size[0] == 0.0 and np.argmax(size) > np.argmax(sensor > 0.9 * sensor.max())
+    assert np.corrcoef(size, sensor)[0, 1] > 0.5
+
+
+@pytest.mark.parametrize('name', DEPARTED)
+def test_other_forms_depart_from_the_formula(name, trial, state):
+    drawn = draw_effect(name, trial.machine, trial.plan.duration, np.random.default_rng(4))
+    rows = np.linspace(0, len(state) - 1, 1500).astype(int)
+    moved, at = drawn.effect.displacement(state, drawn.parameters)[rows].ravel(), state.part(rows)
+    for known in drawn.effect.stands_for:
+        effect = REGISTRY[known]
+        probe = (
+            [effect.complete_shape({effect.wave.parameter: effect.wave.probe})]
+            if effect.wave
+            else effect.shapes(state)
+        )
+        for shape in probe:
+            columns = effect.terms(at, shape).columns
+            assert share_left(moved, columns.reshape(-1, columns.shape[2])) > 0.02
+
+
+def test_inputs_of_the_truth_are_those_that_it_changes_with(trial, state):
+    rng = np.random.default_rng(6)
+    senses = {'sense_x', 'sense_y', 'sense_z'}
+    for name, effect in UNKNOWN_EFFECTS.items():
+        drawn = draw_effect(name, trial.machine, trial.plan.duration, rng)
+        depends = effect.depends_on(state, drawn.parameters)
+        names = {n for group in depends.groups for n in group}
+        moved = effect.displacement(state, drawn.parameters)
+        if names and names <= senses:  # constant wherever these senses are
+            axes = ['xyz'.index(n[-1]) for n in sorted(names)]
+            sense = np.sign(np.where(np.abs(state.direction) > 1e-9, state.direction, 0))[:, axes]
+            use = state.speed > 0
+            if 'time' not in depends.besides:
+                for value in np.unique(sense[use], axis=0):
+                    own = moved[use][np.all(sense[use] == value, axis=1)]
+                    assert np.ptp(own, axis=0).max() < 1e-12
+        if names == {'time'} and 'tracker' not in name:
+            assert np.abs(np.diff(moved, axis=0)).max(axis=1).nonzero()[0].size
 
 
 def left_by(decoys, state, moved, values):
@@ -129,15 +177,13 @@ def test_unknown_effects_say_whether_a_decoy_has_their_formula(name, trial, stat
         assert min(tried) > 0.3
 
 
-def test_ringing_starts_anew_at_every_start_and_stop(state):
-    ringing = AppliedEffect(
-        UNKNOWN_EFFECTS['unknown_ringing'], {'f': 2.0, 'tau': 0.4, 'A_Y': 1e-6}
-    )
-    moved = ringing.effect.displacement(state, ringing.parameters)[:, 1]
-    starts = np.flatnonzero(np.diff(state.speed > 0)) + 1
-    assert np.abs(moved[: starts[0]]).max() < 1e-20
-    assert not moved[starts].any()
-    assert np.all(moved[starts[:-1] + 10] > 0.7e-6)  # a fifth of a turn later
+def test_ringing_starts_anew_at_every_start(state):
+    moved = DEPARTED['departed_ringing'].displacement(state, {'draw': 3.0, 'A': 1e-6})
+    starts = np.flatnonzero(np.diff((state.speed > 0).astype(int)) == 1) + 1
+    legs = [np.linalg.norm(moved[s : s + 60], axis=1) for s in starts]
+    assert np.allclose([leg[0] for leg in legs], 0.0, atol=1e-12)
+    assert np.allclose(legs, legs[0], atol=2e-9)
+    assert legs[0].max() > 0.5e-6
 
 
 def test_tables_and_poses_that_can_follow_leave_nothing(trial, ruler):
@@ -194,108 +240,3 @@ def test_step_is_zero_before_its_moment(state):
     moved = step.effect.displacement(state, step.parameters)
     assert not moved[state.time < 100.0].any()
     assert np.all(moved[state.time > 100.0, 0] == 1e-6)
-
-
-@pytest.mark.parametrize(
-    ('hidden', 'said', 'result'),
-    [
-        ([], answer(verdict='none'), 'quiet'),
-        ([], answer(('tracker_noise', ())), 'false_alarm'),
-        ([], answer(('backlash', ())), 'false_alarm'),
-        ([], answer(verdict='unknown'), 'false_alarm'),
-        ([part('backlash')], answer(('backlash', ())), 'right'),
-        ([part('backlash')], answer(('backlash', ()), ('tracker_noise', ())), 'right'),
-        ([part('backlash')], answer(('tracker_noise', ()), ('backlash', ())), 'second'),
-        ([part('backlash')], answer(('tracker_noise', ())), 'wrong'),
-        ([part('tracker_noise')], answer(('tracker_noise', ())), 'right'),
-        ([part('backlash')], answer(('servo_mismatch', ('backlash',))), 'listed'),
-        ([part('backlash')], answer(('servo_mismatch', ('backlash', *'abcd'))), 'wrong'),
-        ([part('backlash')], answer(('vibration', ()), ('backlash', ())), 'second'),
-        ([part('backlash')], answer(('vibration', ())), 'wrong'),
-        ([part('backlash')], answer(verdict='unknown'), 'called_unknown'),
-        ([part('backlash')], answer(verdict='none'), 'unseen'),
-        ([part('table_tilt', 0.01, 1.0)], answer(not_visible=('table_tilt',)), 'not_visible'),
-        ([part('table_tilt', 0.01, 1.0)], answer(verdict='none'), 'silent'),
-        ([part('table_tilt', 0.01, 1.0)], answer(('backlash', ())), 'wrong'),
-        ([part('unknown_machine_step')], answer(verdict='unknown'), 'unknown'),
-        ([part('unknown_machine_step')], answer(('backlash', ())), 'forced'),
-        ([part('unknown_machine_step')], answer(('tracker_noise', ())), 'forced'),
-        ([part('backlash'), part('vibration')], answer(('vibration', ())), 'half'),
-    ],
-)
-def test_outcomes(hidden, said, result):
-    assert outcome(entry(*hidden), said).result == result
-
-
-def test_effect_taken_out_of_the_catalogue_must_not_be_blamed_on_another():
-    hidden = entry(part('backlash'))
-    assert outcome(hidden, answer(('servo_mismatch', ())), ('backlash',)).result == 'forced'
-    assert outcome(hidden, answer(verdict='unknown'), ('backlash',)).result == 'unknown'
-
-
-def test_bends_of_smooth_tables_may_be_named():
-    smooth = entry(bends_um=0.5)
-    assert outcome(smooth, answer(('table_resolution', ()))).result == 'quiet'
-
-
-def test_noise_that_is_not_there_is_a_needless_cause_and_counts_over_all_cells():
-    said = answer(('backlash', ()), ('tracker_noise', ()))
-    false = outcome(entry(part('backlash')), said)
-    heavy = outcome(entry(part('backlash'), heavy_tails=True), said)
-    there = outcome(entry(part('backlash'), part('tracker_noise'), kind='two'), said)
-    assert [o.extra for o in (false, heavy, there)] == [('tracker_noise',), (), ()]
-    row = next(r for r in summary([false, heavy, there]) if r.name.startswith('noise as spec'))
-    assert (row.hits, row.of) == (1, 1)
-
-
-def test_unknown_effects_are_counted_apart_by_whether_a_decoy_exists():
-    hidden = ['unknown_machine_step'] * 2 + ['unknown_axis_brake'] * 3
-    said = [answer(verdict='unknown')] * 3 + [answer(('backlash', ())), answer(verdict='none')]
-    cells = [outcome(entry(part(h), kind='unknown'), a) for h, a in zip(hidden, said, strict=True)]
-    cells.append(outcome(entry(part('unknown_ringing', 0.0, 0.0), kind='unknown'), said[3]))
-    rows = {r.name: r for r in summary(cells)}
-    assert rows['not in the catalogue, a decoy exists: called unknown'][1:] == (2, 2)
-    assert rows['not in the catalogue, no decoy: called unknown'][1:] == (1, 3)
-    assert rows['not in the catalogue, no trace: given a name'][1:] == (1, 1)
-
-
-def test_published_tables_are_the_rows_of_the_score(tmp_path):
-    cells = [outcome(entry(), answer(verdict='none')) for _ in range(3)]
-    cells = [replace(c, kind='none') for c in cells]
-    (tmp_path / SEAL).write_text('0123456789abcdef0123\n')
-    (tmp_path / 'answers' / '000').mkdir(parents=True)
-    (tmp_path / 'answers' / '000' / 'seconds.txt').write_text('12.3\n')
-    measured = Measured.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
-    text = fragment(measured, criteria(cells, []))
-    assert './otf blind --trials 3 --seed 7 --out blind\n' in text
-    assert '| nothing: false alarms | 0 of 3 (0 %) |' in text
-    assert '`0123456789abcdef...`' in text
-    assert 'took 12 s' in text
-
-
-def test_parameters_are_compared_where_shapes_agree():
-    true = {'effect': 'cyclic_error', 'parameters': {'period': 0.01, 'S_X': 2e-6}}
-    cause = {'effect': 'cyclic_error', 'parameters': {'period': 0.0101, 'S_X': 2.2e-6}}
-    cause['u'] = {'S_X': 1e-7}
-    assert parameter_deviations([true], [cause]) == pytest.approx((2.0,))
-    cause['parameters']['period'] = 0.02
-    assert parameter_deviations([true], [cause]) == ()
-
-
-def test_changed_key_is_refused(tmp_path):
-    (tmp_path / KEY).write_text(json.dumps({'cells': []}))
-    (tmp_path / SEAL).write_text('0\n')
-    with pytest.raises(InputError, match='sealed'):
-        open_key(tmp_path)
-
-
-def test_stated_confidence_is_compared_with_what_is_there():
-    named = [('backlash', 0.995), ('servo_mismatch', 0.95), ('cross_coupling', 0.999)]
-    given = {
-        'verdict': 'explained',
-        'not_visible': [],
-        'causes': [{'effect': e, 'confidence': c, 'indistinguishable_from': []} for e, c in named],
-    }
-    scored = outcome(entry(part('backlash'), part('servo_mismatch'), kind='two'), given)
-    assert scored.confidence == (0.995, 0.95, 0.999)
-    assert [row.share for row in calibration([scored])] == ['1 of 1 (100 %)', '1 of 2 (50 %)']

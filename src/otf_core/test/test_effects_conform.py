@@ -341,6 +341,8 @@ def possible(item, machine):
             for way in item.ways:
                 for part in way:
                     yield from possible(part, machine)
+        case drawing.OfMachine():
+            yield from possible(item.item(machine.axis_names), machine)
         case drawing.BetweenNodes():
             nodes = probe_state(machine).nodes[item.axis]
             most = item.size * (1.0 + 6 * item.rough)

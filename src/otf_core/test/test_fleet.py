@@ -3,9 +3,12 @@
 
 import hashlib
 import json
+import os
 import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +19,13 @@ from cli_cells import run
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError
 from otf_core.fleet import job
+from otf_core.fleet.call import call_job
 from otf_core.fleet.run_list import read_list
 from otf_core.model.tables import load_tables
 
 STUB = """
 import json, os, pathlib, sys
-verb, bag, out = sys.argv[1], sys.argv[2], pathlib.Path(sys.argv[6])
+verb, bag, out = sys.argv[2], sys.argv[3], pathlib.Path(sys.argv[7])
 with open(os.environ['CALLS'], 'a') as calls:
     calls.write(f'{out.name}\\n')
 if 'broken' in pathlib.Path(bag).name:
@@ -32,6 +36,32 @@ data = {'volumetric_error': {'mean': 1e-5, 'max': 2e-5}, 'fit': {'residual_rms':
         'squareness': {k: {'value': 1e-6} for k in ('C0Y', 'B0Z', 'A0Z')}}
 (out / 'error_tables.json').write_text(json.dumps(data))
 sys.exit(4 if 'gate' in pathlib.Path(bag).name else 0)
+"""
+
+BLIND_STUB = """
+import json, os, pathlib, sys
+module, words = sys.argv[1], sys.argv[2:]
+with open(os.environ['CALLS'], 'a') as calls:
+    calls.write(f'{words[0]} {words[1]}\\n')
+if module == 'otf_core.cli':
+    cell, out, name = pathlib.Path(words[1]).parent, words[5], 'gap.json'
+    assert (cell / 'bag').is_dir() and words[3] == str(cell / 'machine.yaml')
+    if cell.name == '001':
+        sys.exit('otf diagnose: no memory')
+    found = {'verdict': 'none', 'causes': [], 'not_visible': [],
+             'when': os.environ['SOURCE_DATE_EPOCH']}
+else:
+    assert words[0] == 'otf_core.blind.seal:draw_cell'
+    order, out, name = json.loads(words[2]), words[1], 'result.json'
+    cell = f"{order['number']:03d}"
+    if cell == '003':
+        sys.exit('no such chain')
+    (pathlib.Path(order['folder']) / 'cells' / cell / 'bag').mkdir(parents=True, exist_ok=True)
+    noise = {'effect': 'tracker_noise', 'size_um': 1.0, 'raw_um': 1.0, 'snr': 9.0}
+    found = {'cell': cell, 'seed': order['seed'], 'kind': order['kind'], 'bends_um': 0.0,
+             'parts': [] if order['kind'] == 'none' else [noise], 'heavy_tails': False}
+pathlib.Path(out).mkdir(parents=True, exist_ok=True)
+(pathlib.Path(out) / name).write_text(json.dumps(found))
 """
 
 
@@ -93,7 +123,7 @@ def test_the_run_of_a_killed_worker_is_done_again(plant, monkeypatch):
     class Killing(subprocess.Popen):
         def __init__(self, command, **options):
             super().__init__(command, **options)
-            if 'b.mcap' in command[3] and not killed:
+            if 'b.mcap' in command[4] and not killed:
                 killed.append(self.pid)
                 self.send_signal(signal.SIGKILL)
 
@@ -107,7 +137,7 @@ def test_a_run_that_is_killed_each_time_fails_alone(plant, monkeypatch):
     class Killing(subprocess.Popen):
         def __init__(self, command, **options):
             super().__init__(command, **options)
-            if 'b.mcap' in command[3]:
+            if 'b.mcap' in command[4]:
                 self.send_signal(signal.SIGKILL)
 
     monkeypatch.setattr(job.subprocess, 'Popen', Killing)
@@ -150,11 +180,154 @@ def test_a_wrong_list_is_refused_with_its_line(tmp_path, text, said):
         read_list(tmp_path / 'runs.csv')
 
 
+KILLING = """
+import os, pathlib, signal, sys
+first = pathlib.Path(os.environ['CALLS'] + '.killed')
+if 'b.mcap' in sys.argv[3] and not first.exists():
+    first.write_text('')
+    os.kill(os.getppid(), signal.SIGKILL)
+"""
+
+
+@pytest.fixture
+def dask(plant, monkeypatch):
+    """Address of a Dask scheduler with two workers; who first does run b is killed by it."""
+    pytest.importorskip('distributed')
+    (plant / 'killing.py').write_text(KILLING + STUB)
+    stub = (sys.executable, str(plant / 'killing.py'))
+    (plant / 'as_stub.py').write_text(
+        f'from otf_core.fleet import job\n\njob.COMMAND = {stub!r}\n'
+    )
+    places = (str(Path(job.__file__).parents[2]), os.environ.get('PYTHONPATH', ''))
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(places))
+    common = ['--scheduler-file', 'dask.json', '--no-dashboard']
+    words = [[sys.executable, '-m', 'distributed.cli.dask_scheduler', '--port', '0', *common]]
+    one = [sys.executable, '-m', 'distributed.cli.dask_worker', '--no-nanny', '--nthreads', '1']
+    words += [[*one, '--preload', 'as_stub.py', '--death-timeout', '60', *common]] * 2
+    with open(plant / 'dask.log', 'w') as log:
+        started = [subprocess.Popen(w, stdout=log, stderr=log) for w in words]
+        try:
+            end = time.monotonic() + 60
+            while not (plant / 'dask.json').exists() and time.monotonic() < end:
+                time.sleep(0.05)
+            yield json.loads((plant / 'dask.json').read_text())['address'], started[1:]
+        finally:
+            for process in started:
+                process.kill()
+                process.wait()
+
+
+def test_dask_workers_give_the_bits_of_processes_though_one_is_killed(plant, dask):
+    address, workers = dask
+    fleet('here')
+    words = ('--list', 'runs.csv', '--out', 'there', '--scheduler', address)
+    assert run('fleet', 'calibrate', *words) == 4
+    assert (plant / 'there/fleet.json').read_bytes() == (plant / 'here/fleet.json').read_bytes()
+    result = [(plant / n / 'b/error_tables.json').read_bytes() for n in ('here', 'there')]
+    assert result[0] == result[1]
+    assert sorted(worker.poll() is None for worker in workers) == [False, True]
+
+
 def test_a_scheduler_needs_dask(plant, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, 'distributed', None)
     arguments = ('--list', 'runs.csv', '--out', 'out', '--scheduler', 'tcp://localhost:1')
     assert run('fleet', 'calibrate', *arguments) == 2
     assert 'pip install distributed' in capsys.readouterr().err
+
+
+@pytest.fixture
+def sealed_cells(tmp_path, monkeypatch):
+    """Stand-in for what draws and diagnoses: cell 003 cannot be drawn, 001 not diagnosed."""
+    (tmp_path / 'stub.py').write_text(BLIND_STUB)
+    monkeypatch.setattr(job, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
+    monkeypatch.setenv('CALLS', str(tmp_path / 'calls'))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def blind(out, workers, seed=5):
+    return run('fleet', 'blind', '--trials', 5, '--seed', seed, '--out', out, '--workers', workers)
+
+
+def test_a_blind_trial_is_the_same_on_any_workers_and_no_broken_cell_ends_it(sealed_cells):
+    assert [blind('one', 1), blind('three', 3)] == [4, 4]
+    assert told(sealed_cells / 'one') == told(sealed_cells / 'three')
+    data = told(sealed_cells / 'one')
+    assert {n for n, r in data['runs'].items() if r['sha256']} == {
+        'answers-000', 'answers-002', 'answers-004'
+    }  # fmt: skip
+    assert data['runs']['drawn-003']['message'] == 'no such chain'
+    assert data['runs']['answers-001']['message'] == 'otf diagnose: no memory'
+    scores = [json.loads((sealed_cells / n / 'score.json').read_text()) for n in ('one', 'three')]
+    assert scores[0].pop('provenance') and scores[1].pop('provenance')
+    assert scores[0] == scores[1]
+
+
+def test_a_blind_trial_goes_on_where_it_stopped_and_keeps_its_key(sealed_cells, capsys):
+    blind('out', 2)
+    key = (sealed_cells / 'out/key.json').read_bytes()
+    (sealed_cells / 'out/answers/002/gap.json').unlink()
+    (sealed_cells / 'calls').unlink()
+    assert blind('out', 2) == 4
+    again = sorted((sealed_cells / 'calls').read_text().splitlines())
+    assert again == ['diagnose cells/001/bag', 'diagnose cells/002/bag']
+    assert (sealed_cells / 'out/key.json').read_bytes() == key
+    assert blind('out', 2, seed=6) == 2
+    assert 'holds another trial' in capsys.readouterr().err
+
+
+CELL_STUB = """
+import json, pathlib, sys
+assert sys.argv[1:5] == ['otf_core.cli', 'validate', '--cells', '1'], sys.argv
+seed, out = int(sys.argv[6]), pathlib.Path(sys.argv[8])
+if seed == 8:
+    sys.exit('otf validate: no memory')
+row = {'section': '2.1', 'quantity': 'left', 'paper': '', 'unit': 'um', 'values': [seed / 10],
+       'limit': [None, 0.5]}
+out.mkdir(exist_ok=True)
+(out / 'validation.json').write_text(json.dumps({'rows': [row]}))
+"""
+
+
+@pytest.mark.parametrize('workers', [1, 3])
+def test_cells_of_a_validation_come_together_in_one_table(tmp_path, capsys, monkeypatch, workers):
+    (tmp_path / 'stub.py').write_text(CELL_STUB)
+    monkeypatch.setattr(job, 'COMMAND', (sys.executable, str(tmp_path / 'stub.py')))
+    words = ('--seed', 6, '--trials', 4, '--out', tmp_path / 'out', '--workers', workers)
+    assert run('fleet', 'validate', *words) == 4
+    said = capsys.readouterr()
+    assert '8: exit 1: otf validate: no memory' in said.out
+    assert 'quality gate failed: left' in said.err
+    data = json.loads((tmp_path / 'out/validation.json').read_text())
+    assert data['cells'] == [6, 7, 9]
+    (row,) = data['rows']
+    assert row['values'] == [0.6, 0.7, 0.9]
+    assert row['mean'] == pytest.approx(2.2 / 3) and row['passed'] is False
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        (('calibrate',), 'fleet calibrate: --list is missing'),
+        (('blind', '--seed', 1), 'fleet blind: --trials is missing'),
+        (('blind', '--seed', 1, '--trials', 2, '--list', 'a.csv'), '--list: not of fleet blind'),
+        (('diagnose', '--list', 'a.csv', '--leave-one-out'), '--leave-one-out: not of fleet diag'),
+        (('blind', '--seed', 1, '--trials', 0), '--trials: 0 is out of range [1, 100000]'),
+    ],
+)
+def test_options_of_another_fleet_are_refused(tmp_path, capsys, words, said):
+    assert run('fleet', *words, '--out', tmp_path / 'out') == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / 'out').exists()
+
+
+def test_a_function_by_its_name_is_a_run(tmp_path):
+    wrong = call_job('w', 'math:sqrt', {}, tmp_path / 'w')
+    assert job.run_job(wrong).message.startswith('TypeError')
+    done = call_job('d', 'otf_core.files.manifest:file_digest', {'path': __file__}, tmp_path / 'd')
+    assert job.run_job(done).message == ''
+    text = (tmp_path / 'd/result.json').read_text()
+    assert json.loads(text) == hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
 def test_real_bags_give_what_calibrating_gives(cell, calibrated, tmp_path, monkeypatch):

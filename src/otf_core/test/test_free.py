@@ -8,18 +8,18 @@ import pytest
 import yaml
 from core_cells import some_machine
 from effect_cells import driven_state
-from engine_cells import holding, noise, rms_um, solved_rows
+from engine_cells import holding, noise, solved_rows
 
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.search import search
-from otf_core.diagnosis.engine.unnamed import find_structure
+from otf_core.diagnosis.engine.unnamed import find_structure, try_structures
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.acting import Along, rigid_tracker, vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
 from otf_core.effects.empirical import of_table, tabulated
 from otf_core.effects.free import Free, FreeForm, free_forms
 from otf_core.effects.history import lap_numbers, travel_at_start
-from otf_core.effects.inputs import scaled_input, unscaled_input
+from otf_core.effects.inputs import cycle_period, scaled_input, unscaled_input
 from otf_core.effects.taken import taken
 from otf_core.errors import ConfigError
 
@@ -178,6 +178,25 @@ def test_rougher_coefficients_are_held_tighter_when_taken_off(state):
     assert precision[orders == 3] == pytest.approx(16 * precision[orders == 0])
 
 
+def test_table_over_a_cycle_repeats_and_is_met_at_its_nodes(state):
+    nodes = {'cycle:20': [0.0, 4.0, 8.0, 12.0, 16.0]}
+    values = 1e-6 * np.array([1.0, 4.0, -2.0, 0.5, 3.0])
+    one = of_table('pump', vector, nodes, {'Y': values})
+    at = replace(state.part(slice(0, 10)), time=np.arange(10) * 4.0)
+    moved = one.effect.displacement(at, one.parameters)
+    assert np.allclose(moved[:, 1], np.tile(values, 2), atol=1e-15)
+    between = np.linspace(0.0, 20.0, 200)
+    probe = driven_state()
+    at = replace(probe.part(slice(0, 200)), time=between)
+    curve = one.effect.displacement(at, one.parameters)[:, 1]
+    spectrum = np.abs(np.fft.rfft(curve[:-1]))
+    assert spectrum[3:].max() < 0.05 * spectrum.max()
+    (entry,) = effects_to_data([one], state.machine)
+    assert list(entry['nodes']) == ['cycle:20']
+    assert np.allclose(entry['nodes']['cycle:20'], nodes['cycle:20'])
+    assert np.allclose(entry['table']['Y'], values, atol=1e-15)
+
+
 # ---------------------------------------------------------------- in a search
 
 
@@ -215,23 +234,47 @@ def test_free_forms_name_nothing_in_noise():
         assert found_of(lambda s: np.zeros((len(s), 3)), names, seed) == []
 
 
-def test_structure_of_a_gap_without_a_name_is_found():
+def gap_of(displacement, seed):
+    """Noise and a displacement of the pieces."""
     rows = solved_rows()
+    parts = [
+        np.einsum('cpk,pk->cp', run.system.axes, displacement(state)).ravel()
+        for run, state in zip(rows.done.runs, rows.states, strict=True)
+    ]
+    return holding(noise(seed) + np.concatenate(parts))
 
+
+def test_structure_of_a_gap_without_a_name_is_found():
     def sinking(s):
         u = 2 * s.q[:, 0] / s.machine.upper[0] - 1
         return (8e-6 * (s.time / s.end) ** 2 * np.tanh(2 * u))[:, None] * [0, 0, 1]
 
-    parts = [
-        np.einsum('cpk,pk->cp', run.system.axes, sinking(state)).ravel()
-        for run, state in zip(rows.done.runs, rows.states, strict=True)
-    ]
-    given = np.concatenate(parts)
-    found = find_structure(holding(noise(5) + given))
+    found = find_structure(try_structures(gap_of(sinking, 5)))
     assert set(found.effect.form.inputs) == {'time', 'x'}
     assert isinstance(found.effect.form.acts, Along)
     assert abs(found.effect.form.acts.direction[2]) > 0.98
-    assert rms_um(given) > 1.0
+
+
+def test_what_comes_and_goes_in_turn_is_found_with_its_period():
+    period = max(s.end for s in solved_rows().states) / 11.3
+
+    def pump(s):
+        phase = np.mod(s.time, period) / period
+        return (4e-6 * np.exp(-4.0 * phase))[:, None] * [0.6, 0.0, 0.8]
+
+    (name,) = find_structure(try_structures(gap_of(pump, 8))).effect.form.inputs
+    assert cycle_period(name) == pytest.approx(period, rel=2e-3)
+
+
+def test_what_switches_now_and_then_is_a_function_of_time():
+    length = max(s.end for s in solved_rows().states)
+    moments = length * np.array([0.11, 0.17, 0.34, 0.47, 0.52, 0.7, 0.93])
+
+    def switched(s):
+        on = np.searchsorted(moments, s.time) % 2
+        return (6e-6 * on)[:, None] * [0.0, 1.0, 0.0]
+
+    assert find_structure(try_structures(gap_of(switched, 9))).effect.form.inputs == ('time',)
 
 
 def test_free_forms_are_bound_to_the_ranges_of_the_runs():

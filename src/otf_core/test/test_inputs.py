@@ -20,6 +20,7 @@ from cli_cells import run, write_points
 
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import read_path
+from otf_core.inputs.points_file import read_points
 from otf_core.inputs.recordings import Given, read_content, read_samples
 from otf_core.inputs.text_points import TextReading
 
@@ -180,6 +181,38 @@ def test_paths_are_plans_or_corner_points_in_m_or_mm(tmp_path):
     rows = '\n'.join(comma(';'.join(mm(*p))) for p in CORNERS.tolist())
     (tmp_path / 'path.csv').write_text(f'X [mm];Y [mm];Z [mm]\n{rows}\n')
     np.testing.assert_allclose(read_path(tmp_path / 'path.csv'), CORNERS, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'X;Y;Z\n0,1;-0,2;0\n0,3;0,2;-0,1\n',
+        'No\tX (mm)\tY (mm)\tZ (mm)\n1\t100\t-200\t0\n2\t300\t200\t-100\n',
+        '0.1 -0.2 0\n0.3 0.2 -0.1\n',
+        '\ufeffx_mm,y_mm,z_mm\r\n100,-200,0\r\n300,200,-100\r\n',
+        'y,remark,x,z\n-0.2,a,0.1,0\n0.2,b,0.3,-0.1\n',
+    ],
+)
+def test_points_are_read_as_people_have_them(tmp_path, text):
+    (tmp_path / 'points.csv').write_text(text, encoding='utf-8')
+    points, said = read_points(tmp_path / 'points.csv')
+    np.testing.assert_allclose(points, [[0.1, -0.2, 0.0], [0.3, 0.2, -0.1]], atol=1e-15)
+    assert ('in mm' in said) == ('mm' in text)
+
+
+@pytest.mark.parametrize(
+    ('text', 'what'),
+    [
+        ('X;Y;Z\n1;2;3\n1;2;a\n4;5;6\n' + '1;1;1\n' * 20, 'line 3: expected numbers'),
+        ('X [mm];Y [m];Z [mm]\n1;2;3\n', 'x, y, z are in'),
+        ('X;Y;Z\n1;nan;3\n', 'line 2: not finite'),
+        ('G1 X0 Y0\n', 'expected the header x,y,z'),
+    ],
+)
+def test_points_that_are_none_are_refused_with_their_line(tmp_path, text, what):
+    (tmp_path / 'points.csv').write_text(text, encoding='utf-8')
+    with pytest.raises((ConfigError, InputError), match=what):
+        read_points(tmp_path / 'points.csv')
 
 
 def stamped(kind, stamp, xyz, frame, child='target'):

@@ -2,6 +2,7 @@
 """A run under way as viewers see it: distances, time left, the thinned track, the layers."""
 
 import math
+import time
 from itertools import pairwise
 
 import numpy as np
@@ -18,7 +19,7 @@ from otf_core.live.numbers import NUMBERS, numbers
 from otf_core.live.path_distance import PathDistance
 from otf_core.live.run import LiveRun, Progress, Solved
 from otf_core.live.scale import enlargement
-from otf_core.live.time_left import TimeLeft
+from otf_core.live.time_left import StepsLeft, TimeLeft, about
 from otf_core.live.track import POINTS, Track
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
@@ -61,6 +62,18 @@ def test_time_left_is_that_of_the_mean_speed_and_begins_anew_with_another_job():
     assert clock.estimate('solving', 0.75, 131.0) == pytest.approx(10.0)
     assert math.isnan(clock.estimate('solving', 0.1, 140.0))  # a second solving
     assert clock.estimate('solving', 0.2, 141.0) == pytest.approx(8.0)
+
+
+def test_steps_say_how_long_the_others_take(monkeypatch):
+    now = iter([100.0, 140.0, 180.0, 220.0])
+    monkeypatch.setattr(time, 'monotonic', lambda: next(now))
+    left = StepsLeft(3)
+    assert [left.after_one() for _ in range(3)] == [', about 80 s left', ', about 40 s left', '']
+    assert (about(3.2), about(math.nan), about(600.0)) == (
+        'about 4 s left',
+        '',
+        'about 10 min left',
+    )
 
 
 def test_track_has_deviations_once_the_place_of_the_tracker_is_known():

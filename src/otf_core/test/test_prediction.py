@@ -10,26 +10,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from core_cells import error_by_hand, some_machine, zero_tables
+from core_cells import error_by_hand, some_machine, written_tables, zero_tables
 
 from otf_core import cli
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import MotionTable, tables_to_dict
-from otf_core.prediction.driven_volume import driven_from_dict, driven_volume, table_ranges
 from otf_core.prediction.predict import predict
 from otf_core.prediction.table_prior import MotionPrior, prior_from_dict
-from otf_core.reports.calibration import result_to_dict
 
 OFFSET = np.array([0.02, -0.03, -0.15])
-
-
-def written(tmp_path, tables, **blocks):
-    """An error_tables.json with further blocks."""
-    file = tmp_path / 'error_tables.json'
-    file.write_text(json.dumps({**tables_to_dict(tables), **blocks}))
-    return file
 
 
 def blind_to(tables, *names):
@@ -51,11 +42,11 @@ def known_to(tables, u):
 
 def test_u_grows_beyond_the_end_of_a_table_as_an_integrated_random_walk(tmp_path):
     tables = known_to(zero_tables(some_machine()), 1e-7)
-    plain = written(tmp_path, tables)
+    plain = written_tables(tmp_path, tables)
     q = np.array([[0.3, 0.1, -0.1], [0.35, 0.1, -0.1], [-0.1, 0.1, -0.1], [0.2, 0.1, -0.1]])
     before = predict(plain, q)
     prior = {'EXX': {'slope': 1e-5, 'intensity': 3e-9}}
-    after = predict(written(tmp_path, tables, prior=prior), q)
+    after = predict(written_tables(tmp_path, tables, prior=prior), q)
     added = after.u**2 - before.u**2
     for point, d in enumerate((0.0, 0.05, 0.1, 0.0)):
         expected = 1e-10 * d**2 + 3e-9 * d**3 / 3
@@ -77,22 +68,22 @@ def test_a_rotation_grows_through_its_lever(tmp_path):
     tables = zero_tables(some_machine())  # Y carries Z and the target: lever T + z
     prior = {'ECY': {'slope': 1e-4}}
     q = np.array([[0.1, 0.3, -0.1]])  # 50 mm beyond the end of Y
-    found = predict(written(tmp_path, tables, prior=prior), q)
+    found = predict(written_tables(tmp_path, tables, prior=prior), q)
     turned = 1e-4 * 0.05
     np.testing.assert_allclose(found.u[0], [turned * 0.03, turned * 0.02, 0.0], rtol=1e-9)
 
 
 def test_without_a_prior_nothing_grows_and_the_note_says_so(tmp_path):
     tables = known_to(zero_tables(some_machine()), 1e-7)
-    file = written(tmp_path, tables)
+    file = written_tables(tmp_path, tables)
     found = predict(file, np.array([[0.3, 0.1, -0.1], [0.4, 0.1, -0.1]]))
     np.testing.assert_allclose(found.u[0], found.u[1], rtol=1e-12)
     assert found.inside.tolist() == [True, False]
     assert any('1 of 2 points lie outside the driven volume' in n for n in found.notes)
     assert any('holds no prior, so u does not grow' in n for n in found.notes)
-    found = predict(written(tmp_path, tables, prior={}), np.array([[0.4, 0.1, -0.1]]))
+    found = predict(written_tables(tmp_path, tables, prior={}), np.array([[0.4, 0.1, -0.1]]))
     assert any('holds no prior' in n for n in found.notes)
-    grown = written(tmp_path, tables, prior={'EXX': {'slope': 1e-5}})
+    grown = written_tables(tmp_path, tables, prior={'EXX': {'slope': 1e-5}})
     assert any(
         'u grows by their prior' in n for n in predict(grown, np.array([[0.4, 0, 0]])).notes
     )
@@ -149,7 +140,7 @@ def test_an_unseen_rotation_is_in_u_for_another_tool_and_only_there(tmp_path):
     tables = blind_to(base, 'ECZ')
     q = lattice(base.machine, 3)
     longer = np.array([0.1, 0.05, -0.25])
-    file = written(tmp_path, tables, prior={'ECZ': {'sd': sd}})
+    file = written_tables(tmp_path, tables, prior={'ECZ': {'sd': sd}})
     own, other = predict(file, q), predict(file, q, longer)
     assert np.all(own.u == 0)
     assert not any('not seen' in n for n in own.notes)
@@ -170,7 +161,7 @@ def test_an_unseen_rotation_is_in_u_for_another_tool_and_only_there(tmp_path):
 
 def test_a_longer_tool_along_the_axis_of_the_rotation_changes_nothing(tmp_path):
     tables = blind_to(zero_tables(some_machine()), 'ECZ')
-    file = written(tmp_path, tables, prior={'ECZ': {'sd': 1e-5}})
+    file = written_tables(tmp_path, tables, prior={'ECZ': {'sd': 1e-5}})
     found = predict(file, np.array([[0.1, 0.1, -0.1]]), np.add(OFFSET, [0, 0, -0.2]))
     assert np.all(found.u == 0)
     assert not any('not seen' in n for n in found.notes)
@@ -183,10 +174,10 @@ def test_a_rotation_hidden_in_a_plane_is_in_u_off_the_plane(tmp_path):
     flat = {
         m: MotionTable(np.array([height]), np.zeros(1), np.zeros(1))
         for m in MOTIONS
-        if m[2] == 'Z'
+        if m.axis == 'Z'
     }
     tables = blind_to(replace(base, motions={**base.motions, **flat}), 'EBX')
-    file = written(tmp_path, tables, prior={'EBX': {'sd': sd}})
+    file = written_tables(tmp_path, tables, prior={'EBX': {'sd': sd}})
     q = np.array([[0.1, 0.1, height], [0.1, 0.1, -0.02]])
     found = predict(file, q)
     assert found.inside.tolist() == [True, False]
@@ -205,27 +196,27 @@ def test_a_rotation_hidden_in_a_plane_is_in_u_off_the_plane(tmp_path):
 def test_a_squareness_that_was_not_seen_is_in_u_off_the_plane(tmp_path):
     base = zero_tables(some_machine())
     flat = {
-        m: MotionTable(np.array([0.0]), np.zeros(1), np.zeros(1)) for m in MOTIONS if m[2] == 'Z'
+        m: MotionTable(np.array([0.0]), np.zeros(1), np.zeros(1)) for m in MOTIONS if m.axis == 'Z'
     }
     tables = replace(base, motions={**base.motions, **flat})
     prior = {'B0Z': {'sd': 1e-4}, 'C0Y': {'sd': 1e-4}}
     q = np.array([[0.1, 0.1, -0.05]])
-    seen = predict(written(tmp_path, tables, prior=prior), q)
+    seen = predict(written_tables(tmp_path, tables, prior=prior), q)
     assert np.all(seen.u == 0)
-    unseen = predict(written(tmp_path, tables, prior=prior, not_identifiable=['B0Z']), q)
+    unseen = predict(written_tables(tmp_path, tables, prior=prior, not_identifiable=['B0Z']), q)
     np.testing.assert_allclose(unseen.u[0], [5e-6, 0.0, 0.0], rtol=1e-12)
 
 
 def test_a_seen_rotation_acts_through_the_offset_that_is_asked_for(tmp_path):
     tables = turned(zero_tables(some_machine()), 'EAZ', 1e-5)
     q = np.array([[0.1, 0.2, -0.1]])
-    found = predict(written(tmp_path, tables), q, np.array([0.0, 0.1, -0.3]))
+    found = predict(written_tables(tmp_path, tables), q, np.array([0.0, 0.1, -0.3]))
     np.testing.assert_allclose(found.error[0], 1e-5 * np.array([0.0, 0.3, 0.1]), rtol=1e-12)
 
 
 def test_without_a_prior_unseen_rotations_are_named(tmp_path):
     tables = blind_to(zero_tables(some_machine()), 'ECZ', 'EAZ')
-    file = written(tmp_path, tables, prior={'EAZ': {'sd': 1e-5}})
+    file = written_tables(tmp_path, tables, prior={'EAZ': {'sd': 1e-5}})
     found = predict(file, np.array([[0.1, 0.1, -0.1]]), np.add(OFFSET, [0.1, 0, -0.1]))
     assert any('EAZ were not seen' in n and 'u holds them' in n for n in found.notes)
     assert any('ECZ were not seen' in n and 'u does not hold them' in n for n in found.notes)
@@ -236,103 +227,11 @@ def test_without_a_prior_unseen_rotations_are_named(tmp_path):
     [([0.0, 0.0, np.nan], 'finite'), ([0.0, 0.0, -150.0], 'unit is m'), ([0.0, 0.0], 'three')],
 )
 def test_a_wrong_target_offset_is_named(tmp_path, offset, words):
-    file = written(tmp_path, zero_tables(some_machine()))
+    file = written_tables(tmp_path, zero_tables(some_machine()))
     with pytest.raises(ConfigError) as caught:
         predict(file, np.zeros((1, 3)), np.array(offset))
     assert 'target_offset: ' in str(caught.value)
     assert words in str(caught.value)
-
-
-# ---------------------------------------------------------------- the driven volume
-
-
-def test_range_of_an_axis_is_what_its_seen_tables_share():
-    base = zero_tables(some_machine())
-    short = MotionTable(np.array([0.05, 0.2]), np.zeros(2), np.zeros(2))
-    unseen = replace(short, position=np.array([0.1, 0.12]), identifiable=False)
-    tables = replace(base, motions={**base.motions, 'EYX': short, 'EAX': unseen})
-    low, high = table_ranges(tables)
-    np.testing.assert_array_equal(low, [0.05, 0.0, -0.2])
-    np.testing.assert_array_equal(high, [0.2, 0.25, 0.0])
-
-
-def test_hull_of_points_keeps_its_corners_and_knows_what_is_inside():
-    rng = np.random.default_rng(1)
-    corners = lattice(some_machine(), 2)
-    centre = corners.mean(axis=0)
-    cloud = np.concatenate([corners, centre + 0.9 * rng.uniform(-0.5, 0.5, (500, 3)) * 0.2])
-    volume = driven_volume(cloud, 0.0)
-    assert len(volume.corners) == 8
-    assert volume.holds(np.array([[0.01, 0.01, -0.01], [0.31, 0.1, -0.1]])).tolist() == [
-        True,
-        False,
-    ]
-    cut = driven_volume(corners[:-1], 0.01)  # without the corner at the upper ends
-    probes = np.array([[0.29, 0.24, -0.01], [0.1, 0.1, -0.1], [0.0, 0.25, 0.0], [0.0, 0.0, 0.0]])
-    assert cut.holds(probes).tolist() == [False, True, True, True]
-
-
-@pytest.mark.parametrize('size', [0, 1, 2])
-def test_flat_volumes_hold_what_lies_in_them(size):
-    rng = np.random.default_rng(size)
-    axes = np.linalg.qr(rng.standard_normal((3, 3)))[0][:size]
-    points = np.array([0.1, 0.2, 0.3]) + rng.uniform(-0.2, 0.2, (40, size)) @ axes
-    volume = driven_volume(points, 0.005)
-    assert np.all(volume.holds(points))
-    normal = np.linalg.qr(np.vstack([axes, rng.standard_normal((3 - size, 3))]).T)[0].T[size]
-    assert not np.any(volume.holds(points + 0.01 * normal))
-    assert np.all(volume.holds(points + 0.004 * normal))
-    if size:
-        assert not np.any(volume.holds(points + 0.5 * axes[0]))
-
-
-@pytest.mark.parametrize(
-    'driven',
-    [3, {'margin': 0.1}, {'corners': [[0, 0]]}, {'corners': [[0, 0, None]]},
-     {'corners': [[0, 0, 0]], 'margin': -1}, {'corners': 'cube'},
-     {'corners': [[0, 0, 0]], 'planes': [[1, 0, 0]]}, {'corners': [[0, 0, 0]], 'planes': []}],
-)  # fmt: skip
-def test_a_wrong_driven_volume_is_named(driven):
-    with pytest.raises(ConfigError, match=r'tables.json: driven: expected corners'):
-        driven_from_dict(driven, 'tables.json')
-
-
-def test_a_driven_volume_in_the_file_counts_beside_the_tables(tmp_path):
-    tables = zero_tables(some_machine())
-    corners = lattice(tables.machine, 2)[:-1]
-    q = np.array([[0.1, 0.1, -0.1], [0.29, 0.24, -0.01]])
-    assert predict(written(tmp_path, tables), q).inside.tolist() == [True, True]
-    for prism in (
-        {'corners': corners.tolist(), 'margin': 0.01},
-        driven_volume(corners, 0.01).to_dict(),
-    ):
-        file = written(tmp_path, tables, driven=prism)
-        assert predict(file, q).inside.tolist() == [True, False]
-
-
-def test_planes_in_the_file_say_the_same_as_its_corners():
-    rng = np.random.default_rng(2)
-    volume = driven_volume(rng.normal(size=(60, 3)), 0.01)
-    data = volume.to_dict()
-    planes = np.array(data.pop('planes'))
-    assert len(planes) > 10
-    np.testing.assert_allclose(np.linalg.norm(planes[:, :3], axis=1), 1.0)
-    touched = np.abs(volume.corners @ planes[:, :3].T + planes[:, 3]) < 1e-12
-    assert np.all(touched.sum(axis=0) >= 3) and np.all(touched.sum(axis=1) >= 3)
-    probes = 1.2 * rng.normal(size=(5000, 3))
-    of_corners = driven_from_dict(data, 'tables.json').holds(probes)
-    np.testing.assert_array_equal(volume.holds(probes), of_corners)
-    assert 0.2 < of_corners.mean() < 0.9
-
-
-def test_a_calibration_writes_what_was_driven(calibrated, cell, tmp_path):
-    file = tmp_path / 'error_tables.json'
-    file.write_text(json.dumps(result_to_dict(calibrated)))
-    q = lattice(cell.machine, 5)
-    found = predict(file, np.concatenate([q, np.add(q, [0.02, 0, 0])]))
-    assert found.inside[: len(q)].all()
-    assert found.inside[len(q) :].sum() == 100
-    assert 'noise and misfit only' in found.summary
 
 
 # ---------------------------------------------------------------- points
@@ -341,7 +240,7 @@ def test_a_calibration_writes_what_was_driven(calibrated, cell, tmp_path):
 @pytest.fixture
 def command(tmp_path):
     """Run predict over points in a small machine."""
-    file = written(tmp_path, known_to(zero_tables(some_machine()), 1e-7))
+    file = written_tables(tmp_path, known_to(zero_tables(some_machine()), 1e-7))
     points, out = tmp_path / 'points.csv', tmp_path / 'errors.csv'
 
     def run(rows, *options):

@@ -115,7 +115,7 @@ MINIMAL = {
         'not reduced to 20',
     ),
     'per node': ('Position', 'u (k = 1)', 'U', 'k', 'v_eff', 'n_obs', 'Flag'),
-    'scalars': ('C0Y', 'B0Z', 'A0Z', 'angle between +X and +Y is 90 deg', 'tracker scale'),
+    'scalars': ('C0Y', 'B0Z', 'A0Z', 'angle between +X and +Y is 90°', 'tracker scale'),
     'fit': (
         'samples used', 'outliers', 'N_eff', 'unknowns', 'rank', 'condition number', 's0',
         'chi-square p', 'residual rms', 'a2', 'a3', 'correlation time',
@@ -156,17 +156,18 @@ TEN_QUESTIONS = {
     'How large is the volumetric error now, and how large at most after compensation?':
         r'Volumetric error up to [\d.]+ µm\. Compensated .* errors within [\d.]+ µm are to be',
     'Where is it worst, and which motion is to blame?':
-        r'longest error vector of the grid, [\d.]+ µm, lies at X [\d.−]+, Y .* Most is due to E',
+        r'longest error vector of the grid, [\d.]+ µm, lies at X [\d.−]+, Y .* Most is due to E'
+        r'.* Largest displacement: E[XYZ]{2}, [a-z]+, [\d.−]+ ± [\d.]+ µm at [XYZ] [\d.−]+ m',
     'What is not known?': r'Not known: ',
-    'Is Y square to X, and which way does it lean?':
-        r'C0Y: angle between \+X and \+Y is 90 deg [+−-] [\d.]+ µrad',
+    'Is Y square to X, which way does it lean, and how sure is that?':
+        r'C0Y: angle between \+X and \+Y is 90° [+−-] [\d.]+ µrad.* U, 95 % \(µrad\) k C0Y',
     'Is a positive error towards larger or smaller positions?':
         r'an error is actual minus nominal position .* A correction has the opposite sign',
     'Does the machine go another way forward than backward?': r'Reversal model: \w+',
     'What is the largest contribution to the uncertainty?':
         r'The largest contribution in the volume is [a-z ]+: \d+ % of the variance',
-    'Did machine or tracker drift during the run?':
-        r'(No drift beyond U|Larger than U: along [XYZ])',
+    'Did machine or tracker drift during the run, or was the tracker moved?':
+        r'(No drift beyond U|Larger than U: along [XYZ]).* (Not moved: no step|Moved: tracker)',
     'With what, when and under which conditions was it measured, and how is it repeated?':
         r'serial number 750123 .* Clock of .* s\. .* How to repeat it: \./otf calibrate',
 }  # fmt: skip
@@ -309,3 +310,25 @@ def test_a_calibration_can_do_without_a_report(result, tmp_path):
     files = write_calibration(result, tmp_path, report=False)
     assert not (tmp_path / 'report.html').exists()
     assert all(f.exists() for f in files)
+
+
+def test_largest_motions_are_said_with_place_and_uncertainty(page, tables):
+    said = page.text.replace('\u00a0', ' ')
+    for kind, unit in (('displacement', 'm'), ('rotation', 'rad')):
+        name, value, u, axis, at = re.search(
+            rf'Largest {kind}: (E..), [a-z A-Z]+, ([\d.−]+) ± ([\d.]+) \S+ at ([XYZ]) ([\d.−]+) m',
+            said,
+        ).groups()
+        motions = {m: e for m, e in tables['motions'].items() if e['unit'] == unit}
+        sizes = {m: max(map(abs, e['value'])) for m, e in motions.items()}
+        assert name == max(sizes, key=sizes.get) and axis == name[2]
+        entry = motions[name]
+        k = entry['position'].index(pytest.approx(number(at)))
+        assert number(value) == pytest.approx(1e6 * entry['value'][k], abs=5.1e-3)
+        assert float(u) == pytest.approx(1e6 * entry['U'][k], abs=5.1e-3)
+
+
+def test_a_tracker_that_moved_is_said_beside_the_drift(result):
+    moved = replace(result, warnings=('moved: tracker or target moved 20 s after the start',))
+    drift_words = {s.name: s.words for s in calibration_sections(facts_of(moved))}['drift']
+    assert 'Moved: tracker or target moved 20 s after the start.' in drift_words

@@ -3,9 +3,11 @@
 import functools
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from core_cells import constant_tables, some_machine
 from gap_cells import along, run_view
 from html_cells import Page, unloading
 
@@ -13,6 +15,7 @@ from otf_core.diagnosis.free_curves import Curve
 from otf_core.diagnosis.place.where import describe_structure, where_of
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
 from otf_core.diagnosis.unnamed import Unnamed
+from otf_core.model.circumstances import Circumstances
 from otf_core.reports.drawing.typography import typeset
 from otf_core.reports.gap_report import report_html
 from otf_core.reports.gap_words import confidence_words, next_measurements
@@ -23,6 +26,8 @@ HIDDEN = (
     ('target_offset', 'runs with a second target offset'),
     ('table_tilt', 'a second tracker place'),
 )
+STATED = Circumstances({'serial': '750123'}, {'operator': 'A. Miller'})
+TABLES = constant_tables(replace(some_machine(), stated=STATED))
 CONDITIONS = {'chain': 'w-b-X-Y-Z-t', 'samples': '39000', 'software': 'otf_core 0.1.0'}
 
 
@@ -69,7 +74,7 @@ def diagnosis(view, verdict='explained', found=(), **further):
         'contradictions': (),
         'table_change_um': 0.0,
         'applied': (),
-        'calibration': None,
+        'calibration': SimpleNamespace(plain=SimpleNamespace(tables=TABLES, runs=())),
         'origin': (),
         'shown': Shown((view,), CONDITIONS),
     }
@@ -136,8 +141,10 @@ def test_every_effect_that_is_not_visible_is_listed_with_what_shows_it(page):
 
 def test_conditions_and_runs_are_stated(page):
     text = Page(page).text
-    for part in ('run-7', *CONDITIONS, *CONDITIONS.values()):
+    shown = {k: v for k, v in CONDITIONS.items() if k != 'samples'}
+    for part in ('run-7', *shown, *shown.values(), 'A. Miller', '750123'):
         assert part in text, part
+    assert re.search(r'Not stated:.*air temperature', text)
 
 
 def test_all_pictures_are_there(page):

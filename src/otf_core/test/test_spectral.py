@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from core_cells import some_machine
 from scipy.signal import lfilter
 from scipy.stats import binom
 
@@ -50,7 +51,9 @@ def driven(rng, legs=24, *, oblique=False, tau=0.0, white=0.0, wave=None):
         values = values + wave(time, q)
     values -= direction * np.sum(direction * values, axis=1)[:, None]
     use = within < LEG
-    state = SimpleNamespace(time=time[use], q=q[use], direction=direction[use])
+    state = SimpleNamespace(
+        time=time[use], q=q[use], direction=direction[use], machine=some_machine()
+    )
     return SimpleNamespace(leg=leg[use], state=state, residual=detrend_legs(values[use], leg[use]))
 
 
@@ -129,7 +132,9 @@ def test_an_axis_that_stands_or_moves_alone_shows_no_error_along_it():
 def test_few_samples_show_no_line():
     found = driven(np.random.default_rng(10))
     short = {n: getattr(found.state, n)[:99] for n in ('time', 'q', 'direction')}
-    few = SimpleNamespace(state=SimpleNamespace(**short), residual=found.residual[:99])
+    few = SimpleNamespace(
+        state=SimpleNamespace(**short, machine=some_machine()), residual=found.residual[:99]
+    )
     assert strongest_lines(few, EFFECTS) == []
 
 

@@ -15,7 +15,7 @@ from otf_core.diagnosis.engine.catalogue import (
     tried_effects,
 )
 from otf_core.diagnosis.engine.search import Cause
-from otf_core.diagnosis.engine.spectral import Line
+from otf_core.diagnosis.engine.spectral import SpectralLine
 from otf_core.effects import REGISTRY, Effect, Terms
 from otf_core.noise.model import MODEL_FLOOR, Misfit, NoiseModel
 from otf_core.solving.whitener import Whitener
@@ -142,11 +142,11 @@ def test_a_unit_does_not_change_what_is_seen():
 
 def test_spectral_lines_become_shapes_from_their_score_on():
     lines = [
-        Line('vibration', REGISTRY['vibration'].wave, 7.0, 8.1),
-        Line('vibration', REGISTRY['vibration'].wave, 9.0, 7.9),
-        Line('cyclic_error', REGISTRY['cyclic_error'].wave, 0.02, 50.0),
-        Line('cyclic_error', REGISTRY['cyclic_error'].wave, 0.03, 8.1),
-        Line('cyclic_error', REGISTRY['cyclic_error'].wave, 0.04, 1.0),
+        SpectralLine('vibration', REGISTRY['vibration'].wave, 7.0, 8.1),
+        SpectralLine('vibration', REGISTRY['vibration'].wave, 9.0, 7.9),
+        SpectralLine('cyclic_error', REGISTRY['cyclic_error'].wave, 0.02, 50.0),
+        SpectralLine('cyclic_error', REGISTRY['cyclic_error'].wave, 0.03, 8.1),
+        SpectralLine('cyclic_error', REGISTRY['cyclic_error'].wave, 0.04, 1.0),
     ]
     assert shapes_from_lines(lines) == {
         'vibration': [{'frequency': 7.0}],

@@ -11,7 +11,6 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PointStamped, PoseStamped, Transform
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from otf_core.bags.cdr import frame_text
@@ -121,6 +120,8 @@ def plan_from_message(message: PlanMessage) -> Plan:
 
 def transform_to_message(transform: RigidTransform) -> Transform:
     """Return a rigid transform as translation and unit quaternion."""
+    from scipy.spatial.transform import Rotation  # loaded on use: a driver needs none
+
     message = Transform()
     x, y, z, w = Rotation.from_matrix(transform.rotation).as_quat().tolist()
     message.rotation.x, message.rotation.y, message.rotation.z, message.rotation.w = x, y, z, w
@@ -131,6 +132,8 @@ def transform_to_message(transform: RigidTransform) -> Transform:
 
 def transform_from_message(message: Transform) -> RigidTransform:
     """Return the rigid transform of a translation and a unit quaternion."""
+    from scipy.spatial.transform import Rotation
+
     r, t = message.rotation, message.translation
     rotation = Rotation.from_quat([r.x, r.y, r.z, r.w]).as_matrix()
     return RigidTransform(rotation, np.array([t.x, t.y, t.z]))

@@ -3,20 +3,19 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from otf_core.files.writing import ensure_folder, write_text
+from otf_core.files.json_file import read_json
+from otf_core.fleet.fleet import Workers, run_fleet
+from otf_core.fleet.job import VERBS, Job, JobResult, hash_of
+from otf_core.sim.cell import EPOCH_NS
 
 Answer = dict[str, Any]
 
+GAP = 'gap.json'
 LIMIT = 1200.0
 """s; a diagnosis that takes longer has failed: half a minute is usual."""
 
@@ -41,46 +40,70 @@ class Question:
     exclude: tuple[str, ...] = ()
     label: str = 'answers'
 
+    @property
+    def name(self) -> str:
+        """Name of its run in the trial."""
+        return f'{self.label}-{self.cell}'
 
-def ask(question: Question, folder: Path) -> Answer:
-    """Diagnose one cell; an answer that is there already is read.
 
-    Returns
-    -------
-    mapping
-        gap.json, or the key ``failed`` with the message of the command.
-    """
-    cell = folder / 'cells' / question.cell
-    out = folder / question.label / question.cell
-    if not (out / 'gap.json').exists():
-        command = [sys.executable, '-m', 'otf_core.cli', 'diagnose']
-        command += [str(cell / b) for b in question.bags]
-        command += ['--machine', str(cell / 'machine.yaml'), '--out', str(out)]
-        for name in question.exclude:
-            command += ['--exclude', name]
-        start = time.monotonic()
-        try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, check=False, timeout=LIMIT
-            )
-        except subprocess.TimeoutExpired:
-            return {'failed': f'took longer than {LIMIT:.0f} s'}
-        if done.returncode not in (0, 4) or not (out / 'gap.json').exists():
-            return {'failed': done.stderr.strip()[-500:] or f'exit code {done.returncode}'}
-        write_text(ensure_folder(out) / 'seconds.txt', f'{time.monotonic() - start:.1f}\n')
-    answer: Answer = json.loads((out / 'gap.json').read_text(encoding='utf-8'))
-    return answer
+def answer_file(folder: Path, question: Question) -> Path:
+    """Where the answer to a question lies."""
+    return folder / question.label / question.cell / GAP
+
+
+def _job(question: Question, folder: Path, sealed: str) -> Job:
+    """Diagnose a cell from within the folder of the trial, so that no answer names it."""
+    cell, out = f'cells/{question.cell}', f'{question.label}/{question.cell}'
+    words = [VERBS, 'diagnose', *(f'{cell}/{b}' for b in question.bags)]
+    words += ['--machine', f'{cell}/machine.yaml', '--out', out, '--overwrite', '--quiet']
+    for name in question.exclude:
+        words += ['--exclude', name]
+    folder = folder.absolute()
+    return Job(
+        name=question.name,
+        words=tuple(words),
+        out=str(folder / out),
+        result=GAP,
+        inputs=hash_of(sealed, words),
+        date=EPOCH_NS // 10**9,
+        folder=str(folder),
+        limit=LIMIT,
+    )
 
 
 def ask_all(
-    questions: Sequence[Question], folder: Path, jobs: int, progress: Callable[[str], None]
-) -> dict[tuple[str, str], Answer]:
-    """Diagnose all; the answers by label and cell."""
-    answers = {}
-    with ThreadPoolExecutor(jobs) as pool:
-        results = pool.map(ask, questions, [folder] * len(questions))
-        for question, answer in zip(questions, results, strict=True):
-            answers[question.label, question.cell] = answer
-            said = answer.get('verdict') or f'failed: {answer["failed"]}'
-            progress(f'cell {question.cell}: {said}')
-    return answers
+    questions: Sequence[Question],
+    folder: Path,
+    sealed: str,
+    workers: Workers,
+    progress: Callable[[str], None],
+) -> tuple[dict[tuple[str, str], Answer], dict[str, JobResult]]:
+    """Diagnose all.
+
+    Parameters
+    ----------
+    questions : sequence of Question
+    folder : Path
+        Of the trial.
+    sealed : str
+        Hash of its key: other cells are other questions.
+    workers : callable(jobs)
+        See ``fleet.workers``.
+    progress : callable(str)
+
+    Returns
+    -------
+    answers : mapping of label and cell to mapping
+        gap.json, or the key ``failed`` with the message of the command.
+    outcomes : mapping of name to JobResult
+    """
+    jobs = [_job(question, folder, sealed) for question in questions]
+    outcomes = run_fleet(jobs, folder, workers, progress)
+    answers: dict[tuple[str, str], Answer] = {}
+    for question in questions:
+        ended = outcomes[question.name]
+        found = read_json(answer_file(folder, question)) if ended.done else None
+        answers[question.label, question.cell] = found or {
+            'failed': ended.message or f'exit code {ended.exit}'
+        }
+    return answers, outcomes

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cell hides: none, one or two effects, or one that the catalogue lacks; and its size.
+"""What a cell hides, and how large it is.
 
-The size of an effect is the root mean square of what it leaves in the residual once tables and
-poses have followed it (``trace``); effects that leave next to nothing get a typical size instead.
+Nothing; one, two or three effects of the catalogue; known causes in forms of nature; causes of no
+catalogue. The size of an effect is the root mean square of what it leaves in the residual once
+tables and poses have followed it (``trace``); effects that leave next to nothing get a typical
+size instead.
 """
 
 from __future__ import annotations
@@ -13,28 +15,71 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.blind.depends import Depends, catalogue_depends
 from otf_core.blind.draw import Trial, draw_trial, nodal
 from otf_core.blind.draw_effects import draw_effect, scaled
+from otf_core.blind.natures import DEPARTED, FOLLOWING, OUTSIDE, UNKNOWN_EFFECTS
 from otf_core.blind.trace import Ruler, make_ruler
-from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.model.kinematics import displacement
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
 
-KINDS = {'none': 0.15, 'one': 0.45, 'two': 0.12, 'unknown': 0.16, 'places': 0.12}
-"""Kinds of cells and how often they are drawn; 'places': one effect, two tracker places."""
+
+@dataclass(frozen=True)
+class Kind:
+    """A family of cells.
+
+    Attributes
+    ----------
+    share : float
+        Of the cells of a trial.
+    smallest, largest : float
+        m; sizes of its effects, their logarithm evenly spread.
+    displaced : bool
+        True if that is the size of the displacement itself where it acts, not of what is left in
+        the residual.
+    """
+
+    share: float
+    smallest: float = 0.3e-6
+    largest: float = 10e-6
+    displaced: bool = False
+
+
+KINDS = {
+    'none': Kind(0.10),
+    'one': Kind(0.18, 0.7e-6),
+    'faint': Kind(0.07, 0.3e-6, 0.7e-6),
+    'departed': Kind(0.22, 1e-6, 6e-6),
+    'large': Kind(0.08, 20e-6, 30e-6, displaced=True),
+    'two': Kind(0.03),
+    'three': Kind(0.06, 0.7e-6, 6e-6),
+    'unknown': Kind(0.14, 1e-6, 6e-6),
+    'signal': Kind(0.05, 1e-6, 6e-6),
+    'places': Kind(0.07),
+}
+"""Families: nothing; one of the catalogue; a faint one; a known cause in another form; a very
+large one, of either; two and three of the catalogue; a cause of no catalogue; a known one that
+follows a signal recorded beside the samples; one of the catalogue seen from two tracker places."""
 PLACE_EFFECTS = tuple(
     sorted(
         (n for n, e in REGISTRY.items() if e.trial.second_place),
         key=lambda n: REGISTRY[n].trial.second_place,
     )
 )
-SMALLEST, LARGEST = 0.3e-6, 10e-6
-"""m; sizes of effects in the residual."""
+CLEAR = tuple(
+    n for n, e in REGISTRY.items()
+    if not e.trial.hard_to_see and e.belongs_to is not BelongsTo.NOISE
+)  # fmt: skip
+"""Effects that leave a trace from one tracker place."""
+SIGNAL = 'signal'
+"""Family whose cells record a signal."""
+ACTS = 0.02
+"""Share of the largest displacement from which an effect counts as acting."""
 MOST = 25e-6
-"""m; root mean square of a displacement itself is not drawn larger."""
+"""m; root mean square of a displacement itself is not drawn larger, but where it is the size."""
 
 
 @dataclass(frozen=True)
@@ -51,17 +96,26 @@ class Part:
     snr : float
         Length of what is left once freed of the noise: a perfect observer who knew its shape
         would see so many standard deviations.
+    depends : Depends
     """
 
     applied: AppliedEffect
     size: float
     raw: float
     snr: float
+    depends: Depends
 
     @property
     def name(self) -> str:
         """Name of the effect."""
         return self.applied.effect.name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the catalogue that are right for it; none for a cause of no catalogue."""
+        if self.name in OUTSIDE:
+            return tuple(sorted(OUTSIDE[self.name].stands_for))
+        return (self.name,)
 
 
 @dataclass(frozen=True)
@@ -98,16 +152,24 @@ class Case:
 def weigh(ruler: Ruler, applied: AppliedEffect) -> Part:
     """Measure one effect."""
     moved = ruler.displacement([applied])
-    return Part(applied, ruler.size(moved), ruler.raw(moved), ruler.snr(moved))
+    outside = OUTSIDE.get(applied.effect.name)
+    depends = (
+        outside.depends_on(ruler.states[0], applied.parameters)
+        if outside
+        else catalogue_depends(applied)
+    )
+    return Part(applied, ruler.size(moved), ruler.raw(moved), ruler.snr(moved), depends)
 
 
-def sized(ruler: Ruler, applied: AppliedEffect, rng: Rng) -> Part:
+def sized(ruler: Ruler, applied: AppliedEffect, kind: Kind, rng: Rng) -> Part:
     """Give an effect a random size."""
     effect = applied.effect
     part = weigh(ruler, applied)
     if effect.belongs_to is BelongsTo.NOISE or part.raw == 0.0:
         return part
-    wanted = float(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST))))
+    wanted = float(np.exp(rng.uniform(np.log(kind.smallest), np.log(kind.largest))))
+    if kind.displaced:
+        return weigh(ruler, scaled(applied, wanted / _where_it_acts(ruler, applied)))
     have = part.size
     # where means over pieces wash an effect out, its size is that of the samples
     blurred = effect.wave is not None and part.size < 0.3 * part.raw
@@ -117,27 +179,42 @@ def sized(ruler: Ruler, applied: AppliedEffect, rng: Rng) -> Part:
     return weigh(ruler, scaled(applied, factor))
 
 
+def _where_it_acts(ruler: Ruler, applied: AppliedEffect) -> float:
+    """Root mean square of a displacement at the samples that it moves, m."""
+    length = np.linalg.norm(np.concatenate(ruler.displacement([applied])), axis=1)
+    return float(np.sqrt(np.mean(length[length > ACTS * length.max()] ** 2)))
+
+
+def places_of(kind: str) -> int:
+    """Tracker places from which cells of a family are measured."""
+    return 2 if kind == 'places' else 1
+
+
+TAKE_TURNS = {
+    'none': (),
+    'one': tuple(REGISTRY),
+    'faint': CLEAR,
+    'departed': tuple(DEPARTED),
+    'large': tuple(n for pair in zip(CLEAR, DEPARTED, strict=False) for n in pair),
+    'unknown': tuple(UNKNOWN_EFFECTS),
+    'signal': tuple(FOLLOWING),
+    'places': PLACE_EFFECTS,
+}
+"""What the cells of a family hide in turn."""
+
+
 def _names(kind: str, turn: int, rng: Rng) -> list[str]:
-    known, unknown = list(REGISTRY), list(UNKNOWN_EFFECTS)
-    if kind == 'none':
-        return []
-    if kind == 'one':
-        return [known[turn % len(known)]]
-    if kind == 'unknown':
-        return [unknown[turn % len(unknown)]]
-    if kind == 'places':
-        return [PLACE_EFFECTS[turn % len(PLACE_EFFECTS)]]
-    visible = [
-        n for n, e in REGISTRY.items()
-        if not e.trial.hard_to_see and e.belongs_to is not BelongsTo.NOISE
-    ]  # fmt: skip
-    return [str(n) for n in rng.choice(visible, 2, replace=False)]
+    if kind in ('two', 'three'):
+        count = 2 if kind == 'two' else 3
+        return [str(n) for n in rng.choice(CLEAR, count, replace=False)]
+    known = TAKE_TURNS[kind]
+    return [known[turn % len(known)]] if known else []
 
 
 def kinds_of(count: int, seed: int) -> list[tuple[str, int]]:
     """Kind of every cell and how many of its kind came before, in shares of ``KINDS``."""
     rng = np.random.default_rng([seed, 0])
-    names, shares = list(KINDS), np.array(list(KINDS.values()))
+    names, shares = list(KINDS), np.array([k.share for k in KINDS.values()])
     wanted = shares * count
     numbers = np.floor(wanted).astype(int)
     for k in np.argsort(numbers - wanted)[: count - numbers.sum()]:
@@ -163,12 +240,12 @@ def draw_case(seed: int, number: int, kind: str, turn: int, names: Sequence[str]
         Effects to hide instead.
     """
     rng = np.random.default_rng([seed, number + 1])
-    trial = draw_trial(f'{number:03d}', rng, 2 if kind == 'places' else 1)
+    trial = draw_trial(f'{number:03d}', rng, places_of(kind), signals=kind == SIGNAL)
     ruler = make_ruler(trial)
     parts = []
     for name in names or _names(kind, turn, rng):
         applied = draw_effect(name, trial.machine, trial.plan.duration, rng)
-        parts.append(sized(ruler, applied, rng))
+        parts.append(sized(ruler, applied, KINDS[kind], rng))
     measured = ruler.residual(ruler.displacement([p.applied for p in parts]))
     bends = ruler.size([
         displacement(trial.tables, s.q) - displacement(nodal(trial.tables), s.q)

@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.blind.view import SENSOR
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.effects.tracker_noise import TrackerNoise
-from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.declared_signals import DRIVEN, HEAD, USUAL, SignalSpec
+from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.motions import ErrorMotion
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import NominalPath
@@ -26,6 +28,7 @@ Rng = np.random.Generator
 
 CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')
 OTHER_CHAINS = ('w-X-b-Y-Z-t', 'w-Z-b-X-Y-t', 'w-b-Y-X-Z-t', 'w-Y-X-b-Z-t', 'w-X-b-Z-Y-t')
+SPINDLE = SignalSpec(SENSOR.removeprefix(HEAD), '', 'degC', USUAL, DRIVEN)
 _PLANE = ((0, 0), (1, 1), (1, 0), (0, 1), (0, 0), (0.5, 0), (0.5, 1), (1, 1), (1, 0.5),
           (0, 0.5), (0, 0))  # fmt: skip
 _SPACE = ((0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 1), (0, 1, 0), (1, 0, 1), (0, 0, 1), (1, 1, 0),
@@ -64,16 +67,17 @@ class Trial:
 
 def draw_machine(rng: Rng) -> Machine:
     """Draw chain, ranges, node spacing, target offset and tracker."""
-    chain = str(rng.choice(CHAINS if rng.random() < 0.75 else OTHER_CHAINS))
+    chain = Chain.parse(str(rng.choice(CHAINS if rng.random() < 0.75 else OTHER_CHAINS)))
     size = np.array([0.6, 0.5, 0.4])
     if rng.random() < 0.4:
         size = np.round(rng.uniform([0.45, 0.4, 0.3], [0.9, 0.7, 0.5]), 2)
     low = np.array([0.0, 0.0, -size[2]])
     pitch = 0.03 if rng.random() < 0.7 else 0.05
-    axes = {a: Axis(float(low[k]), float(low[k] + size[k]), pitch) for k, a in enumerate(AXES)}
+    names = enumerate(chain.axis_names)
+    axes = {a: Axis(float(low[k]), float(low[k] + size[k]), pitch) for k, a in names}
     offset = np.round(rng.normal((0.0, 0.0, -0.15), (0.02, 0.02, 0.02)), 4)
     spec = TrackerSpec(0.5e-6, float(rng.uniform(1.0e-6, 2.2e-6)))
-    return Machine('cell', Chain.parse(chain), axes, offset, spec)
+    return Machine('cell', chain, axes, offset, spec)
 
 
 def unit_lap(rng: Rng) -> Array:
@@ -139,7 +143,7 @@ def nodal(tables: ErrorTables) -> ErrorTables:
     return replace(tables, motions=motions)
 
 
-def draw_trial(name: str, rng: Rng, places: int = 1) -> Trial:
+def draw_trial(name: str, rng: Rng, places: int = 1, *, signals: bool = False) -> Trial:
     """Draw a cell without effects.
 
     Parameters
@@ -148,8 +152,12 @@ def draw_trial(name: str, rng: Rng, places: int = 1) -> Trial:
     rng : numpy.random.Generator
     places : int
         Tracker places it is measured from.
+    signals : bool
+        Whether the temperature of the spindle is recorded.
     """
     machine = draw_machine(rng)
+    if signals:
+        machine = replace(machine, signals=(SPINDLE,))
     plan = draw_plan(machine, rng)
     tables = draw_tables(machine, rng)
     share, time = float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.1, 0.5))

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
+from otf_core.blind.natures import OUTSIDE
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.drawing import (
     Axes,
@@ -25,6 +25,7 @@ from otf_core.effects.drawing import (
     Maybe,
     Normal,
     Number,
+    OfMachine,
     OneOf,
     Several,
     Share,
@@ -32,7 +33,7 @@ from otf_core.effects.drawing import (
     Uniform,
     Value,
 )
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.nodes import axis_nodes
 
 Rng = np.random.Generator
@@ -96,7 +97,7 @@ class Draw:
         count = int(self.rng.integers(1, item.most + 1))
         axes = self.rng.choice(3, count, replace=False)
         values = self.rng.uniform(0.4, 1.0, count) * self.rng.choice(SIGNS, count)
-        names = [f'{item.prefix}_{AXES[a]}' for a in axes]
+        names = [f'{item.prefix}_{self.machine.axis_names[a]}' for a in axes]
         return {n: float(item.size * v) for n, v in zip(names, values, strict=True)}
 
     @one.register
@@ -121,6 +122,10 @@ class Draw:
         return self.all(item.ways[int(self.rng.integers(len(item.ways)))])
 
     @one.register
+    def _(self, item: OfMachine) -> Parameters:
+        return self.one(item.item(self.machine.axis_names))
+
+    @one.register
     def _(self, item: BetweenNodes) -> Parameters:
         nodes = axis_nodes(self.machine.axes[item.axis])
         length = self.rng.uniform(*item.lengths) * (nodes[1] - nodes[0])
@@ -139,19 +144,16 @@ def draw_effect(name: str, machine: Machine, duration: float, rng: Rng) -> Appli
     Parameters
     ----------
     name : str
-        Of the registry or of ``UNKNOWN_EFFECTS``.
+        Of the registry or of ``OUTSIDE``.
     machine : Machine
     duration : float, s
         Of the run.
     rng : numpy.random.Generator
     """
     draw = Draw(rng, machine, duration)
-    if name not in UNKNOWN_EFFECTS:
-        return AppliedEffect(REGISTRY[name], draw.all(REGISTRY[name].trial.drawn))
-    # the shapes of all are drawn, so that the cells of a seed stay what they were
-    shapes = {n: draw.all(e.trial.drawn) for n, e in UNKNOWN_EFFECTS.items()}
-    effect = UNKNOWN_EFFECTS[name]
-    return AppliedEffect(effect, shapes[name] | draw.one(Axes('A', effect.size)))
+    if name in OUTSIDE:
+        return AppliedEffect(OUTSIDE[name], draw.all(OUTSIDE[name].drawn))
+    return AppliedEffect(REGISTRY[name], draw.all(REGISTRY[name].trial.drawn))
 
 
 def scaled(applied: AppliedEffect, factor: float) -> AppliedEffect:

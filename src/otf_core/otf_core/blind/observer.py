@@ -22,7 +22,6 @@ from scipy.linalg import solve_triangular
 
 from otf_core.blind.sight import Sight, stretches
 from otf_core.model.kinematics import exact_position
-from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.tables import ErrorTables
@@ -51,7 +50,7 @@ def _design(sight: Sight, tables: ErrorTables) -> tuple[Array, Array]:
     q, beam, across = sight.mean(samples), sight.mean(sight.state.beam[sight.use]), sight.across
     plain, across = exact_position(tables, q), across[sight.first]
     hats = {}
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(tables.machine.axis_names):
         nodes = axis_nodes(tables.machine.axes[axis])
         parts = [np.interp(samples[:, k], nodes, unit) for unit in np.eye(len(nodes))]
         hats[axis] = sight.mean(np.stack(parts, axis=1))

@@ -2,9 +2,11 @@
 """What an answer is worth once the key is open, cell by cell.
 
 Right is: the true effect is the first cause, or named as indistinguishable from it in a short
-list. tracker_noise is a cause like any other; it may be named besides where the noise has heavy
-tails. An effect that leaves next to nothing in the residual is answered rightly by listing it as
-not visible and blaming no other.
+list; of a cause in another form, any name that fits it. tracker_noise is a cause like any other;
+it may be named besides where the noise has heavy tails. An effect that leaves next to nothing in
+the residual is answered rightly by listing it as not visible and blaming no other. Of a cause of
+no catalogue, 'unknown' is right, and the inputs that the answer names are compared with those of
+the truth.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
+from otf_core.blind.depends import named_rightly
+from otf_core.blind.natures import OUTSIDE
 from otf_core.effects import REGISTRY, BelongsTo, names_of
+from otf_core.model.declared_signals import HEAD
 
 NOISE = names_of(BelongsTo.NOISE)
 BENDS = names_of(BelongsTo.TABLES)
@@ -61,6 +65,16 @@ class Outcome:
         Whether a decoy of the diagnosis has the formula of the hidden effect.
     noise_as_specified : bool
         Whether naming ``tracker_noise`` is false.
+    gap_left : float, optional
+        Share of the gap that the causes, or the one without a name, leave on legs that they were
+        not fitted on.
+    inputs : tuple of str
+        That the answer names for a cause without a name.
+    inputs_right, inputs_among : bool, optional
+        Whether these are those of the truth; whether those of the truth are among them. None
+        where the answer is not 'unknown' or the truth has no such inputs.
+    follows : bool, optional
+        Whether the signal that the truth follows is named; None where it follows none.
     """
 
     cell: str
@@ -76,6 +90,11 @@ class Outcome:
     confidence: tuple[float, ...] = ()
     has_decoy: bool = False
     noise_as_specified: bool = True
+    gap_left: float | None = None
+    inputs: tuple[str, ...] = ()
+    inputs_right: bool | None = None
+    inputs_among: bool | None = None
+    follows: bool | None = None
 
     @property
     def is_right(self) -> bool:
@@ -87,8 +106,7 @@ def is_visible(part: Mapping[str, Any]) -> bool:
     """Tell whether an effect of the key leaves enough to be seen."""
     if part['effect'] in NOISE:
         return True
-    effect = REGISTRY.get(part['effect'])
-    blurred = effect is not None and effect.wave is not None
+    blurred = any(REGISTRY[name].wave is not None for name in part['names'])
     size = max(part['size_um'], part['raw_um'] if blurred else 0.0)
     return bool(part['snr'] >= VISIBLE_SNR and size >= VISIBLE_UM)
 
@@ -99,47 +117,85 @@ def known_names(cause: Mapping[str, Any]) -> tuple[str, ...]:
     return (cause['effect'], *(others if len(others) <= SHORT_LIST else ()))
 
 
-def _one(truth: str, causes: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> str:
+Causes = Sequence[Mapping[str, Any]]
+
+
+def _one(right: set[str], causes: Causes, answer: Mapping[str, Any]) -> str:
     if not causes:
         return 'called_unknown' if answer['verdict'] == 'unknown' else 'unseen'
-    if causes[0]['effect'] == truth:
+    if causes[0]['effect'] in right:
         return 'right'
-    if truth in known_names(causes[0]):
+    if right & set(known_names(causes[0])):
         return 'listed'
-    return 'second' if any(truth in known_names(c) for c in causes) else 'wrong'
+    return 'second' if any(right & set(known_names(c)) for c in causes) else 'wrong'
 
 
-def _invisible(truth: str, causes: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> str:
+def _invisible(right: set[str], causes: Causes, answer: Mapping[str, Any]) -> str:
     if causes:
-        return _one(truth, causes, answer)
+        return _one(right, causes, answer)
     if answer['verdict'] == 'unknown':
         return 'called_unknown'
     listed = {e['effect'] for e in answer['not_visible']}
-    return 'not_visible' if truth in listed else 'silent'
+    return 'not_visible' if right & listed else 'silent'
 
 
 def _result(
     parts: Sequence[Mapping[str, Any]],
-    causes: Sequence[Mapping[str, Any]],
+    causes: Causes,
     answer: Mapping[str, Any],
     exclude: Sequence[str],
     bends_um: float,
 ) -> str:
-    names = [p['effect'] for p in parts]
-    if not names:
+    if not parts:
         alarm = causes or (answer['verdict'] == 'unknown' and bends_um <= BENDS_UM)
         return 'false_alarm' if alarm else 'quiet'
-    if exclude or names[0].startswith('unknown_'):
+    right = [set(p['names']) for p in parts]
+    if exclude or not right[0]:
         if causes:
             return 'forced'
         return 'unknown' if answer['verdict'] == 'unknown' else 'unseen'
-    if len(names) > 1:
+    if len(parts) > 1:
         everything = {n for c in causes for n in known_names(c)}
-        hits = sum(n in everything for n in names)
-        return ('wrong' if causes else 'unseen', 'half', 'right')[hits]
+        hits = sum(bool(r & everything) for r in right)
+        if hits == len(parts):
+            return 'right'
+        return 'half' if hits else ('wrong' if causes else 'unseen')
     if not is_visible(parts[0]):
-        return _invisible(names[0], causes, answer)
-    return _one(names[0], causes, answer)
+        return _invisible(right[0], causes, answer)
+    return _one(right[0], causes, answer)
+
+
+def _gap_left(answer: Mapping[str, Any]) -> float | None:
+    """Share of the gap that is left on legs that were not fitted on; None without a gap."""
+    gap = answer.get('unnamed') or answer.get('gap') or {}
+    before = float(gap.get('before_um', 0.0))
+    return float(gap['after_um']) / before if before > 0.0 else None
+
+
+def _inputs(parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> dict[str, Any]:
+    """Inputs that an answer of 'unknown' names, and whether they are those of the truth."""
+    groups = [g for p in parts for g in p['depends']['groups']]
+    if answer.get('verdict') != 'unknown' or not groups:
+        return {}
+    named = tuple((answer.get('unnamed') or {}).get('depends_on', ()))
+    besides = [n for p in parts for n in p['depends']['besides']]
+    return {
+        'inputs': named,
+        'inputs_right': named_rightly(named, groups, *besides),
+        'inputs_among': named_rightly(named, groups, *named),
+    }
+
+
+def _follows(parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> bool | None:
+    """Whether the signals of the truth are inputs of a cause, named or not."""
+    groups = [g for p in parts for g in p['depends']['groups']]
+    signals = {n for g in groups for n in g if n.startswith(HEAD)}
+    if not signals:
+        return None
+    said = set((answer.get('unnamed') or {}).get('depends_on', ()))
+    for cause in answer.get('causes', ()):
+        said |= {n for c in cause.get('curves', ()) for n in (c['input'], *c['held'])}
+    return signals <= {n.partition('@')[0] for n in said}
 
 
 def outcome(
@@ -168,7 +224,8 @@ def outcome(
     if entry['bends_um'] > BENDS_UM:
         besides |= BENDS
     causes = [c for c in answer.get('causes', ()) if c['effect'] not in besides - set(truth)]
-    allowed = set(truth)
+    right = [set(p['names']) for p in parts]
+    allowed = set().union(*right)
     everything = {n for c in causes for n in known_names(c)}
     extra = tuple(c['effect'] for c in causes if not allowed & set(known_names(c)))
     failed = 'failed' in answer
@@ -181,9 +238,12 @@ def outcome(
         named=tuple(c['effect'] for c in causes),
         verdict='failed' if failed else answer['verdict'],
         result='failed' if failed else _result(parts, causes, answer, exclude, entry['bends_um']),
-        found=tuple(t in everything for t in truth),
+        found=tuple(bool(r & everything) for r in right),
         extra=() if failed else extra,
         confidence=tuple(float(c.get('confidence', 0.0)) for c in causes),
-        has_decoy=any(t in UNKNOWN_EFFECTS and UNKNOWN_EFFECTS[t].has_decoy for t in truth),
+        has_decoy=any(t in OUTSIDE and OUTSIDE[t].has_decoy for t in truth),
         noise_as_specified=not entry['heavy_tails'] and not NOISE & set(truth),
+        gap_left=_gap_left(answer),
+        follows=_follows(parts, answer),
+        **_inputs(parts, answer),
     )

@@ -9,10 +9,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from otf_core.blind.seal import SEAL
+from otf_core.blind.seal import sealed
 from otf_core.blind.table import Table, as_markdown
+from otf_core.files.json_file import read_json
+from otf_core.fleet.fleet import STATE
 
-README, PARTICULARS = 'readme.md', 'particulars.md'
+README, PARTICULARS, DIAGRAM = 'readme.md', 'particulars.md', 'reliability.svg'
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,9 @@ class Measured:
         cls, folder: Path, entries: Sequence[Mapping[str, Any]], date: str, leave_one_out: bool
     ) -> Measured:
         """Read the conditions from the folder of a trial."""
-        files = sorted(folder.glob('answers*/*/seconds.txt'))
-        times = tuple(float(f.read_text(encoding='utf-8')) for f in files)
-        key = (folder / SEAL).read_text(encoding='utf-8').strip()
-        return cls(len(entries), entries[0]['seed'], date, key, times, leave_one_out)
+        ended = [read_json(f)['outcome'] for f in sorted(folder.glob(f'{STATE}/answers*.json'))]
+        times = tuple(float(e['seconds']) for e in ended if e['sha256'] is not None)
+        return cls(len(entries), entries[0]['seed'], date, sealed(folder), times, leave_one_out)
 
     @property
     def command(self) -> str:

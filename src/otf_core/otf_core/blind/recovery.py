@@ -3,18 +3,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from otf_core.blind.cases import SIGNAL
 from otf_core.blind.draw import draw_trial
+from otf_core.blind.natures import OUTSIDE
 from otf_core.blind.trace import Ruler, make_ruler
-from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
+from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError
+from otf_core.files.json_file import read_json
+from otf_core.model.machine import Machine
+from otf_core.sim.effects import displaced
 
+EFFECTS, LATER_EFFECTS = 'effects.yaml', 'effects_run_{}.yaml'
+"""Files that an answer lies in beside gap.json; later runs have one where theirs differ."""
 LOOSE_SHAPE = ('order', 'until')
 SAME_SHAPE = 0.02
 """Shapes that agree to this share count as the same."""
@@ -70,6 +78,10 @@ def _comparable(effect: str, true: Mapping[str, float], fitted: Mapping[str, flo
     )
 
 
+def _is_free(cause: Mapping[str, Any]) -> bool:
+    return cause.get('form') == 'free'
+
+
 def parameter_deviations(
     parts: Sequence[Mapping[str, Any]], causes: Sequence[Mapping[str, Any]]
 ) -> tuple[float, ...]:
@@ -77,7 +89,7 @@ def parameter_deviations(
     found = []
     for part in parts:
         for cause in causes:
-            if cause['effect'] != part['effect'] or not cause['u']:
+            if cause['effect'] != part['effect'] or not cause['u'] or _is_free(cause):
                 continue
             true, fitted = part['parameters'], cause['parameters']
             if _comparable(part['effect'], true, fitted):
@@ -90,36 +102,77 @@ def parameter_deviations(
 def ruler_of(entry: Mapping[str, Any]) -> Ruler:
     """Build the cell of an entry of the key again, without effects."""
     rng = np.random.default_rng([entry['seed'], entry['number'] + 1])
-    return make_ruler(draw_trial(entry['cell'], rng, entry['places']))
+    return make_ruler(
+        draw_trial(entry['cell'], rng, entry['places'], signals=entry['kind'] == SIGNAL)
+    )
 
 
-def _applied(rows: Sequence[Mapping[str, Any]]) -> list[AppliedEffect]:
-    every = {**REGISTRY, **UNKNOWN_EFFECTS}
-    return [
-        AppliedEffect(every[r['effect']], r['parameters'])
-        for r in rows
-        if every[r['effect']].belongs_to is not BelongsTo.NOISE
-    ]
+def _hidden(parts: Sequence[Mapping[str, Any]]) -> list[AppliedEffect]:
+    every = {**REGISTRY, **OUTSIDE}
+    return _displacing(AppliedEffect(every[p['effect']], p['parameters']) for p in parts)
 
 
-def recover(entry: Mapping[str, Any], answer: Mapping[str, Any], ruler: Ruler) -> Recovery | None:
-    """Compare one answer with the truth; None if its parameters cannot be simulated."""
-    true = ruler.displacement(_applied(entry['parts']))
-    try:
-        fitted = ruler.displacement(_applied(answer['causes']))
-    except ConfigError:
-        return None
-    left = [t - f for t, f in zip(true, fitted, strict=True)]
+def _displacing(applied: Iterable[AppliedEffect]) -> list[AppliedEffect]:
+    return [a for a in applied if a.effect.belongs_to is not BelongsTo.NOISE]
+
+
+def fitted_effects(folder: Path, machine: Machine, runs: int) -> list[list[AppliedEffect]]:
+    """Effects of every run as an answer wrote them for a simulation; none where it names none."""
+    files = [folder / EFFECTS, *(folder / LATER_EFFECTS.format(k + 1) for k in range(1, runs))]
+    found: list[list[AppliedEffect]] = []
+    for file in files:
+        if file.exists():
+            found.append(_displacing(read_effects(file, machine)))
+        else:
+            found.append(found[0] if found else [])
+    return found
+
+
+def recover(
+    entry: Mapping[str, Any],
+    answer: Mapping[str, Any],
+    fitted: Sequence[Sequence[AppliedEffect]],
+    ruler: Ruler,
+) -> Recovery:
+    """Compare one answer with the truth.
+
+    Parameters
+    ----------
+    entry : mapping
+        Of the key.
+    answer : mapping
+        gap.json.
+    fitted : sequence of sequence of AppliedEffect
+        What it found, of every run: causes in any form, or one without a name.
+    ruler : Ruler
+        Of the cell.
+    """
+    true = ruler.displacement(_hidden(entry['parts']))
+    said = [displaced(s, one) for s, one in zip(ruler.states, fitted, strict=True)]
+    left = [t - f for t, f in zip(true, said, strict=True)]
     before = max(ruler.size(true), 1e-12)
-    gap = answer['gap']
+    shrink = answer.get('unnamed') or answer['gap']
     true_gap = max(0.0, entry['measured_um'] ** 2 - entry['simulated_um'] ** 2) ** 0.5
     return Recovery(
         cell=entry['cell'],
         deviations=parameter_deviations(entry['parts'], answer['causes']),
-        gap_um=gap['before_um'],
+        gap_um=answer['gap']['before_um'],
         true_gap_um=true_gap,
-        shrink_percent=gap['shrink_percent'],
-        interval_percent=tuple(gap['shrink_interval_percent']),
+        shrink_percent=shrink['shrink_percent'],
+        interval_percent=tuple(shrink['shrink_interval_percent']),
         achieved_percent=float(100.0 * max(0.0, 1.0 - ruler.size(left) / before)),
         left_snr=ruler.snr(left),
     )
+
+
+def recover_cell(entry: Mapping[str, Any], answer: str) -> dict[str, Any]:
+    """Compare the answer in a file with the truth, as plain data; see ``recover``."""
+    ruler = ruler_of(entry)
+    fitted = fitted_effects(Path(answer).parent, ruler.trial.machine, len(ruler.states))
+    return asdict(recover(entry, read_json(answer), fitted, ruler))
+
+
+def recovery_from(data: Mapping[str, Any]) -> Recovery:
+    """Return what ``recover_cell`` found."""
+    pairs = {name: tuple(data[name]) for name in ('deviations', 'interval_percent')}
+    return Recovery(**{**data, **pairs})

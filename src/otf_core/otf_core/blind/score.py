@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from otf_core.blind.counts import Row, expected_calibration_error, reliability
 from otf_core.blind.outcome import CONFIDENT, NOISE, Outcome
 from otf_core.blind.recovery import Recovery
 
@@ -20,29 +21,8 @@ CLOSE = (2.0, 3.0)
 """Standard uncertainties."""
 TOLD_APART = 10.0
 """Standard deviations; the fitted parameters alone make up some five."""
-CONFIDENCE = ((0.0, 0.9), (0.9, 0.99), (0.99, 1.01))
-"""Classes of the confidence stated."""
-
-
-class Row(NamedTuple):
-    """One criterion: in how many cells, causes or sizes of how many.
-
-    Attributes
-    ----------
-    name : str
-        Begins with a comma if it is about the cells of a row before.
-    hits, of : int
-    """
-
-    name: str
-    hits: int
-    of: int
-
-    @property
-    def share(self) -> str:
-        """As words, in percent too."""
-        percent = f' ({100 * self.hits / self.of:.0f} %)' if self.of else ''
-        return f'{self.hits} of {self.of}{percent}'
+THIRD, HALF = 1.0 / 3.0, 0.5
+"""Shares of a gap that a cause in another form, and one of no catalogue, may leave."""
 
 
 def _results(name: str, outcomes: Sequence[Outcome], *results: str) -> Row:
@@ -57,6 +37,22 @@ def _needless(outcomes: Sequence[Outcome]) -> Row:
     return Row(', a needless cause besides', sum(bool(o.extra) for o in outcomes), len(outcomes))
 
 
+def _left(name: str, outcomes: Sequence[Outcome], share: float) -> Row:
+    left = [o.gap_left for o in outcomes]
+    return Row(name, sum(g is not None and g < share for g in left), len(left))
+
+
+def _inputs(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Inputs named where the answer is 'unknown' and the truth is a function of inputs."""
+    judged = [o for o in outcomes if o.inputs_right is not None]
+    return [
+        Row(', of these with the right inputs', sum(bool(o.inputs_right) for o in judged),
+            len(judged)),
+        Row(', with the right inputs and others', sum(bool(o.inputs_among) for o in judged),
+            len(judged)),
+    ]  # fmt: skip
+
+
 def _unknown(words: str, outcomes: Sequence[Outcome]) -> list[Row]:
     return [
         _results(f'{words}: called unknown', outcomes, 'unknown'),
@@ -65,38 +61,60 @@ def _unknown(words: str, outcomes: Sequence[Outcome]) -> list[Row]:
     ]
 
 
+def _named(words: str, outcomes: Sequence[Outcome]) -> list[Row]:
+    """Who is named in cells with one visible cause."""
+    return [
+        _right(f'{words}: named rightly', outcomes),
+        _results(', of these in the short list of the first cause', outcomes, 'listed'),
+        _results(', another named first', outcomes, 'wrong', 'second'),
+        _results(', nothing named', outcomes, 'unseen'),
+        _results(', called unknown', outcomes, 'called_unknown'),
+        _needless([o for o in outcomes if o.is_right]),
+    ]
+
+
+def _parts(words: str, outcomes: Sequence[Outcome]) -> list[Row]:
+    """Visible parts of cells with several causes."""
+    found = [f for o in outcomes for f, v in zip(o.found, o.visible, strict=True) if v]
+    return [Row(f'{words}: visible parts named', sum(found), len(found)), _needless(outcomes)]
+
+
 def summary(outcomes: Sequence[Outcome]) -> list[Row]:
-    """The criteria of a trial."""
-    names = ('none', 'one', 'two', 'unknown', 'places')
-    kinds = {k: [o for o in outcomes if o.kind == k] for k in names}
-    single = [o for o in (*kinds['one'], *kinds['places']) if o.visible[0]]
-    hidden = [o for o in (*kinds['one'], *kinds['places']) if not o.visible[0]]
-    places = [o for o in kinds['places'] if o.visible[0]]
-    unknown = [o for o in kinds['unknown'] if all(o.visible)]
-    traceless = [o for o in kinds['unknown'] if not all(o.visible)]
+    """The criteria of a trial, family by family."""
+
+    def of(*kinds: str, seen: bool = True) -> list[Outcome]:
+        every = [o for o in outcomes if o.kind in kinds]
+        if {'two', 'three', 'none'} & set(kinds):
+            return every
+        return [o for o in every if all(o.visible) == seen]
+
     quiet = [o for o in outcomes if o.noise_as_specified]
-    found = [
-        f for o in kinds['two'] for f, v in zip(o.found, o.visible, strict=True) if v
-    ]  # fmt: skip
+    unknown, hidden = of('unknown'), of('one', 'faint', 'places', seen=False)
+    traceless = [o for o in outcomes if o.kind == 'unknown' and not all(o.visible)]
     return [
         _results('command failed', outcomes, 'failed'),
-        _results('nothing: false alarms', kinds['none'], 'false_alarm'),
+        _results('nothing: none blamed', of('none'), 'quiet'),
         Row(f'noise as specified: {", ".join(NOISE)} named',
             sum(bool(NOISE & set(o.extra)) for o in quiet), len(quiet)),
-        _right('one effect: named rightly', single),
-        _results(', of these in the short list of the first cause', single, 'listed'),
-        _results(', another named first', single, 'wrong', 'second'),
-        _results(', nothing named', single, 'unseen'),
-        _results(', called unknown', single, 'called_unknown'),
-        _needless([o for o in single if o.is_right]),
-        _right('one effect, two tracker places: named rightly', places),
-        Row('two effects: visible parts named', sum(found), len(found)),
-        _needless(kinds['two']),
-        *_unknown(
-            'not in the catalogue, a decoy exists', [o for o in unknown if o.has_decoy]
-        ),
-        *_unknown('not in the catalogue, no decoy', [o for o in unknown if not o.has_decoy]),
-        Row('not in the catalogue, no trace: given a name',
+        *_named('one effect', of('one')),
+        _right('a faint one: named rightly', of('faint')),
+        _results(', another named first', of('faint'), 'wrong', 'second'),
+        *_named('a known cause in another form', of('departed')),
+        _left(', less than a third of the gap left', of('departed'), THIRD),
+        _right('a very large one: named rightly', of('large')),
+        _needless([o for o in of('large') if o.is_right]),
+        _right('one that follows a signal: named rightly', of('signal')),
+        Row(', with its signal', sum(bool(o.follows) for o in of('signal')), len(of('signal'))),
+        _right('one effect, two tracker places: named rightly', of('places')),
+        *_parts('two effects', of('two')),
+        *_parts('three effects', of('three')),
+        *_unknown('no catalogue, a decoy exists', [o for o in unknown if o.has_decoy]),
+        *_unknown('no catalogue, no decoy', [o for o in unknown if not o.has_decoy]),
+        _results('no catalogue: called unknown', unknown, 'unknown'),
+        *_inputs(unknown),
+        _left(', less than half of the gap left',
+              [o for o in unknown if o.result == 'unknown'], HALF),
+        Row('no catalogue, no trace: given a name',
             sum(bool(o.named) for o in traceless), len(traceless)),
         _results('no trace: listed as not visible', hidden, 'not_visible', 'right', 'listed'),
         _results(', blamed on another', hidden, 'wrong', 'second'),
@@ -117,7 +135,7 @@ def by_size(outcomes: Sequence[Outcome]) -> list[Row]:
     """Share named rightly in classes of size, for single visible effects."""
     kept = [
         o for o in outcomes
-        if o.kind in ('one', 'places') and len(o.truth) == 1 and o.visible[0]
+        if o.kind in ('one', 'faint', 'places') and len(o.truth) == 1 and o.visible[0]
         and o.truth[0] not in NOISE
     ]  # fmt: skip
     rows = [
@@ -154,17 +172,11 @@ def confusion(outcomes: Sequence[Outcome]) -> list[tuple[Row, str]]:
     return lines
 
 
-def calibration(outcomes: Sequence[Outcome]) -> list[Row]:
-    """Share of the named causes that are hidden in the cell, by the confidence stated."""
-    named = [
+def stated(outcomes: Sequence[Outcome]) -> list[tuple[float, bool]]:
+    """Confidence of every cause that is named, and whether it is hidden in the cell."""
+    return [
         (c, n not in o.extra) for o in outcomes for n, c in zip(o.named, o.confidence, strict=True)
     ]
-    rows = []
-    for low, high in CONFIDENCE:
-        hits = [there for c, there in named if low <= c < high]
-        if hits:
-            rows.append(Row(f'{low:.2f} to {min(high, 1.0):.2f}', sum(hits), len(hits)))
-    return rows
 
 
 def sizes(recovered: Sequence[Recovery]) -> list[Row]:
@@ -192,9 +204,14 @@ def leave_one_out(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]
     sure = [o for o in seen if any(c >= CONFIDENT for c in o.confidence)]
     apart = sum(told_apart(o, recovered) > TOLD_APART for o in sure)
     return [
+        _results('called unknown', seen, 'unknown'),
+        *_inputs(seen),
+        _left(
+            ', less than half of the gap left', [o for o in seen if o.result == 'unknown'], HALF
+        ),
         Row('blamed with confidence on another that can be told apart', apart, len(seen)),
         Row(', on one of the same trace', len(sure) - apart, len(seen)),
-        _results(', called unknown', seen, 'unknown'),
+        _results('nothing said', seen, 'unseen'),
     ]
 
 
@@ -207,8 +224,12 @@ def score_to_dict(
     outcomes: Sequence[Outcome], recovered: Sequence[Recovery], alone: Sequence[Outcome] = ()
 ) -> dict[str, Any]:
     """Plain data of everything scored."""
+    classes = reliability(stated(outcomes))
     return {
-        'schema': 'otf-blind-score/1',
+        'schema': 'otf-blind-score/2',
+        'criteria': [{**r._asdict(), 'interval': r.interval} for r in summary(outcomes)],
+        'reliability': [{**c.row._asdict(), 'stated': c.mean} for c in classes],
+        'expected_calibration_error': expected_calibration_error(classes),
         'outcomes': [{**vars(o), 'is_right': o.is_right} for o in outcomes],
         'first_place': [{**vars(o), 'is_right': o.is_right} for o in alone],
         'recovered': [{**vars(r), 'covered': r.covered} for r in recovered],

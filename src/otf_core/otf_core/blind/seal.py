@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,18 @@ import yaml
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.blind.cases import Case, Part, draw_case, kinds_of
-from otf_core.effects import REGISTRY
-from otf_core.errors import InputError
+from otf_core.blind.depends import WITHOUT
+from otf_core.errors import ConfigError, InputError
+from otf_core.files.json_file import read_json
 from otf_core.files.manifest import MANIFEST
 from otf_core.files.writing import ensure_folder, write_text
+from otf_core.fleet.call import RESULT, call_job
+from otf_core.fleet.fleet import STATE, Workers, run_fleet
+from otf_core.fleet.job import JobResult
 from otf_core.model.provenance import provenance
 
 KEY, SEAL = 'key.json', 'key.sha256'
-SCHEMA = 'otf-blind-key/1'
+SCHEMA = 'otf-blind-key/2'
 
 Entry = dict[str, Any]
 
@@ -48,10 +52,9 @@ class Order:
 
 
 def orders(trials: int, seed: int, *, leave_one_out: bool = False) -> list[Order]:
-    """List the cells of a trial; with ``leave_one_out`` every effect of the catalogue in turn."""
+    """List the cells of a trial; with ``leave_one_out`` the effects of ``WITHOUT`` in turn."""
     if leave_one_out:
-        names = list(REGISTRY)
-        return [Order(seed, k, 'one', 0, (names[k % len(names)],)) for k in range(trials)]
+        return [Order(seed, k, 'one', 0, (WITHOUT[k % len(WITHOUT)],)) for k in range(trials)]
     return [Order(seed, k, *kind) for k, kind in enumerate(kinds_of(trials, seed))]
 
 
@@ -59,6 +62,8 @@ def _parts(parts: Sequence[Part]) -> list[Entry]:
     return [
         {
             'effect': p.name,
+            'names': list(p.names),
+            'depends': p.depends.to_dict(),
             'parameters': {k: float(v) for k, v in p.applied.parameters.items()},
             'size_um': 1e6 * p.size,
             'raw_um': 1e6 * p.raw,
@@ -97,38 +102,95 @@ def write_cell(order: Order, folder: Path) -> Entry:
     write_text(cell / 'machine.yaml', description)
     for k, run in enumerate(case.trial.runs(case.effects)):
         name = 'bag' if k == 0 else f'bag_{k + 1}'
-        content = BagContent(run.samples, case.trial.plan.path)
+        content = BagContent(run.samples, case.trial.plan.path, signals=run.signals)
         write_bag(cell / name, content, overwrite=True)
     return key_entry(order, case)
 
 
-def seal(wanted: Sequence[Order], folder: Path, jobs: int, progress: Callable[[str], None]) -> str:
-    """Write all cells and the key.
+def draw_cell(folder: str, **order: Any) -> Entry:
+    """Draw the cell of one order, given as plain data; see ``write_cell``."""
+    order['names'] = tuple(order['names'])
+    return write_cell(Order(**order), Path(folder))
+
+
+def _run_name(cell: str) -> str:
+    return f'drawn-{cell}'
+
+
+def seal(
+    wanted: Sequence[Order],
+    folder: Path,
+    workers: Workers,
+    progress: Callable[[str], None],
+) -> dict[str, JobResult]:
+    """Write all cells and the key; unless they are there from a trial that was interrupted.
+
+    A cell that cannot be drawn is named in the key, and the trial goes on without it.
 
     Parameters
     ----------
     wanted : sequence of Order
     folder : Path
-    jobs : int
-        Processes.
+    workers : callable(jobs)
+        See ``fleet.workers``.
     progress : callable(str)
 
     Returns
     -------
-    str
-        SHA-256 of the key.
+    mapping of name to JobResult
+        Of those that could not be drawn.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds another trial.
     """
-    entries = []
-    with ProcessPoolExecutor(jobs) as pool:
-        for entry in pool.map(write_cell, wanted, [folder] * len(wanted)):
-            entries.append(entry)
-            progress(f'cell {entry["cell"]} drawn')
-    content = {'schema': SCHEMA, 'cells': entries, 'provenance': provenance('blind')}
+    if not (folder / SEAL).exists():
+        _draw(wanted, folder, workers, progress)
+        progress(f'key sealed, SHA-256 {sealed(folder)}')
+    key = _read_key(folder)
+    drawn = {(e['seed'], e['cell'], e['kind']) for e in key['cells']}
+    cells = sorted([*key['not_drawn'], *(e['cell'] for e in key['cells'])])
+    if not drawn <= {(o.seed, o.cell, o.kind) for o in wanted} or cells != sorted(
+        o.cell for o in wanted
+    ):
+        raise ConfigError(f'{folder}: holds another trial; choose another folder')
+    return {_run_name(c): JobResult(1, said, None) for c, said in key['not_drawn'].items()}
+
+
+def _draw(
+    wanted: Sequence[Order], folder: Path, workers: Workers, progress: Callable[[str], None]
+) -> None:
+    """Draw every cell in a process of its own, and seal the key."""
+    base = folder.absolute()
+    jobs = [
+        call_job(
+            _run_name(order.cell),
+            f'{__name__}:draw_cell',
+            {'folder': str(base), **asdict(order)},
+            base / STATE / 'drawn' / order.cell,
+        )
+        for order in wanted
+    ]
+    outcomes = run_fleet(jobs, folder, workers, progress)
+    entries, not_drawn = [], {}
+    for order, job in zip(wanted, jobs, strict=True):
+        ended = outcomes[job.name]
+        if ended.done:
+            entries.append(read_json(Path(job.out) / RESULT))
+        else:
+            not_drawn[order.cell] = ended.message
+            shutil.rmtree(folder / 'cells' / order.cell, ignore_errors=True)
+    block = provenance('blind')
+    content = {'schema': SCHEMA, 'cells': entries, 'not_drawn': not_drawn, 'provenance': block}
     text = json.dumps(content, indent=1)
     write_text(folder / KEY, text)
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    write_text(folder / SEAL, digest + '\n')
-    return digest
+    write_text(folder / SEAL, hashlib.sha256(text.encode()).hexdigest() + '\n')
+
+
+def sealed(folder: Path) -> str:
+    """SHA-256 of the key, as it was sealed."""
+    return (folder / SEAL).read_text(encoding='utf-8').strip()
 
 
 def holds_trial(folder: str | Path) -> bool:
@@ -137,17 +199,22 @@ def holds_trial(folder: str | Path) -> bool:
     if not folder.is_dir():
         return False
     names = {p.name for p in folder.iterdir()}
-    return SEAL in names or (bool(names) and names <= {'cells', KEY, MANIFEST})
+    return SEAL in names or (bool(names) and names <= {'cells', STATE, KEY, MANIFEST})
 
 
 def open_key(folder: Path) -> list[Entry]:
     """Read the key; InputError if it is not the one that was sealed."""
+    cells: list[Entry] = _read_key(folder)['cells']
+    return cells
+
+
+def _read_key(folder: Path) -> dict[str, Any]:
     try:
         text = (folder / KEY).read_text(encoding='utf-8')
-        digest = (folder / SEAL).read_text(encoding='utf-8').strip()
+        digest = sealed(folder)
     except OSError as error:
         raise InputError(f'{folder}: key cannot be read ({error.strerror})') from None
     if hashlib.sha256(text.encode()).hexdigest() != digest:
         raise InputError(f'{folder / KEY}: is not the key that was sealed')
-    cells: list[Entry] = json.loads(text)['cells']
-    return cells
+    key: dict[str, Any] = json.loads(text)
+    return key

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from otf_core.blind import score
+from otf_core.blind.counts import Row, expected_calibration_error, reliability
 from otf_core.blind.outcome import Outcome
 from otf_core.blind.recovery import Recovery
 
@@ -32,9 +33,11 @@ class Table(NamedTuple):
     rows: Sequence[Cells]
 
 
-def of_rows(head: Cells, rows: Sequence[score.Row]) -> Table:
-    """Table of criteria."""
-    return Table(head, [(row.name, row.share) for row in rows])
+def of_rows(head: Cells, rows: Sequence[Row]) -> Table:
+    """Table of criteria with their intervals, less those that nothing was counted for."""
+    return Table(
+        (*head, '95 % interval'), [(row.name, row.share, row.interval) for row in rows if row.of]
+    )
 
 
 def as_text(table: Table) -> str:
@@ -81,8 +84,18 @@ def particulars(outcomes: Sequence[Outcome]) -> list[Table]:
     return [
         of_rows(('left in the residual by one effect', 'named rightly'), score.by_size(outcomes)),
         Table(('hidden', 'answered rightly', 'answers'), confusion),
-        of_rows(('confidence stated', 'causes that are there'), score.calibration(outcomes)),
+        confidences(outcomes),
     ]
+
+
+def confidences(outcomes: Sequence[Outcome]) -> Table:
+    """Reliability: the confidence stated for causes, and how many of them are there."""
+    classes = reliability(score.stated(outcomes))
+    rows = [(s.row.name, f'{s.mean:.2f}', s.row.share, s.row.interval) for s in classes]
+    error = expected_calibration_error(classes)
+    rows.append(('expected calibration error', f'{error:.3f}', '', ''))
+    head = ('confidence stated', 'on average', 'causes that are there', '95 % interval')
+    return Table(head, rows)
 
 
 def misses(outcomes: Sequence[Outcome]) -> Table:
@@ -117,8 +130,8 @@ def without_itself(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery
         apart = score.told_apart(o, recovered)
         seen = f'{o.size_um[0]:.2f} um' + ('' if all(o.visible) else ', no trace')
         told = f'{apart:.0f}' if o.named and np.isfinite(apart) else ''
-        rows.append((o.truth[0], seen, o.verdict, words, told))
-    head = ('taken out', 'left in the residual', 'verdict', 'causes (confidence)',
+        rows.append((o.truth[0], seen, o.verdict, words, ', '.join(o.inputs) or '-', told))
+    head = ('taken out', 'left in the residual', 'verdict', 'causes (confidence)', 'inputs',
             'told apart at best by (standard deviations)')  # fmt: skip
     first = ('effects that leave a trace, each taken out of the catalogue', 'cells')
     return [of_rows(first, score.leave_one_out(outcomes, recovered)), Table(head, rows)]

@@ -15,9 +15,10 @@ from otf_core.blind.sight import see
 from otf_core.effects import AppliedEffect, State
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import exact_position
-from otf_core.sim.cell import SimulatedRun
+from otf_core.sim.cell import EPOCH_NS, SimulatedRun
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import displaced, run_state
+from otf_core.sim.signals import signal_courses
 
 Array = NDArray[np.float64]
 
@@ -80,7 +81,8 @@ def sample_state(trial: Trial, k: int, run: SimulatedRun) -> State:
     time = np.arange(len(run.samples)) / config.rate
     pose = RigidTransform(run.rotation.T, run.place)
     clock = time * (1 + config.clock_drift)
-    return run_state(trial.machine, trial.plan, drive, time, clock, pose, run.truth)
+    beside = signal_courses(dict(run.signals), (), EPOCH_NS, clock)
+    return run_state(trial.machine, trial.plan, drive, time, clock, pose, run.truth, beside)
 
 
 def make_ruler(trial: Trial) -> Ruler:

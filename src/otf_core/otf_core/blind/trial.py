@@ -4,17 +4,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from otf_core.blind.answers import Answer, Question, ask_all
+from otf_core.blind.answers import Answer, Question, answer_file, ask_all
+from otf_core.blind.counts import reliability
+from otf_core.blind.depends import kin_of
+from otf_core.blind.diagram import reliability_svg
 from otf_core.blind.outcome import NOISE, Outcome, outcome
-from otf_core.blind.publish import PARTICULARS, README, Measured, fragment
-from otf_core.blind.recovery import Recovery, recover, ruler_of
-from otf_core.blind.score import score_to_dict
-from otf_core.blind.seal import KEY, SEAL, Entry, Order, open_key, orders, seal
+from otf_core.blind.publish import DIAGRAM, PARTICULARS, README, Measured, fragment
+from otf_core.blind.recovery import Recovery, recovery_from
+from otf_core.blind.score import score_to_dict, stated
+from otf_core.blind.seal import KEY, SEAL, Entry, open_key, orders, seal, sealed
 from otf_core.blind.table import (
     Table,
     as_text,
@@ -24,9 +27,13 @@ from otf_core.blind.table import (
     shrink_words,
     without_itself,
 )
-from otf_core.errors import ConfigError
-from otf_core.files.manifest import MANIFEST, write_manifest, written_files
+from otf_core.files.json_file import read_json
+from otf_core.files.manifest import MANIFEST, file_digest, write_manifest, written_files
 from otf_core.files.writing import ensure_folder, write_text
+from otf_core.fleet import fleet
+from otf_core.fleet.call import RESULT, call_job
+from otf_core.fleet.fleet import STATE, Workers, run_fleet
+from otf_core.fleet.job import JobResult
 from otf_core.model.provenance import provenance
 
 Progress = Callable[[str], None]
@@ -49,12 +56,32 @@ def _blind_questions(folder: Path, cells: Sequence[str]) -> list[Question]:
     return questions
 
 
-def _recover(entry: Entry, answer: Answer) -> Recovery | None:
-    return recover(entry, answer, ruler_of(entry))
+def _recover_all(
+    asked: Iterable[tuple[Entry, Question]], folder: Path, workers: Workers, progress: Progress
+) -> tuple[dict[str, Recovery], dict[str, JobResult]]:
+    """Compare answers with the truth, cell by cell, each in a process of its own."""
+    jobs = []
+    for entry, question in asked:
+        file = answer_file(folder, question).absolute()
+        jobs.append(
+            call_job(
+                f'size-{question.name}',
+                'otf_core.blind.recovery:recover_cell',
+                {'entry': entry, 'answer': str(file)},
+                folder / STATE / 'sizes' / question.name,
+                depends=[file_digest(file)],
+            )
+        )
+    ended = run_fleet(jobs, folder, workers, progress)
+    found = (read_json(Path(j.out) / RESULT) for j in jobs if ended[j.name].done)
+    return {data['cell']: recovery_from(data) for data in found if data}, ended
 
 
 def _score(
-    folder: Path, entries: Sequence[Entry], answers: dict[tuple[str, str], Answer], jobs: int
+    folder: Path,
+    entries: Sequence[Entry],
+    answers: dict[tuple[str, str], Answer],
+    recovered: Sequence[Recovery],
 ) -> str:
     outcomes, alone = [], []
     for entry in entries:
@@ -62,12 +89,8 @@ def _score(
         if (FIRST, entry['cell']) in answers:
             answer = answers[FIRST, entry['cell']]
             alone.append(outcome(entry, answer, first_place=True))
-    sized = [e for e in entries if e['parts'] and 'failed' not in answers[WHOLE, e['cell']]]
-    sized = [e for e in sized if all(p['effect'] not in NOISE for p in e['parts'])]
-    with ProcessPoolExecutor(jobs) as pool:
-        results = pool.map(_recover, sized, [answers[WHOLE, e['cell']] for e in sized])
-        recovered = [r for r in results if r is not None]
     main, rest = criteria(outcomes, recovered, alone), particulars(outcomes)
+    write_text(folder / DIAGRAM, reliability_svg(reliability(stated(outcomes))))
     _publish(folder, score_to_dict(outcomes, recovered, alone), main, rest)
     every = [*main, *rest, misses([*outcomes, *alone])]
     return '\n\n'.join([f'{len(outcomes)} cells', *map(as_text, every), shrink_words(recovered)])
@@ -86,36 +109,42 @@ def _publish(
     write_text(folder / 'score.json', json.dumps({**data, 'provenance': block}, indent=1))
     measured = Measured.of(folder, open_key(folder), block['written'][:10], leave_one_out)
     write_text(folder / README, fragment(measured, main))
-    write_text(folder / PARTICULARS, fragment(measured, rest))
-
-
-def _draw(wanted: Sequence[Order], folder: Path, jobs: int, progress: Progress) -> None:
-    """Draw the cells, unless they are there from a trial that was interrupted."""
-    if (folder / SEAL).exists():
-        drawn = [(e['seed'], e['cell'], e['kind']) for e in open_key(folder)]
-        if drawn != [(o.seed, o.cell, o.kind) for o in wanted]:
-            raise ConfigError(f'{folder}: holds another trial; choose another folder')
-        return
-    digest = seal(wanted, folder, jobs, progress)
-    progress(f'key sealed, SHA-256 {digest}')
+    picture = '' if leave_one_out else f'\n![Reliability diagram](images/{DIAGRAM})\n'
+    write_text(folder / PARTICULARS, fragment(measured, rest) + picture)
 
 
 def list_files(folder: Path) -> None:
     """Write the manifest of a trial, whole or interrupted: of what it writes, nothing else."""
-    parts = ('cells', WHOLE, FIRST, WITHOUT, KEY, SEAL, README, PARTICULARS, 'score.json',
-             'score.txt')  # fmt: skip
+    parts = ('cells', WHOLE, FIRST, WITHOUT, STATE, KEY, SEAL, README, PARTICULARS, DIAGRAM,
+             'score.json', 'score.txt', fleet.FILE)  # fmt: skip
     files = [f for f in written_files(folder) if f.relative_to(folder).parts[0] in parts]
     if files:
         write_manifest(folder / MANIFEST, files, 'blind')
+
+
+@dataclass(frozen=True)
+class Trialled:
+    """What a trial came to.
+
+    Attributes
+    ----------
+    words : str
+        The tables; ``score.txt`` and ``score.json`` hold them too.
+    ended : mapping of name to JobResult
+        How the process of every diagnosis ended, and every cell that could not be drawn.
+    """
+
+    words: str
+    ended: Mapping[str, JobResult]
 
 
 def run_trial(
     trials: int,
     seed: int,
     folder: str | Path,
-    jobs: int = 2,
+    workers: Workers,
     progress: Progress = lambda text: None,
-) -> str:
+) -> Trialled:
     """Run a blind trial; an interrupted one goes on where it was.
 
     Parameters
@@ -124,51 +153,55 @@ def run_trial(
         Cells.
     seed : int
     folder : str or Path
-    jobs : int
-        Processes at once.
+    workers : callable(jobs)
+        Who draws, diagnoses and judges the cells, see ``fleet.workers``; the results do not
+        depend on it.
     progress : callable(str)
-
-    Returns
-    -------
-    str
-        The table; ``score.txt`` and ``score.json`` hold it too.
     """
     folder = ensure_folder(folder)
-    _draw(orders(trials, seed), folder, jobs, progress)
+    ended = seal(orders(trials, seed), folder, workers, progress)
     cells = sorted(p.name for p in (folder / 'cells').iterdir())
-    answers = ask_all(_blind_questions(folder, cells), folder, jobs, progress)
-    text = _score(folder, open_key(folder), answers, jobs)
+    questions = _blind_questions(folder, cells)
+    answers, asked = ask_all(questions, folder, sealed(folder), workers, progress)
+    entries = open_key(folder)
+    whole = {q.cell: q for q in questions if q.label == WHOLE}
+    sized = [e for e in entries if e['parts'] and 'failed' not in answers[WHOLE, e['cell']]]
+    sized = [e for e in sized if all(p['effect'] not in NOISE for p in e['parts'])]
+    pairs = [(e, whole[e['cell']]) for e in sized]
+    recovered, judged = _recover_all(pairs, folder, workers, progress)
+    text = _score(folder, entries, answers, list(recovered.values()))
     write_text(folder / 'score.txt', text + '\n')
-    return text
+    return Trialled(text, {**ended, **asked, **judged})
 
 
 def run_leave_one_out(
     trials: int,
     seed: int,
     folder: str | Path,
-    jobs: int = 2,
+    workers: Workers,
     progress: Progress = lambda text: None,
-) -> str:
-    """Diagnose runs with their own effect taken out of the catalogue; as ``run_trial``."""
+) -> Trialled:
+    """Diagnose runs with their effect and its kin taken out of the catalogue; as ``run_trial``.
+
+    What is taken out is taken out in every form.
+    """
     folder = ensure_folder(folder)
-    _draw(orders(trials, seed, leave_one_out=True), folder, jobs, progress)
+    ended = seal(orders(trials, seed, leave_one_out=True), folder, workers, progress)
     entries = open_key(folder)
     questions = [
-        Question(e['cell'], ('bag',), tuple(p['effect'] for p in e['parts']), WITHOUT)
-        for e in entries
+        Question(e['cell'], ('bag',), kin_of(e['parts'][0]['effect']), WITHOUT) for e in entries
     ]
-    answers = ask_all(questions, folder, jobs, progress)
+    answers, asked = ask_all(questions, folder, sealed(folder), workers, progress)
     outcomes: list[Outcome] = []
-    recovered: dict[str, Recovery] = {}
+    named = []
     for entry, question in zip(entries, questions, strict=True):
-        answer = answers[WITHOUT, entry['cell']]
-        outcomes.append(outcome(entry, answer, question.exclude))
+        outcomes.append(outcome(entry, answers[WITHOUT, entry['cell']], question.exclude))
         if outcomes[-1].named:
-            found = _recover(entry, answer)
-            recovered |= {entry['cell']: found} if found else {}
+            named.append((entry, question))
+    recovered, judged = _recover_all(named, folder, workers, progress)
     main, *rest = without_itself(outcomes, recovered)
     data = score_to_dict(outcomes, list(recovered.values()))
     _publish(folder, data, [main], rest, leave_one_out=True)
     text = '\n\n'.join(map(as_text, [main, *rest]))
     write_text(folder / 'score.txt', text + '\n')
-    return text
+    return Trialled(text, {**ended, **asked, **judged})

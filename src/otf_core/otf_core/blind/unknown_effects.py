@@ -14,10 +14,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.blind.depends import PLACES, SENSES, SPEED, Depends, on
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.base import Array
-from otf_core.effects.drawing import Number, Trial, Uniform
-from otf_core.model.machine import AXES
+from otf_core.effects.drawing import Axes, Drawn, Number, Trial, Uniform
+from otf_core.model.frames import XYZ
 
 _MOMENT = Number('t0', Uniform(0.15, 0.85), of_duration=True)
 
@@ -36,6 +37,19 @@ class UnknownEffect(Effect):
     """How its shape is drawn."""
     has_decoy: ClassVar[bool] = False
     """True if a decoy of the diagnosis has the same formula."""
+    stands_for: ClassVar[frozenset[str]] = frozenset()
+    """Causes of the catalogue whose name is right for it; none for an unknown one."""
+    depends: ClassVar[Depends] = Depends()
+    """What it depends on; no groups where no smooth function of inputs comes near."""
+
+    @property
+    def drawn(self) -> tuple[Drawn, ...]:
+        """How a trial draws all its parameters."""
+        return (*self.trial.drawn, Axes('A', self.size))
+
+    def depends_on(self, state: State, parameters: Shape) -> Depends:
+        """What it depends on as drawn."""
+        return self.depends
 
     @abstractmethod
     def factor(self, state: State, shape: Shape) -> Array:
@@ -46,7 +60,7 @@ class UnknownEffect(Effect):
         factor = self.factor(state, shape)
         factor = factor[:, None] if factor.ndim == 1 else factor
         columns = factor[:, :, None] * np.eye(3)
-        return Terms(self.vector, ('m',) * 3, AXES, columns)
+        return Terms(self.vector, ('m',) * 3, XYZ, columns)
 
     def displacement(self, state: State, parameters: Shape) -> Array:
         """Displacement of all samples at once, shape (n, 3), m."""
@@ -59,6 +73,7 @@ class MachineStep(UnknownEffect):
     name: ClassVar[str] = 'unknown_machine_step'
     has_decoy: ClassVar[bool] = True
     cause: ClassVar[str] = 'something moves by a jolt'
+    depends: ClassVar[Depends] = on('time')
     equation: ClassVar[str] = 'A [t > t0]'
     shape_names: ClassVar[tuple[str, ...]] = ('t0',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
@@ -75,6 +90,7 @@ class TrackerStep(UnknownEffect):
     name: ClassVar[str] = 'unknown_tracker_step'
     has_decoy: ClassVar[bool] = True
     cause: ClassVar[str] = 'somebody knocks against the tracker'
+    depends: ClassVar[Depends] = on('time')
     equation: ClassVar[str] = '(A / 1 m) x r [t > t0]'
     shape_names: ClassVar[tuple[str, ...]] = ('t0',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
@@ -89,7 +105,7 @@ class TrackerStep(UnknownEffect):
         """Return A_X, A_Y, A_Z: turns about the axes, rad."""
         after = self.factor(state, shape)[:, None]
         columns = np.stack([after * np.cross(e, state.beam) for e in np.eye(3)], axis=2)
-        return Terms(self.vector, ('rad',) * 3, AXES, columns)
+        return Terms(self.vector, ('rad',) * 3, XYZ, columns)
 
 
 class SlowSwing(UnknownEffect):
@@ -98,6 +114,7 @@ class SlowSwing(UnknownEffect):
     name: ClassVar[str] = 'unknown_slow_swing'
     has_decoy: ClassVar[bool] = True
     cause: ClassVar[str] = 'air conditioning, chiller'
+    depends: ClassVar[Depends] = on('time')
     equation: ClassVar[str] = 'A sin(2 pi (t - t0) / period)'
     shape_names: ClassVar[tuple[str, ...]] = ('period', 't0')
     shape_units: ClassVar[tuple[str, ...]] = ('s', 's')
@@ -110,50 +127,12 @@ class SlowSwing(UnknownEffect):
         return np.asarray(np.sin(2.0 * np.pi * (state.time - shape['t0']) / shape['period']))
 
 
-def since_reversal(q: Array) -> tuple[Array, Array]:
-    """Sign of the last motion of an axis and its travel since it last reversed.
-
-    Parameters
-    ----------
-    q : ndarray, shape (n,), m
-
-    Returns
-    -------
-    sign : ndarray, shape (n,)
-    travel : ndarray, shape (n,), m
-    """
-    step = np.diff(q, prepend=q[0])
-    moving = np.abs(step) > 1e-10
-    last = np.maximum.accumulate(np.where(moving, np.arange(len(q)), -1))
-    first = int(np.argmax(moving)) if moving.any() else 0
-    sign = np.sign(step)[np.where(last < 0, first, last)]
-    total = np.cumsum(np.abs(step))
-    turned = np.concatenate([[True], np.diff(sign) != 0])
-    start = np.maximum.accumulate(np.where(turned, np.arange(len(q)), 0))
-    return sign, total - total[start]
-
-
-class PlayTakenUp(UnknownEffect):
-    """Reversal error that is taken up over some travel, and remembered across corners."""
-
-    name: ClassVar[str] = 'unknown_play_taken_up'
-    cause: ClassVar[str] = 'elastic wind-up with friction'
-    equation: ClassVar[str] = '-A_a sign(d_a) exp(-s_a / l) e_a, s_a travel since reversal'
-    shape_names: ClassVar[tuple[str, ...]] = ('l',)
-    shape_units: ClassVar[tuple[str, ...]] = ('m',)
-    trial: ClassVar[Trial] = Trial((Number('l', Uniform(0.01, 0.06)),))
-
-    def factor(self, state: State, shape: Shape) -> Array:
-        """Decay after each reversal, axis by axis."""
-        parts = [since_reversal(state.q[:, k]) for k in range(3)]
-        return np.stack([-s * np.exp(-t / shape['l']) for s, t in parts], axis=1)
-
-
 class LocalBump(UnknownEffect):
     """A place in the volume where the machine is off: a dent in a guideway, a loose cover."""
 
     name: ClassVar[str] = 'unknown_local_bump'
     cause: ClassVar[str] = 'a dent, a chip under the cover'
+    depends: ClassVar[Depends] = on(*PLACES)
     equation: ClassVar[str] = 'A exp(-|q - q0|^2 / (2 w^2))'
     shape_names: ClassVar[tuple[str, ...]] = ('x', 'y', 'z', 'width')
     shape_units: ClassVar[tuple[str, ...]] = ('', '', '', 'm')
@@ -190,6 +169,7 @@ class FeedOffset(UnknownEffect):
 
     name: ClassVar[str] = 'unknown_feed_offset'
     cause: ClassVar[str] = 'slides float up on their oil film'
+    depends: ClassVar[Depends] = on(SPEED)
     equation: ClassVar[str] = 'A (v / 0.2 m/s)^2'
 
     def factor(self, state: State, shape: Shape) -> Array:
@@ -202,6 +182,7 @@ class InertiaNod(UnknownEffect):
 
     name: ClassVar[str] = 'unknown_inertia_nod'
     cause: ClassVar[str] = 'a soft head or column'
+    depends: ClassVar[Depends] = on('acceleration', besides=['since_stop'])
     equation: ClassVar[str] = 'A times the sign of the acceleration along the path'
 
     def factor(self, state: State, shape: Shape) -> Array:
@@ -215,6 +196,7 @@ class DirectionPair(UnknownEffect):
 
     name: ClassVar[str] = 'unknown_direction_pair'
     cause: ClassVar[str] = 'the frame racks when two drives push against each other'
+    depends: ClassVar[Depends] = on('sense_x', 'sense_y')
     equation: ClassVar[str] = 'A sign(d_X) sign(d_Y) where both move'
 
     def factor(self, state: State, shape: Shape) -> Array:
@@ -222,29 +204,6 @@ class DirectionPair(UnknownEffect):
         moves = np.abs(state.direction) > 1e-6
         sign = np.where(moves, np.sign(state.direction), 0.0)
         return np.asarray(sign[:, 0] * sign[:, 1])
-
-
-class Ringing(UnknownEffect):
-    """The column rings after every start and stop, and calms down within a second."""
-
-    name: ClassVar[str] = 'unknown_ringing'
-    cause: ClassVar[str] = 'a soft foundation, excited by the drives'
-    equation: ClassVar[str] = 'A exp(-t_s / tau) sin(2 pi f t_s), t_s time since start or stop'
-    shape_names: ClassVar[tuple[str, ...]] = ('f', 'tau')
-    shape_units: ClassVar[tuple[str, ...]] = ('Hz', 's')
-    trial: ClassVar[Trial] = Trial(
-        (Number('f', Uniform(1.0, 4.0)), Number('tau', Uniform(0.3, 1.0)))
-    )
-
-    def factor(self, state: State, shape: Shape) -> Array:
-        """Decaying sine since the last start or stop."""
-        moves = state.speed > 0
-        fresh = np.flatnonzero(np.diff(moves, prepend=moves[:1]))
-        number = np.searchsorted(fresh, np.arange(len(moves)), side='right')
-        since = state.time - np.concatenate([[-np.inf], state.time[fresh]])[number]
-        rest = np.minimum(since, 50.0 * shape['tau'])
-        wave = np.exp(-rest / shape['tau']) * np.sin(2.0 * np.pi * shape['f'] * rest)
-        return np.asarray(wave)
 
 
 class BallPassage(UnknownEffect):
@@ -264,7 +223,7 @@ class BallPassage(UnknownEffect):
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return A_X, A_Y, A_Z: lifts of the slides of X, Y, Z along Y, Z, X."""
         columns = self.factor(state, shape)[:, None, :] * np.roll(np.eye(3), 1, axis=0)
-        return Terms(self.vector, ('m',) * 3, AXES, columns)
+        return Terms(self.vector, ('m',) * 3, state.machine.axis_names, columns)
 
 
 class AxisBrake(UnknownEffect):
@@ -273,6 +232,10 @@ class AxisBrake(UnknownEffect):
     name: ClassVar[str] = 'unknown_axis_brake'
     cause: ClassVar[str] = 'a brake or a clamp that closes while its axis stands'
     equation: ClassVar[str] = 'A_a [axis a stands] e_a'
+
+    def depends_on(self, state: State, parameters: Shape) -> Depends:
+        """Whether each axis that has a brake moves."""
+        return on(*(s for s, n in zip(SENSES, self.vector, strict=True) if parameters.get(n)))
 
     def factor(self, state: State, shape: Shape) -> Array:
         """One for every axis that stands."""
@@ -285,6 +248,7 @@ class HeatPlume(UnknownEffect):
 
     name: ClassVar[str] = 'unknown_heat_plume'
     cause: ClassVar[str] = 'a hot motor beside the beam'
+    depends: ClassVar[Depends] = on('azimuth', 'elevation')
     equation: ClassVar[str] = 'A r / 1 m exp(-angle(r, r0)^2 / (2 w^2)), r the beam'
     shape_names: ClassVar[tuple[str, ...]] = ('x', 'y', 'z', 'width')
     shape_units: ClassVar[tuple[str, ...]] = ('', '', '', 'rad')
@@ -306,21 +270,16 @@ class HeatPlume(UnknownEffect):
         return np.asarray(length * np.exp(-0.5 * (angle / shape['width']) ** 2))
 
 
-UNKNOWN_EFFECTS: dict[str, UnknownEffect] = {
-    effect.name: effect
-    for effect in (
-        MachineStep(),
-        TrackerStep(),
-        SlowSwing(),
-        PlayTakenUp(),
-        LocalBump(),
-        StickSlip(),
-        FeedOffset(),
-        InertiaNod(),
-        DirectionPair(),
-        Ringing(),
-        BallPassage(),
-        AxisBrake(),
-        HeatPlume(),
-    )
-}
+WRITTEN_OUT: tuple[UnknownEffect, ...] = (
+    MachineStep(),
+    TrackerStep(),
+    SlowSwing(),
+    LocalBump(),
+    StickSlip(),
+    FeedOffset(),
+    InertiaNod(),
+    DirectionPair(),
+    BallPassage(),
+    AxisBrake(),
+    HeatPlume(),
+)

@@ -30,7 +30,7 @@ from otf_core.effects import State
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated import StatedEffect, TakenOff, effects_to_list
 from otf_core.effects.taken import Taken
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
 from otf_core.solving.columns import (
@@ -111,7 +111,7 @@ def missing_in_tables(solved: ReversalSolution[Run], effects: Sequence[Taken]) -
             state = piece_state(run, at, done.unknowns.knots, tables)
             parts.append(one.displacement(state, number))
         square = np.mean(np.concatenate(parts) ** 2, axis=0)
-        for k, axis in enumerate(AXES):
+        for k, axis in enumerate(machine.axis_names):
             basis = done.unknowns.bases[axis]
             share = float(np.mean(np.sum(basis.matrix(basis.finer(FINE)) ** 2, axis=1)))
             variance[done.unknowns.blocks[f'E{axis}{axis}']] += square[k] / share

@@ -15,7 +15,8 @@ from otf_core.cli.measuring import (
     run_predict,
 )
 from otf_core.cli.options import AddVerb, add_out, add_parameters, add_reading
-from otf_core.cli.simulating import run_blind, run_plan, run_simulate, run_validate
+from otf_core.cli.plant import run_blind
+from otf_core.cli.simulating import run_plan, run_simulate, run_validate
 from otf_core.config import (
     METHODS,
     OTF,
@@ -113,7 +114,11 @@ def _add_diagnose(verb: AddVerb) -> None:
 
 def _add_predict_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument('--tables', required=True, help='error_tables.json')
-    sub.add_argument('--points', required=True, help='CSV with the header x,y,z; m')
+    sub.add_argument(
+        '--points',
+        required=True,
+        help='CSV with the header x,y,z in m, or a text that states its units',
+    )
     add_out(sub, 'CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside; m, k = 1')
     sub.add_argument(
         '--target-offset', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
@@ -153,7 +158,10 @@ def add_judging_verbs(verb: AddVerb) -> None:
 
     sub = verb('validate', run_validate)
     add_out(sub, 'folder for table and figures')
-    sub.add_argument('--quick', action='store_true', help='two cells instead of eight')
+    sub.add_argument(
+        '--quick', action='store_true', help='two cells instead of eight, and shorter stops'
+    )
+    sub.add_argument('--cells', type=int, metavar='N', help='so many cells')
     sub.add_argument(
         '--seed', dest='first_cell', type=_seed, default=2001, metavar='N',
         help='of the first cell (default 2001)',

@@ -8,6 +8,7 @@ import dataclasses
 
 from otf_core.cli.options import given_of, parameters
 from otf_core.cli.output import answer
+from otf_core.cli.progress import progress_of
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError
 
@@ -23,7 +24,8 @@ def run_check(arguments: argparse.Namespace) -> int:
 
     machine = load_machine(arguments.machine) if arguments.machine else None
     path = arguments.path[-1] if arguments.path else None
-    report = check(arguments.bag, machine, config, given_of(arguments, path))
+    with progress_of(arguments, 'checking'):
+        report = check(arguments.bag, machine, config, given_of(arguments, path))
     answer(arguments, format_check(report), report.to_dict())
     return 0 if report.usable else InputError.exit_code
 

@@ -7,7 +7,7 @@ import argparse
 import dataclasses
 
 from otf_core.cli.options import AddVerb, add_out, add_parameters, output_folder, parameters
-from otf_core.cli.output import QUALITY_GATE_FAILED, answer, listed, note
+from otf_core.cli.output import QUALITY_GATE_FAILED, answer_from, note
 from otf_core.config import LoopConfig, PlannerConfig, SimulationConfig
 
 WAYS = ('axes', 'volume', 'program')
@@ -39,7 +39,7 @@ def run_loop(arguments: argparse.Namespace) -> int:
     from otf_core.loop.control import find_control
     from otf_core.model.machine import load_machine
     from otf_core.planning.creator import plan_path
-    from otf_core.reports.loop import failed_gates, format_loop, loop_to_dict, write_loop
+    from otf_core.reports.loop import failed_gates, format_loop, write_loop
 
     machine = load_machine(arguments.machine)
     find_control()
@@ -67,8 +67,7 @@ def run_loop(arguments: argparse.Namespace) -> int:
             found = diagnose([circle.recordings['fit']], twin_recording)
             files += write_diagnosis(found, folder / 'diagnosis')
         names = [f.relative_to(folder) for f in files]
-    words = format_loop(circle) + listed([out.path / n for n in names], arguments.out)
-    answer(arguments, words, loop_to_dict(circle))
+    answer_from(arguments, format_loop(circle), [out.path / n for n in names], 'loop.json')
     gates = failed_gates(circle)
     for gate in gates:
         note(f'otf loop: quality gate failed: {gate}')

@@ -183,8 +183,9 @@ def run_predict(arguments: argparse.Namespace) -> int:
     """Volumetric errors at points, from error tables."""
     import numpy as np
 
-    from otf_core.files.csv_points import begins_with, read_points_csv, write_csv
+    from otf_core.files.csv_points import begins_with, write_csv
     from otf_core.files.output import OutputFile
+    from otf_core.inputs.points_file import read_points
     from otf_core.prediction.predict import predict
 
     header = 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
@@ -194,7 +195,9 @@ def run_predict(arguments: argparse.Namespace) -> int:
         overwrite=arguments.overwrite,
         inputs=(arguments.tables, arguments.points),
     )
-    points = read_points_csv(arguments.points)
+    points, read_as = read_points(arguments.points)
+    if read_as:
+        note(f'otf predict: {read_as}')
     offset = None if arguments.target_offset is None else np.array(arguments.target_offset)
     prediction = predict(arguments.tables, points, offset, arguments.points)
     columns = np.hstack([points, prediction.error, prediction.u])
@@ -213,7 +216,7 @@ def run_predict(arguments: argparse.Namespace) -> int:
 def run_compare(arguments: argparse.Namespace) -> int:
     """Error tables or direct measurements, motion by motion."""
     from otf_core.comparison.compare import compare, load_source
-    from otf_core.files.csv_points import read_points_csv
+    from otf_core.inputs.points_file import read_points
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import STANDARD, provenance
     from otf_core.reports.comparison import format_comparison, write_comparison
@@ -221,7 +224,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
     given = [arguments.a, arguments.b, arguments.machine, arguments.points]
     out = output_folder(arguments, *(name for name in given if name))
     machine = load_machine(arguments.machine) if arguments.machine else None
-    points = read_points_csv(arguments.points) if arguments.points else None
+    points = read_points(arguments.points)[0] if arguments.points else None
     a, b = load_source(arguments.a, machine), load_source(arguments.b, machine)
     result = compare(a, b, points)
     about = provenance(

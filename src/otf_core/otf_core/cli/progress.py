@@ -8,7 +8,6 @@ where nobody waits, a line a stage from ten seconds on.
 from __future__ import annotations
 
 import argparse
-import math
 import shutil
 import sys
 import threading
@@ -18,7 +17,7 @@ from contextlib import contextmanager
 
 from otf_core.cli.output import note, own_line
 from otf_core.live.stages import Progress, of_whole
-from otf_core.live.time_left import TimeLeft
+from otf_core.live.time_left import TimeLeft, about
 
 SILENT = {True: 2.0, False: 10.0}
 """s; jobs that end sooner show nothing, on a terminal and elsewhere."""
@@ -76,16 +75,9 @@ class _Line:
         left = self._left.estimate('job', share, now)
         if share > 0:
             words += f'  {100 * share:.0f} %'
-        if math.isfinite(left):
-            words += f'  about {_rounded(left)} left'
+        if about(left):
+            words += f'  {about(left)}'
         own_line(words[: shutil.get_terminal_size().columns - 1])
-
-
-def _rounded(seconds: float) -> str:
-    """A time that is not known exactly."""
-    if seconds < 10:
-        return f'{math.ceil(seconds)} s'
-    return f'{10 * math.ceil(seconds / 10)} s' if seconds < 90 else f'{seconds / 60:.0f} min'
 
 
 @contextmanager

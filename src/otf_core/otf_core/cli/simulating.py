@@ -1,24 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that plan, simulate and judge: plan, simulate, validate, blind."""
+"""Verbs that plan, simulate and judge: plan, simulate, validate."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import output_folder, parameters
 from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, note
 from otf_core.cli.progress import progress_of
 from otf_core.config import ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError, OtfError
-from otf_core.live.stages import PLAN
+from otf_core.live.stages import PLAN, SIMULATE
+
+if TYPE_CHECKING:
+    from otf_core.validation.table import Row
+
+MOST_CELLS = 1000
 
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
     """Plan, and the place of the tracker that it assumes or None; as plan.json has them."""
-    from otf_core.files.csv_points import read_points_csv
     from otf_core.inputs.plan_json import PlanFile, looks_like_json, read_plan
+    from otf_core.inputs.points_file import read_points
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import check_inside, plan_for_path
     from otf_core.planning.creator import plan_path
@@ -30,8 +36,8 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
         if looks_like_json(name):
             file = _with_dwells(read_plan(name), arguments, config)
         else:
-            points = read_points_csv(name)
-            file = PlanFile(plan_for_path(NominalPath(points), config), None)
+            path = NominalPath(read_points(name)[0])
+            file = PlanFile(plan_for_path(path, config), None)
         check_inside(file.plan.path, machine)
     except ConfigError as error:
         if 'x,y,z' not in str(error):
@@ -77,8 +83,9 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     if tables is not None:
         tables = dataclasses.replace(tables, machine=machine)
     file = _plan_of(arguments, planning, machine)
-    with progress_of(arguments, 'simulating'):
+    with progress_of(arguments, 'simulating', SIMULATE) as progress:
         run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)
+        progress('writing', 0.0)
         del read['machine']  # the description has a place of its own in the block provenance
         out.write(run, file.plan, config, effects, read)
     place = ', '.join(f'{v:.3f}' for v in run.place)
@@ -146,33 +153,24 @@ def run_validate(arguments: argparse.Namespace) -> int:
     from otf_core.validation.table import format_rows
 
     out = output_folder(arguments)
-    laboratory, cells = SimulatedLaboratory(), scale(arguments.quick, arguments.first_cell)
+    if arguments.cells is not None and not 1 <= arguments.cells <= MOST_CELLS:
+        raise ConfigError(f'--cells: {arguments.cells} is out of range [1, {MOST_CELLS}]')
+    laboratory, cells = (
+        SimulatedLaboratory(),
+        scale(arguments.quick, arguments.first_cell, arguments.cells),
+    )
     found = validate(laboratory, cells, (lambda text: None) if arguments.quiet else note)
     truth = found.cells[0].reference.truth
     direct = laboratory.measure_directly(truth, found.seeds[0])
     with out.filled('validate') as folder:
         files = write_validation(found, direct, folder)
     answer_from(arguments, format_rows(found.rows) + '\n', files, 'validation.json')
-    failed = [row.quantity for row in found.rows if row.passed is False]
+    return told_limits(found.rows)
+
+
+def told_limits(rows: Sequence[Row]) -> int:
+    """Name the rows beyond their limits; the exit code."""
+    failed = [row.quantity for row in rows if row.passed is False]
     for quantity in failed:
         note(f'otf: quality gate failed: {quantity}')
     return QUALITY_GATE_FAILED if failed else 0
-
-
-def run_blind(arguments: argparse.Namespace) -> int:
-    """Blind trial: draw and seal cells, diagnose them, score."""
-    from pathlib import Path
-
-    from otf_core.blind.seal import holds_trial
-    from otf_core.blind.trial import list_files, run_leave_one_out, run_trial
-
-    if arguments.overwrite or not holds_trial(arguments.out):
-        output_folder(arguments).clear()
-    run = run_leave_one_out if arguments.leave_one_out else run_trial
-    tell = (lambda text: None) if arguments.quiet else note
-    try:
-        words = run(arguments.trials, arguments.seed, arguments.out, arguments.jobs, tell)
-        answer_from(arguments, words, [Path(arguments.out) / 'score.txt'], 'score.json')
-    finally:
-        list_files(Path(arguments.out))
-    return 0

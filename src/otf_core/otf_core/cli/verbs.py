@@ -59,6 +59,7 @@ EXAMPLES = {
     'fleet': (
         'otf fleet calibrate --list runs.csv --out plant --workers 8',
         'otf fleet diagnose --list runs.csv --out gaps --scheduler tcp://host:8786',
+        'otf fleet blind --trials 80 --seed 5 --out trial --workers 8',
     ),
     'history': (
         'otf history store --add tables',

@@ -24,7 +24,7 @@ from otf_core.model.direct_measurement import (
 )
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, load_tables
 from otf_core.prediction.covariance import unpack_covariance
@@ -148,7 +148,7 @@ def load_source(path: str | Path, machine: Machine | None) -> Source:
 def _common_grid(common: Common) -> Array:
     machine = common.machine
     axes = []
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(machine.axis_names):
         seen = common.position[axis]
         low, high = (seen[0], seen[-1]) if len(seen) else (machine.lower[k], machine.upper[k])
         axes.append(np.linspace(low, high, GRID))

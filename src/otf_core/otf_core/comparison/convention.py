@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import motion_influence
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
 from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import ErrorTables
@@ -126,7 +126,9 @@ def common_ground(sources: Sequence[Source]) -> Common:
     motions = tuple(m for m in MOTIONS if all(_known(s, m) for s in sources))
     if not motions:
         raise ConfigError('the sources have no error motion in common')
-    return Common(machine, {a: _positions(sources, a) for a in AXES}, folded, motions)
+    return Common(
+        machine, {a: _positions(sources, a) for a in machine.axis_names}, folded, motions
+    )
 
 
 def _zeroed(motion: ErrorMotion, position: Array, rows: Array) -> Array:
@@ -147,7 +149,7 @@ def operator(source: Source, common: Common) -> Array:
         position = common.position[axis]
         rows = np.zeros((len(position), width))
         own = np.zeros((len(position), 3))
-        own[:, AXES.index(axis)] = position
+        own[:, motion.place] = position
 
         def add(name: str, factor: Array, rows: Array = rows, position: Array = position) -> None:
             nodes = source.tables.motions[name].position

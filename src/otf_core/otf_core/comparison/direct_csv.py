@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.files.writing import unreadable, write_text
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS
 
 Array = NDArray[np.float64]
@@ -61,8 +61,6 @@ def _reading(
             numbers.append(float(text) * factor if text else float('nan'))
     except (ValueError, IndexError):
         raise ConfigError(f'{where}: expected a reading, got {",".join(row)!r}') from None
-    if axis not in AXES:
-        raise ConfigError(f'{where}: axis: {axis!r}; possible: X, Y, Z')
     if way not in TWO_WAYS:
         raise ConfigError(f'{where}: direction: {way!r}; possible: forward, backward')
     if not np.isfinite(numbers[0]) or np.any(np.isinf(numbers)):
@@ -142,6 +140,9 @@ def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
                 header, columns = cells, _columns(cells, where)
                 continue
             axis, run, way, numbers = _reading(cells, header, columns, where)
+            if axis not in machine.axes:
+                possible = ', '.join(machine.axis_names)
+                raise ConfigError(f'{where}: axis: {axis!r}; possible: {possible}')
             rows.setdefault(axis, []).append((run, way, numbers))
     if not rows:
         raise ConfigError(f'{path}: holds no readings')

@@ -12,7 +12,7 @@ from __future__ import annotations
 from itertools import permutations
 
 from otf_core.contradictions.model import Model
-from otf_core.model.machine import AXES, Chain
+from otf_core.model.machine import Chain
 from otf_core.pieces.finding import GATE, Finding
 
 BAD = 1.3
@@ -37,8 +37,9 @@ def check_chain(model: Model) -> list[Finding]:
     """Try all orders of axes where the stated chain fits badly."""
     if model.fit.ratio < BAD:
         return []
-    stated = order_of(model.rows.machine.chain)
-    orders = [stated, *(o for o in permutations(AXES) if o != stated)]
+    machine = model.rows.machine
+    stated = order_of(machine.chain)
+    orders = [stated, *(o for o in permutations(machine.axis_names) if o != stated)]
     size = model.left_with([Chain((), o) for o in orders], [model.offsets] * len(orders))
     left = dict(zip(orders, size, strict=True))
     best = min(left.values())

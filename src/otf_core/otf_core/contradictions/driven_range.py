@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from otf_core.contradictions.model import Model
-from otf_core.model.machine import AXES
 from otf_core.pieces.finding import WARNING, Finding
 
 LEAST = 0.8
@@ -20,7 +19,7 @@ def check_driven_range(model: Model) -> list[Finding]:
     if not short:
         return []
     parts = ', '.join(
-        f'{AXES[k]} over {1e3 * (high[k] - low[k]):.0f} of {1e3 * size[k]:.0f} mm '
+        f'{machine.axis_names[k]} over {1e3 * (high[k] - low[k]):.0f} of {1e3 * size[k]:.0f} mm '
         f'({100 * (high[k] - low[k]) / size[k]:.0f} %, {1e3 * low[k]:.0f} to '
         f'{1e3 * high[k]:.0f} mm)'
         for k in short

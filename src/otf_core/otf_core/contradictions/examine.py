@@ -22,7 +22,6 @@ from otf_core.contradictions.moved import settle_steps
 from otf_core.contradictions.noise_level import check_noise_level
 from otf_core.contradictions.one_machine import check_one_machine
 from otf_core.contradictions.target_offset import check_target_offset
-from otf_core.model.machine import AXES
 from otf_core.pieces.finding import Finding
 from otf_core.pieces.runs import Run
 
@@ -88,7 +87,7 @@ def _mended(
     Steps between the breaks look like offsets of segments, and the other way round: the simpler
     answer holds where it leaves as little.
     """
-    spacing = tuple(nodes[a] for a in AXES)
+    spacing = tuple(nodes[a] for a in model.rows.machine.axis_names)
     again, words = settle_offsets(model, mend=mend)
     if model.runs[0].pieces.standstill:
         return again, found + words

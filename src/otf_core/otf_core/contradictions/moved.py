@@ -20,7 +20,7 @@ from otf_core.contradictions.rows import pose_columns
 from otf_core.contradictions.smooth_change import sharp_share
 from otf_core.contradictions.steps import Profile, step_profile
 from otf_core.errors import InputError
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.pieces import reduce_to_pieces
 from otf_core.pieces.runs import Run, rigid_pose
@@ -82,7 +82,7 @@ class Step:
     @property
     def words(self) -> str:
         """When, where and how much."""
-        place = ', '.join(f'{a} {1e3 * v:.0f}' for a, v in zip(AXES, self.place, strict=True))
+        place = ', '.join(f'{a} {1e3 * v:.0f}' for a, v in zip(XYZ, self.place, strict=True))
         return (
             f'{self.time:.1f} s after the start, near {place} mm, by {_um(self.shift)}'
             f'{f" and {1e6 * self.turn:.0f} urad" if self.turn > 1e-5 else ""}'

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from otf_core.model.kinematics import squareness_influence
-from otf_core.model.machine import AXES, Chain, Machine
+from otf_core.model.machine import Chain, Machine
 from otf_core.model.motions import SQUARENESS
 from otf_core.model.nodes import hat_matrix
 from otf_core.noise.model import beam_shares, path_frame
@@ -161,7 +161,7 @@ def pose_columns(rows: Rows) -> Array:
 def hats(rows: Rows, axis: int) -> sparse.csr_array:
     """Hat functions of one axis at every piece, shape (p, nodes)."""
     q = rows.q[:, axis]
-    pitch = 0.5 * rows.machine.axes[AXES[axis]].table_pitch
+    pitch = 0.5 * rows.machine.axes[rows.machine.axis_names[axis]].table_pitch
     low, high = float(q.min()), float(q.max())
     count = int(np.clip(np.ceil((high - low) / pitch), 1, MAX_NODES)) + 1
     nodes = np.linspace(low, high, count) if high - low > 1e-6 else np.array([low])
@@ -170,7 +170,8 @@ def hats(rows: Rows, axis: int) -> sparse.csr_array:
 
 def levers(rows: Rows, chain: Chain, offset: Array, axis: int) -> Array:
     """Lever arm of one axis at every piece, shape (p, 3), m."""
-    carried = np.array([a in chain.lever_axes(AXES[axis]) for a in AXES])
+    names = rows.machine.axis_names
+    carried = np.array([a in chain.lever_axes(names[axis]) for a in names])
     return np.asarray(offset + np.where(carried, rows.q, 0.0))
 
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from otf_core.errors import InputError
-from otf_core.model.machine import AXES
 from otf_core.pieces.runs import Recording, blamed
 
 BEYOND = 30.0
@@ -32,15 +31,15 @@ def _check(recording: Recording) -> None:
     if max(float(np.max(travel / size)), float(reach)) > BEYOND:
         worst = int(np.argmax(travel))
         raise InputError(
-            f'path: spans {travel[worst]:g} m in {AXES[worst]} where {machine.name} travels '
-            f'{size[worst]:g} m; the path seems to be in mm, expected m'
+            f'path: spans {travel[worst]:g} m in {machine.axis_names[worst]} where '
+            f'{machine.name} travels {size[worst]:g} m; the path seems to be in mm, expected m'
         )
     outside = np.maximum(machine.lower - low, high - machine.upper)
     worst = int(np.argmax(outside))
     if outside[worst] > OUTSIDE:
         raise InputError(
-            f'path: leaves the range of axis {AXES[worst]} by {1e3 * outside[worst]:.1f} mm: it '
-            f'spans {low[worst]:g} to {high[worst]:g} m, {machine.name} '
-            f'{machine.lower[worst]:g} to {machine.upper[worst]:g} m; do bag and machine '
-            f'description belong together?'
+            f'path: leaves the range of axis {machine.axis_names[worst]} by '
+            f'{1e3 * outside[worst]:.1f} mm: it spans {low[worst]:g} to {high[worst]:g} m, '
+            f'{machine.name} {machine.lower[worst]:g} to {machine.upper[worst]:g} m; do bag and '
+            f'machine description belong together?'
         )

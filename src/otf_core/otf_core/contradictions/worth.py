@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from otf_core.model.evaluation import rigid_columns
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.finding import GATE, WARNING, Finding
@@ -28,7 +27,7 @@ REST = 5.0
 def lattice_of(tables: ErrorTables) -> Array:
     """Lattice over the range of the tables, shape (n, 3), m."""
     lines = []
-    for axis in AXES:
+    for axis in tables.machine.axis_names:
         position = tables.motions[f'E{axis}{axis}'].position
         lines.append(position[np.unique(np.linspace(0, len(position) - 1, COUNT).astype(int))])
     grids = np.meshgrid(*lines, indexing='ij')

@@ -21,7 +21,7 @@ from otf_core.diagnosis.free_curves import curves_of, departs_words
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
 from otf_core.diagnosis.unnamed import Unnamed
 from otf_core.effects import State
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 ALONG = 0.2
 """Share of the largest mean square displacement from which a direction is named as well."""
@@ -91,7 +91,7 @@ def _direction(part: FittedCause, states: Sequence[State]) -> str:
         one = part.applied(run)
         square += np.sum(one.effect.displacement(state, one.parameters) ** 2, axis=0)
     strong = [k for k in np.argsort(-square) if square[k] > ALONG * square.max()]
-    return ' and '.join(AXES[k] for k in strong) if square.max() > 0.0 else ''
+    return ' and '.join(XYZ[k] for k in strong) if square.max() > 0.0 else ''
 
 
 def _add(named: list[NamedCause], cause: NamedCause) -> None:

@@ -22,7 +22,9 @@ from otf_core.diagnosis.corrected import with_causes
 from otf_core.diagnosis.engine.assess import Residuals, gap_um
 from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
+from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows, build_rows
+from otf_core.diagnosis.engine.unnamed import try_structures
 from otf_core.diagnosis.explanation import Explanation, explain
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.place.views import RunView
@@ -90,9 +92,12 @@ def diagnose(
     if matters(explained.after_um, explained.simulated_um):
         noise = check_noise(rows, config.standstill_speed, exclude)
     left, has_place = _what_is_left(rows, explained)
+    tried = try_structures(rows) if _to_explain(explained) else None
+    rival = rival_of(explained.causes, tried) if tried and explained.causes else Rival()
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
-    nameless = find_unnamed(rows, explained, verdict)
+    nameless = find_unnamed(rows, explained, verdict, tried)
     verdict = 'unknown' if nameless else verdict
+    explained = explained.doubted(rival)
     if verdict == 'unknown':
         explained, noise_cause = explained.without_causes(), None
     else:
@@ -145,6 +150,11 @@ def _as_recorded(
     return solve_recordings(recordings, config, mend=False)
 
 
+def _to_explain(explained: Explanation) -> bool:
+    """Tell whether there are causes, or a gap without."""
+    return bool(explained.causes) or matters(explained.before_um, explained.simulated_um)
+
+
 def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:
     """Shape of what the causes leave, and whether what all that is known leaves has a place."""
     if not explained.causes:
@@ -193,6 +203,7 @@ def run_views(
     return tuple(
         RunView(
             name=run.recording.name or f'run {k}',
+            axis_names=state.machine.axis_names,
             time=state.time,
             leg=run.pieces.leg,
             q=state.q,

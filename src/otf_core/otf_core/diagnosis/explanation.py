@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.assess import Residuals, gap_um, plain_residuals, residuals_with
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES
+from otf_core.diagnosis.engine.rival import Rival
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
 from otf_core.effects import Effect
@@ -69,6 +70,11 @@ class Explanation:
     def after_um(self) -> float:
         """Gap with all causes, on legs they were not fitted on, um."""
         return gap_um(self.steps[-1].rms_um, self.simulated_um)
+
+    def doubted(self, rival: Rival) -> Explanation:
+        """The same with confidences that count something else and nothing."""
+        causes = tuple(replace(c, confidence=rival.confidence(c)) for c in self.causes)
+        return replace(self, causes=causes)
 
     def without_causes(self) -> Explanation:
         """The same with nothing named: where no effect explains the gap."""

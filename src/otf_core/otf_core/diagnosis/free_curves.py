@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.fitted import FittedCause
 from otf_core.effects.free import FreeForm, coefficient_name
-from otf_core.effects.inputs import SIGNAL, unit_of_input, unscaled_input
+from otf_core.effects.inputs import SIGNAL, cycle_period, unit_of_input, unscaled_input
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -148,11 +148,10 @@ def range_words(curve: Curve) -> str:
     """Where a curve is lowest and highest, in words."""
     low, high = int(np.argmin(curve.value)), int(np.argmax(curve.value))
     ends = ' to '.join(
-        f'{number_words(curve.value[k], curve.unit)} at {curve.input} = '
-        f'{_input_words(curve.at[k], curve.input_unit)}'
+        f'{number_words(curve.value[k], curve.unit)} at {_at_words(curve.input, curve.at[k])}'
         for k in sorted((low, high), key=lambda k: curve.at[k])
     )
-    held = ', '.join(f'{n} = {_input_words(v, unit_of_input(n))}' for n, v in curve.held.items())
+    held = ', '.join(_at_words(n, v) for n, v in curve.held.items())
     return f'{curve.term} goes from {ends}' + (f' ({held})' if held else '')
 
 
@@ -167,6 +166,8 @@ def _slope_words(curve: Curve) -> str:
     return f' {factor * slope:.3g} +/- {factor * u:.1g} {unit} per {per}'
 
 
-def _input_words(value: float, unit: str) -> str:
-    """Value of an input in words."""
-    return f'{1e3 * value:.3g} mm' if unit == 'm' else f'{value:.3g} {unit}'.rstrip()
+def _at_words(name: str, value: float) -> str:
+    """An input and its value in words."""
+    unit = unit_of_input(name)
+    words = f'{1e3 * value:.3g} mm' if unit == 'm' else f'{value:.3g} {unit}'.rstrip()
+    return f'{words} of the cycle' if cycle_period(name) else f'{name} = {words}'

@@ -15,7 +15,7 @@ from otf_core.diagnosis.engine.assess import (
     shrink_percent,
 )
 from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.unnamed import Structure, find_structure
+from otf_core.diagnosis.engine.unnamed import Structure, Structures, find_structure
 from otf_core.diagnosis.explanation import Explanation
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.free_curves import Curve, curves_of, range_words
@@ -27,8 +27,8 @@ from otf_core.effects.acting import (
     Along,
     acting_name,
 )
-from otf_core.effects.inputs import SIGNAL
-from otf_core.model.machine import AXES
+from otf_core.effects.inputs import CYCLE, SIGNAL, cycle_period
+from otf_core.model.frames import XYZ
 
 FAR_BETTER = 0.5
 """Share of the gap that the named causes leave, below which a cause without a name beats them."""
@@ -58,6 +58,7 @@ MECHANISMS = (
     ({'since_stop', 'acceleration'}, 'inertia and settling after changes of speed'),
     ({'feed'}, 'forces or films that grow with speed: oil film, air drag, control'),
     ({'lap'}, 'something that changed between the laps'),
+    ({CYCLE}, 'what switches in turn: cooling, coolant, air conditioning, a pump'),
     ({'time'}, 'warming, settling or something that switches while the run lasts'),
     ({'x', 'y', 'z'}, 'a structure that bends with the place of its slides'),
 )
@@ -100,7 +101,9 @@ class Nameless:
     applied: tuple[AppliedEffect, ...]
 
 
-def find_unnamed(rows: Rows, explained: Explanation, verdict: str) -> Nameless | None:
+def find_unnamed(
+    rows: Rows, explained: Explanation, verdict: str, tried: Structures | None
+) -> Nameless | None:
     """Look for a cause without a name where the named ones leave a gap.
 
     Parameters
@@ -109,6 +112,8 @@ def find_unnamed(rows: Rows, explained: Explanation, verdict: str) -> Nameless |
     explained : Explanation
     verdict : str
         By the effects of the catalogue.
+    tried : Structures, optional
+        What may explain the gap; None where there is nothing to explain.
 
     Returns
     -------
@@ -116,9 +121,9 @@ def find_unnamed(rows: Rows, explained: Explanation, verdict: str) -> Nameless |
         None if nothing is left to explain, if no structure explains it, or if the named causes
         are about as good.
     """
-    if verdict not in ('unknown', 'partly_explained'):
+    if tried is None or verdict not in ('unknown', 'partly_explained'):
         return None
-    structure = find_structure(rows)
+    structure = find_structure(tried)
     if structure is None:
         return None
     found = _said(rows, explained, structure)
@@ -136,7 +141,7 @@ def _said(rows: Rows, explained: Explanation, structure: Structure) -> Nameless:
     (part,) = fitted_causes([structure.cause], rows)
     form, curves = structure.effect.form, curves_of(part)
     said = Unnamed(
-        depends_on=form.inputs,
+        depends_on=tuple(dict.fromkeys('time' if cycle_period(n) else n for n in form.inputs)),
         acts_as=acting_name(form.acts),
         words=_words(form.inputs, structure, curves),
         before_um=sizes[0],
@@ -152,6 +157,8 @@ def input_words(name: str) -> str:
     """Name of an input in words."""
     if name.startswith(SIGNAL):
         return f'the signal {name.removeprefix(SIGNAL)}'
+    if period := cycle_period(name):
+        return f'time, over and over every {period:.3g} s'
     head, _, axis = name.rpartition('_')
     of_axis = {
         'sense': 'the sense of travel of',
@@ -167,7 +174,8 @@ def _words(inputs: Sequence[str], structure: Structure, curves: Sequence[Curve])
     moved = moved or ACTS[acting_name(acts)]
     sizes = f', {range_words(curves[0])}' if curves else ''
     signals = any(n.startswith(SIGNAL) for n in inputs)
-    kinds = [words for names, words in MECHANISMS if names & set(inputs)][:2]
+    kinds_of = {CYCLE if cycle_period(n) else n for n in inputs}
+    kinds = [words for names, words in MECHANISMS if names & kinds_of][:2]
     kinds = ['what that signal measures'] if signals else kinds
     return f'depends on {depends}: {moved}{sizes}; what behaves so: {", or ".join(kinds)}'
 
@@ -175,5 +183,5 @@ def _words(inputs: Sequence[str], structure: Structure, curves: Sequence[Curve])
 def _direction_words(acts: Along) -> str:
     main = int(np.argmax(np.abs(acts.direction)))
     if abs(acts.direction[main]) > ALMOST:
-        return AXES[main]
+        return XYZ[main]
     return f'X, Y, Z = ({", ".join(f"{v:.2f}" for v in acts.direction)})'

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from otf_core.effects.base import Array, Shape, State, Terms
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 Acting = Callable[[State, Shape], Terms]
 """What the function is multiplied with, one term for every direction or rotation."""
@@ -28,7 +28,7 @@ def _unit_columns(state: State) -> Array:
 
 def vector(state: State, shape: Shape) -> Terms:
     """Shifts along X, Y, Z."""
-    return Terms(AXES, ('m',) * 3, AXES, _unit_columns(state))
+    return Terms(XYZ, ('m',) * 3, XYZ, _unit_columns(state))
 
 
 def rigid_tracker(state: State, shape: Shape) -> Terms:
@@ -43,7 +43,7 @@ def rigid_table(state: State, shape: Shape) -> Terms:
 
 def _rigid(state: State, arm: Array) -> Terms:
     turned = np.stack([np.cross(e, arm) for e in np.eye(3)], axis=2)
-    names = (*(f'M_{a}' for a in AXES), *(f'W_{a}' for a in AXES))
+    names = (*(f'M_{a}' for a in XYZ), *(f'W_{a}' for a in XYZ))
     columns = np.concatenate([_unit_columns(state), turned], axis=2)
     return Terms(names, ('m',) * 3 + ('rad',) * 3, ('',) * 6, columns)
 

@@ -17,7 +17,6 @@ import numpy as np
 from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Maybe, Number, Trial
 from otf_core.effects.free import Free
-from otf_core.model.machine import AXES
 from otf_core.model.path import MOVING
 
 HELD = 'held'
@@ -81,4 +80,5 @@ class Backlash(Effect):
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return B_X, B_Y, B_Z."""
         columns = 0.5 * travel_sign(state, shape)[:, :, None] * np.eye(3)
-        return Terms(tuple(f'B_{a}' for a in AXES), ('m',) * 3, AXES, columns)
+        axes = state.machine.axis_names
+        return Terms(tuple(f'B_{a}' for a in axes), ('m',) * 3, axes, columns)

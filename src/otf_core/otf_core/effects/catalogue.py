@@ -12,7 +12,7 @@ import numpy as np
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.state import probe_state
 from otf_core.files.writing import write_text
-from otf_core.model.machine import AXES, Axis, Chain, Machine, TrackerSpec
+from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 
 LISTED = 18
 """Names that are written out; of longer lists the first and the last."""
@@ -45,8 +45,9 @@ Free forms and empirical effects as entries of such a file: [free-forms.md](free
 
 
 def _machine() -> Machine:
-    axes = {a: Axis(0.0, 0.6, 0.3) for a in AXES}
-    return Machine('', Chain.parse('w-b-X-Y-Z-t'), axes, np.zeros(3), TrackerSpec(1e-6, 1e-6))
+    chain = Chain.parse('w-b-X-Y-Z-t')
+    axes = {a: Axis(0.0, 0.6, 0.3) for a in chain.axis_names}
+    return Machine('', chain, axes, np.zeros(3), TrackerSpec(1e-6, 1e-6))
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -7,6 +7,7 @@ to [-1, 1] over the axis range, so c is the error at the corner of the volume.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import ClassVar
 
@@ -14,10 +15,10 @@ import numpy as np
 
 from otf_core.effects.acting import vector
 from otf_core.effects.base import Effect, Shape, State, Terms
-from otf_core.effects.drawing import Either, Number, Several, Share, Trial
+from otf_core.effects.drawing import Either, Number, OfMachine, Several, Share, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import scaled_position
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 POWERS = (
     *((a, b) for a, b in combinations(range(3), 2)),
@@ -28,15 +29,24 @@ POWERS = (
 """Monomials as the axes that are multiplied."""
 
 
-def _label(axes: tuple[int, ...]) -> str:
-    counts = [(AXES[a], axes.count(a)) for a in sorted(set(axes))]
+def _labels(names: tuple[str, ...]) -> list[str]:
+    return [_label([names[k] for k in power]) for power in POWERS]
+
+
+def _label(axes: Sequence[str]) -> str:
+    counts = [(a, axes.count(a)) for a in dict.fromkeys(axes)]
     return ''.join(name + (str(count) if count > 1 else '') for name, count in counts)
 
 
 _SIZE = Share(1e-6, 0.5, signed=False)
-_DRAWN = Either(
-    tuple((Either(tuple((Number(f'{d}_{_label(p)}', _SIZE),) for p in POWERS)),) for d in AXES)
-)
+
+
+def _one_of(axes: tuple[str, ...]) -> Either:
+    numbers = {d: tuple((Number(f'{d}_{p}', _SIZE),) for p in _labels(axes)) for d in XYZ}
+    return Either(tuple((Either(numbers[d]),) for d in XYZ))
+
+
+_DRAWN = OfMachine(_one_of)
 """Any one of the coefficients."""
 
 
@@ -81,5 +91,5 @@ class CrossCoupling(Effect):
         place = scaled_position(state)
         products = np.stack([np.prod(place[:, list(p)], axis=1) for p in POWERS], axis=1)
         columns = np.concatenate([products[:, None, :] * e[:, None] for e in np.eye(3)], axis=2)
-        names = tuple(f'{d}_{_label(p)}' for d in AXES for p in POWERS)
+        names = tuple(f'{d}_{p}' for d in XYZ for p in _labels(state.machine.axis_names))
         return Terms(names, ('m',) * len(names), tuple(n[0] for n in names), columns)

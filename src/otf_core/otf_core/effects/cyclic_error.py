@@ -15,7 +15,6 @@ import numpy as np
 from otf_core.effects.base import Effect, Shape, State, Terms, Wave
 from otf_core.effects.drawing import Axes, Maybe, Number, OneOf, Trial, Uniform
 from otf_core.effects.free import Free
-from otf_core.model.machine import AXES
 
 WAVES = 3
 """A period fits at least so often into the longest axis; longer waves are for the tables."""
@@ -26,8 +25,9 @@ def harmonics(state: State, shape: Shape) -> Terms:
     phase = 2.0 * np.pi * state.q / shape['period']
     waves = [wave(k * phase) for k in (1, 2) for wave in (np.sin, np.cos)]
     columns = [wave[:, :, None] * np.eye(3) for wave in waves]
-    names = tuple(f'{part}{k}_{a}' for k in (1, 2) for part in 'SC' for a in AXES)
-    return Terms(names, ('m',) * 12, AXES * 4, np.concatenate(columns, axis=2))
+    axes = state.machine.axis_names
+    names = tuple(f'{part}{k}_{a}' for k in (1, 2) for part in 'SC' for a in axes)
+    return Terms(names, ('m',) * 12, axes * 4, np.concatenate(columns, axis=2))
 
 
 class CyclicError(Effect):
@@ -84,5 +84,6 @@ class CyclicError(Effect):
         """Return S_X, S_Y, S_Z, C_X, C_Y, C_Z."""
         phase = 2.0 * np.pi * state.q / shape['period']
         columns = [wave[:, :, None] * np.eye(3) for wave in (np.sin(phase), np.cos(phase))]
-        names = tuple(f'{part}_{a}' for part in 'SC' for a in AXES)
-        return Terms(names, ('m',) * 6, AXES * 2, np.concatenate(columns, axis=2))
+        axes = state.machine.axis_names
+        names = tuple(f'{part}_{a}' for part in 'SC' for a in axes)
+        return Terms(names, ('m',) * 6, axes * 2, np.concatenate(columns, axis=2))

@@ -17,12 +17,11 @@ from numpy.polynomial import legendre
 
 from otf_core.effects.backlash import HELD, SOMETIMES_HELD, travel_sign
 from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
-from otf_core.effects.drawing import Either, Normal, Number, Some, Trial
+from otf_core.effects.drawing import Either, Normal, Number, OfMachine, Some, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import scaled_position
 from otf_core.model.kinematics import motion_influence
-from otf_core.model.machine import AXES
-from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
+from otf_core.model.motions import MOTIONS, ErrorMotion
 
 ORDER = 3
 
@@ -51,9 +50,8 @@ def reversed_motions(state: State, shape: Shape) -> Terms:
     columns = [
         sign[:, m.place, None] * motion_influence(state.machine, m, state.q) for m in MOTIONS
     ]
-    names = tuple(str(m) for m in MOTIONS)
-    units = tuple(unit_of(n) for n in names)
-    return Terms(names, units, tuple(n[2] for n in names), np.stack(columns, axis=2))
+    names, units = tuple(str(m) for m in MOTIONS), tuple(m.unit for m in MOTIONS)
+    return Terms(names, units, tuple(m.axis for m in MOTIONS), np.stack(columns, axis=2))
 
 
 class DirectionDependentTables(Effect):
@@ -79,7 +77,7 @@ class DirectionDependentTables(Effect):
     needs: ClassVar[str] = 'every line driven forward and reverse'
     belongs_to: ClassVar[BelongsTo] = BelongsTo.REVERSAL
     trial: ClassVar[Trial] = Trial(
-        (Either(tuple((SOMETIMES_HELD, _drawn_axis(a)) for a in AXES)),)
+        (OfMachine(lambda axes: Either(tuple((SOMETIMES_HELD, _drawn_axis(a)) for a in axes))),)
     )
     shape_names: ClassVar[tuple[str, ...]] = ('order', HELD)
     shape_units: ClassVar[tuple[str, ...]] = ('', '')
@@ -104,7 +102,7 @@ class DirectionDependentTables(Effect):
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return EXX_1 ... ECZ_3: motion and order of its polynomial."""
         sign, place = travel_sign(state, shape), scaled_position(state)
-        names, columns = [], []
+        names, moved, columns = [], [], []
         for motion in MOTIONS:
             axis = motion.place
             influence = (
@@ -113,6 +111,7 @@ class DirectionDependentTables(Effect):
             along = polynomials(place[:, axis], round(shape['order']))
             for k in range(int(motion.is_positioning), along.shape[1]):
                 names.append(f'{motion}_{k}')
+                moved.append(motion)
                 columns.append(influence * along[:, k, None])
-        units = tuple(unit_of(n[:3]) for n in names)
-        return Terms(tuple(names), units, tuple(n[2] for n in names), np.stack(columns, axis=2))
+        units, axes = tuple(m.unit for m in moved), tuple(m.axis for m in moved)
+        return Terms(tuple(names), units, axes, np.stack(columns, axis=2))

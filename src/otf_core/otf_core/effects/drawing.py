@@ -6,6 +6,7 @@ Coefficients count only in proportion: the trial scales them to a size of its ow
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 # ---------------------------------------------------------------- numbers
@@ -120,6 +121,13 @@ class Either:
 
 
 @dataclass(frozen=True)
+class OfMachine:
+    """What is drawn depends on the names of the machine's axes."""
+
+    item: Callable[[tuple[str, ...]], Drawn]
+
+
+@dataclass(frozen=True)
 class BetweenNodes:
     """A rough wave along an axis, one coefficient per interval of its table.
 
@@ -142,7 +150,7 @@ class BetweenNodes:
     rough: float
 
 
-Drawn = Number | Axes | Some | Several | Maybe | Either | BetweenNodes
+Drawn = Number | Axes | Some | Several | Maybe | Either | OfMachine | BetweenNodes
 """A part of the parameters of an effect."""
 
 

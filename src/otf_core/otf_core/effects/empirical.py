@@ -13,13 +13,19 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from otf_core.effects.acting import Acting
 from otf_core.effects.applied import AppliedEffect
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
 from otf_core.effects.free import Free, FreeForm, coefficient_name
-from otf_core.effects.inputs import Span, scaled_input, unscaled_input
+from otf_core.effects.inputs import (
+    Span,
+    cycle_period,
+    functions_of,
+    nodes_of,
+    scaled_input,
+    unscaled_input,
+)
 
 EMPIRICAL = 'empirical'
 CONDITION = 1e8
@@ -46,13 +52,6 @@ class Empirical(Effect):
         return Terms((), (), (), np.zeros((len(state), 3, 0)))
 
 
-def nodes_of(order: int) -> Array:
-    """Places in [-1, 1] at which a polynomial of an order is tabulated (Chebyshev-Lobatto)."""
-    if not order:
-        return np.zeros(1)
-    return np.asarray(-np.cos(np.pi * np.arange(order + 1) / order))
-
-
 def tabulated(one: AppliedEffect) -> tuple[dict[str, list[float]], dict[str, Array]]:
     """Nodes of every input, SI, and the values of every term on their grid.
 
@@ -64,10 +63,10 @@ def tabulated(one: AppliedEffect) -> tuple[dict[str, list[float]], dict[str, Arr
     effect = one.effect
     assert isinstance(effect, FreeForm)
     form = effect.form
-    places = [nodes_of(order) for order in form.orders]
+    names = list(effect.spans)
+    places = [nodes_of(n, order) for n, order in zip(names, form.orders, strict=True)]
     grid = np.meshgrid(*places, indexing='ij')
     table = effect.functions([g.ravel() for g in grid])
-    names = list(effect.spans)
     nodes = {
         n: unscaled_input(n, p, effect.spans[n]).tolist()
         for n, p in zip(names, places, strict=True)
@@ -90,7 +89,7 @@ def of_table(
     name : str
     acts : Acting
     nodes : mapping of input to sequence of float
-        Ascending, the first and the last are the range.
+        Ascending, the first and the last are the range; of a phase an odd number in one period.
     values : mapping of term to ndarray
         On the grid of the nodes.
 
@@ -99,12 +98,15 @@ def of_table(
     ValueError
         If the nodes of an input are too close or not apart.
     """
-    spans: dict[str, Span] = {n: (float(v[0]), float(v[-1])) for n, v in nodes.items()}
+    spans: dict[str, Span] = {
+        n: (0.0, cycle_period(n)) if cycle_period(n) else (float(v[0]), float(v[-1]))
+        for n, v in nodes.items()
+    }
     form = Free(tuple(nodes), tuple(len(v) - 1 for v in nodes.values()), acts=acts)
     inverses = []
     for n, own in nodes.items():
         place = scaled_input(n, np.array(own, dtype=float), spans[n])
-        matrix = legendre.legvander(place, len(own) - 1)
+        matrix = functions_of(n, place, len(own) - 1)
         if not np.linalg.cond(matrix) < CONDITION:
             raise ValueError(f'{n}: the nodes are too close to each other or not ascending')
         inverses.append(np.linalg.inv(matrix))

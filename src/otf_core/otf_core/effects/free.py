@@ -2,11 +2,11 @@
 """Free form of an effect: a smooth function of few inputs times what it acts with.
 
 delta = sum over j, k of c_jk P_k(u) A_j, A_j the columns of an effect's formula or of a way to
-act, P_k products of Legendre polynomials of the inputs u scaled to [-1, 1]. Smoothness is the
-prior: a coefficient of the total order |k| has a standard deviation in proportion to
-(1 + |k|)^-r, with r and the size estimated from the data by their marginal likelihood (restricted
-maximum likelihood, e.g. Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006,
-sections 2.7 and 5.4).
+act, P_k products of Legendre polynomials of the inputs u scaled to [-1, 1] (of a phase: harmonics,
+``inputs.functions_of``). Smoothness is the prior: a coefficient of the total order |k| has a
+standard deviation in proportion to (1 + |k|)^-r, with r and the size estimated from the data by
+their marginal likelihood (restricted maximum likelihood, e.g. Rasmussen and Williams, Gaussian
+Processes for Machine Learning, 2006, sections 2.7 and 5.4).
 """
 
 from __future__ import annotations
@@ -17,11 +17,10 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from otf_core.effects.acting import Acting
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
-from otf_core.effects.inputs import SIGNAL, Span, input_values, scaled_input, span_of
+from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
 
 if TYPE_CHECKING:
     from otf_core.effects.base import BelongsTo
@@ -183,8 +182,9 @@ class FreeForm(Effect):
     def functions(self, places: Sequence[Array]) -> Array:
         """Products of polynomials at scaled inputs, each (n,), shape (n, k)."""
         tables = []
-        for number, (place, order) in enumerate(zip(places, self.form.orders, strict=True)):
-            table = legendre.legvander(place, order)
+        parts = zip(self.form.inputs, places, self.form.orders, strict=True)
+        for number, (name, place, order) in enumerate(parts):
+            table = functions_of(name, place, order)
             if number == 0 and self.form.zero_at:
                 table = table - self.form.zero_at ** np.arange(order + 1)
             tables.append(table)

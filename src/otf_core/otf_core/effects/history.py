@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.model.path import MOVING
 from otf_core.tracking.curves import Lines
 
@@ -83,7 +83,7 @@ def path_history(
     )
     change[bounds], change[np.append(bounds[1:], len(leg)) - 1] = 0.0, 0.0
     return {
-        **{f'since_reversal_{a.lower()}': since[:, k] for k, a in enumerate(AXES)},
+        **{f'since_reversal_{a.lower()}': since[:, k] for k, a in enumerate(XYZ)},
         'since_stop': np.maximum(time - np.repeat(began, count), 0.0),
         'acceleration': change,
         'lap': lap_numbers(lines.corners)[leg],

@@ -2,8 +2,9 @@
 """Inputs that a smooth function may depend on, by name, and how they are scaled to [-1, 1].
 
 Time, axis positions, sense of travel, feed, what happened since the last stop or reversal, place
-in the path, direction and length of the beam, signals recorded beside the samples. A distance or a
-time since something is compressed to s / (s + s0), so that what dies out needs few functions.
+in the path, direction and length of the beam, signals recorded beside the samples, the phase of a
+cycle in time. A distance or a time since something is compressed to s / (s + s0), so that what
+dies out needs few functions. Functions are Legendre polynomials; of a phase they are harmonics.
 """
 
 from __future__ import annotations
@@ -11,14 +12,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from otf_core.effects.base import Array, State
 from otf_core.errors import ConfigError
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.model.path import MOVING
 
 SIGNAL = 'signal:'
 """Head of the names of signals recorded beside the samples."""
+CYCLE = 'cycle:'
+"""Head of the name of the phase of a cycle in time; its period in s follows."""
 CORNER_LENGTH, REVERSAL_LENGTH, STOP_TIME = 0.03, 0.03, 0.5
 """m, m and s; s0 of distances from corners, of travel since a reversal, of time since a stop."""
 UNITS = {
@@ -29,13 +33,13 @@ UNITS = {
 """Units of the inputs that do not belong to an axis."""
 OF_AXIS = {'sense': '', 'since_reversal': 'm'}
 """The same for inputs such as ``sense_x``; positions are ``x``, ``y``, ``z``."""
-_LETTERS = {a.lower(): k for k, a in enumerate(AXES)}
+_LETTERS = {a.lower(): k for k, a in enumerate(XYZ)}
 
 
 def known_input(name: str) -> bool:
     """Tell whether a name is one of an input."""
     head, _, axis = name.rpartition('_')
-    own = head in OF_AXIS and axis in _LETTERS
+    own = (head in OF_AXIS and axis in _LETTERS) or cycle_period(name) > 0.0
     return own or name in UNITS or name in _LETTERS or name.startswith(SIGNAL)
 
 
@@ -43,7 +47,23 @@ def unit_of_input(name: str) -> str:
     """Unit of an input; signals have those of their topic, which are not known here."""
     if name in _LETTERS:
         return 'm'
+    if cycle_period(name):
+        return 's'
     return UNITS.get(name, OF_AXIS.get(name.rpartition('_')[0], ''))
+
+
+def cycle_period(name: str) -> float:
+    """Period in s if an input is the phase of a cycle in time, else 0."""
+    try:
+        period = float(name.removeprefix(CYCLE)) if name.startswith(CYCLE) else 0.0
+    except ValueError:
+        return 0.0
+    return period if 0.0 < period < np.inf else 0.0
+
+
+def label_of(name: str) -> str:
+    """Name of an input for pictures."""
+    return 'time in the cycle' if cycle_period(name) else name
 
 
 def compression(name: str) -> float:
@@ -71,6 +91,8 @@ def input_values(state: State, name: str) -> Array:
         return np.where(np.abs(own) > MOVING, np.sign(own), 0.0)
     if name in state.more:
         return state.more[name]
+    if period := cycle_period(name):
+        return np.asarray(np.mod(state.time, period))
     if name in _PLAIN:
         return np.asarray(_PLAIN[name](state))
     if name.startswith(SIGNAL):
@@ -105,6 +127,8 @@ def span_of(states: Sequence[State], name: str) -> Span:
     if name in _LETTERS:
         machine, k = states[0].machine, _LETTERS[name]
         return float(machine.lower[k]), float(machine.upper[k])
+    if period := cycle_period(name):
+        return 0.0, period
     if name == 'time':
         return 0.0, max(s.end for s in states)
     values = np.concatenate([input_values(s, name) for s in states])
@@ -138,3 +162,27 @@ def unscaled_input(name: str, place: Array, span: Span) -> Array:
         share = 0.5 * (place + 1.0)
         return np.asarray(np.minimum(share * bend / np.maximum(1.0 - share, 1e-9), high))
     return np.asarray(low + 0.5 * (place + 1.0) * (high - low))
+
+
+def functions_of(name: str, place: Array, order: int) -> Array:
+    """Functions up to an order of an input at places in [-1, 1], shape (n, order + 1).
+
+    Legendre polynomials; of a phase 1, cosine, sine, cosine of twice the phase ...
+    """
+    if not cycle_period(name):
+        return np.asarray(legendre.legvander(place, order))
+    number = np.arange(order + 1)
+    angle = np.pi * place[:, None] * ((number + 1) // 2)
+    return np.where(number % 2, np.cos(angle), np.sin(angle) + (number == 0))
+
+
+def nodes_of(name: str, order: int) -> Array:
+    """Places in [-1, 1] that determine functions up to an order.
+
+    Chebyshev-Lobatto points; of a phase evenly spaced ones.
+    """
+    if cycle_period(name):
+        return np.asarray(2.0 * np.arange(order + 1) / (order + 1) - 1.0)
+    if not order:
+        return np.zeros(1)
+    return np.asarray(-np.cos(np.pi * np.arange(order + 1) / order))

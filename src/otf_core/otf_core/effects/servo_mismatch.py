@@ -14,7 +14,6 @@ import numpy as np
 from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
-from otf_core.model.machine import AXES
 
 
 class ServoMismatch(Effect):
@@ -48,4 +47,5 @@ class ServoMismatch(Effect):
         """Return T_X, T_Y, T_Z."""
         velocity = state.speed[:, None] * state.direction
         columns = -velocity[:, :, None] * np.eye(3)
-        return Terms(tuple(f'T_{a}' for a in AXES), ('s',) * 3, AXES, columns)
+        axes = state.machine.axis_names
+        return Terms(tuple(f'T_{a}' for a in axes), ('s',) * 3, axes, columns)

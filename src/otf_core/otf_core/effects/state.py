@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from otf_core.effects.base import State
 from otf_core.effects.history import path_history
 from otf_core.model.frames import RigidTransform
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import sides_of_travel
 from otf_core.model.signals import Course
@@ -121,5 +121,5 @@ def probe_state(machine: Machine) -> State:
     place = middle - np.array([1.0, 0.0, 0.0])
     pose = RigidTransform(np.eye(3), place)
     leg, ones = np.zeros(1, dtype=np.int64), np.ones(1)
-    nodes = {a: axis_nodes(machine.axes[a]) for a in AXES}
+    nodes = {a: axis_nodes(machine.axes[a]) for a in machine.axis_names}
     return state_on_path(machine, corners, leg, middle[None], ones, ones, pose, nodes)

@@ -92,6 +92,7 @@ class TableResolution(Effect):
         """Return one term per motion and node interval, named by its ends: EYX@0.03..0.06."""
         order = round(shape['order'])
         names: list[str] = []
+        moved: list[ErrorMotion] = []
         parts = []
         for motion in MOTIONS if order > 2 else TRANSLATIONS:
             nodes = np.round(state.nodes[motion.axis], 6)
@@ -99,6 +100,7 @@ class TableResolution(Effect):
             pairs = [p for p in pairwise(nodes) for _ in (False, True)[:order]]
             waves = [w for _ in pairwise(nodes) for w in (False, True)[:order]]
             names += [_label(motion, *p, w) for p, w in zip(pairs, waves, strict=True)]
+            moved += [motion] * len(pairs)
         columns, row = np.zeros((len(state), 3, len(names))), np.arange(len(state))
         for motion, nodes, start in parts:
             if len(nodes) < 2:
@@ -110,8 +112,8 @@ class TableResolution(Effect):
                 along = _bump(q, nodes[part], nodes[part + 1], wave)
                 place = start + part * min(order, 2) + k
                 columns[row, :, place] = along[:, None] * influence
-        units = tuple(unit_of(n[:3]) for n in names)
-        return Terms(tuple(names), units, tuple(n[2] for n in names), columns)
+        units, axes = tuple(m.unit for m in moved), tuple(m.axis for m in moved)
+        return Terms(tuple(names), units, axes, columns)
 
     def units(self, state: State, parameters: Shape) -> dict[str, str]:
         """Unit of every given parameter; any interval will do, not only those of the nodes."""

@@ -12,24 +12,27 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
-from otf_core.effects.drawing import Drawn, Either, Number, OneOf, Trial
+from otf_core.effects.drawing import Drawn, Either, Number, OfMachine, OneOf, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import travel_from_reference
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 
 def _drawn(tilt: str) -> Drawn:
     """Tilt about one axis by any one that moves."""
     size = OneOf((-2e-5, 2e-5))
-    return Either(tuple((Number(f'tilt_{tilt}_by_{a}', size),) for a in AXES))
+    return OfMachine(
+        lambda axes: Either(tuple((Number(f'tilt_{tilt}_by_{a}', size),) for a in axes))
+    )
 
 
 def tilted(state: State, shape: Shape) -> Terms:
     """tilt_X_by_X ... tilt_Y_by_Z: displacement by a tilt that depends on the axis named last."""
     turned = [np.cross(np.eye(3)[k], state.beam) for k in (0, 1)]
-    names = tuple(f'tilt_{AXES[k]}_by_{a}' for k in (0, 1) for a in AXES)
-    columns = np.stack([turned[k] for k in (0, 1) for _ in AXES], axis=2)
-    return Terms(names, ('rad',) * 6, AXES * 2, columns)
+    axes = state.machine.axis_names
+    names = tuple(f'tilt_{XYZ[k]}_by_{a}' for k in (0, 1) for a in axes)
+    columns = np.stack([turned[k] for k in (0, 1) for _ in axes], axis=2)
+    return Terms(names, ('rad',) * 6, axes * 2, columns)
 
 
 class TableTilt(Effect):
@@ -62,11 +65,11 @@ class TableTilt(Effect):
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return tilt_X_by_X ... tilt_Y_by_Z: axis of the tilt, axis that moves."""
-        travel = travel_from_reference(state)
+        travel, axes = travel_from_reference(state), state.machine.axis_names
         names, columns = [], []
         for k in (0, 1):
             turned = np.cross(np.eye(3)[k], state.beam)
-            for a, axis in enumerate(AXES):
-                names.append(f'tilt_{AXES[k]}_by_{axis}')
+            for a, axis in enumerate(axes):
+                names.append(f'tilt_{XYZ[k]}_by_{axis}')
                 columns.append(travel[:, a, None] * turned)
-        return Terms(tuple(names), ('rad/m',) * 6, AXES * 2, np.stack(columns, axis=2))
+        return Terms(tuple(names), ('rad/m',) * 6, axes * 2, np.stack(columns, axis=2))

@@ -13,7 +13,7 @@ import numpy as np
 
 from otf_core.effects.base import Contribution, Effect, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Trial
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 
 class TargetOffset(Effect):
@@ -37,7 +37,7 @@ class TargetOffset(Effect):
         rotation = np.zeros_like(state.q)
         if state.tables is not None:
             for k, letter in enumerate('ABC'):
-                for a, axis in enumerate(AXES):
+                for a, axis in enumerate(state.machine.axis_names):
                     rotation[:, k] += state.tables.motions[f'E{letter}{axis}'].at(state.q[:, a])
         columns = np.stack([np.cross(rotation, e) for e in np.eye(3)], axis=2)
-        return Terms(tuple(f'dT_{a}' for a in AXES), ('m',) * 3, ('',) * 3, columns)
+        return Terms(tuple(f'dT_{a}' for a in XYZ), ('m',) * 3, ('',) * 3, columns)

@@ -17,7 +17,6 @@ from otf_core.effects.base import Contribution, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import travel_from_reference
-from otf_core.model.machine import AXES
 
 AT_ONCE = 1e-6
 """s; time constant of a warming that is complete when the run starts."""
@@ -26,20 +25,22 @@ AT_ONCE = 1e-6
 def strained(state: State, shape: Shape) -> Terms:
     """S_X, S_Y, S_Z: displacement by the strain of each axis."""
     columns = travel_from_reference(state)[:, :, None] * np.eye(3)
-    return Terms(tuple(f'S_{a}' for a in AXES), ('m/m',) * 3, AXES, columns)
+    axes = state.machine.axis_names
+    return Terms(tuple(f'S_{a}' for a in axes), ('m/m',) * 3, axes, columns)
 
 
 def grown(state: State, shape: Shape) -> Terms:
     """S_X, S_Y, S_Z: displacement of each axis along itself."""
     columns = np.broadcast_to(np.eye(3), (len(state), 3, 3))
-    return Terms(tuple(f'S_{a}' for a in AXES), ('m',) * 3, AXES, columns)
+    axes = state.machine.axis_names
+    return Terms(tuple(f'S_{a}' for a in axes), ('m',) * 3, axes, columns)
 
 
 def approached(state: State, shape: Shape) -> Terms:
     """S_X, S_Y, S_Z: displacement of each axis along itself that approaches its end."""
     _, course = drift.time_functions(state, shape)[0]
     terms = grown(state, shape)
-    return Terms(terms.names, terms.units, AXES, terms.columns * course[:, None, None])
+    return Terms(terms.names, terms.units, terms.axes, terms.columns * course[:, None, None])
 
 
 class ThermalAxisExpansion(drift.DriftingEffect):
@@ -107,6 +108,6 @@ class ThermalAxisExpansion(drift.DriftingEffect):
         travel = travel_from_reference(state)
         functions = drift.time_functions(state, shape)
         columns = [(travel * g[:, None])[:, :, None] * np.eye(3) for _, g in functions]
-        names = tuple(f'S_{a}{suffix}' for suffix, _ in functions for a in AXES)
-        count = len(functions)
-        return Terms(names, ('m/m',) * 3 * count, AXES * count, np.concatenate(columns, axis=2))
+        axes, count = state.machine.axis_names, len(functions)
+        names = tuple(f'S_{a}{suffix}' for suffix, _ in functions for a in axes)
+        return Terms(names, ('m/m',) * 3 * count, axes * count, np.concatenate(columns, axis=2))

@@ -15,7 +15,7 @@ from otf_core.effects.acting import Acting, vector
 from otf_core.effects.base import Array, Shape, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 
 def translation_columns(functions: list[tuple[str, Array]]) -> Array:
@@ -62,6 +62,6 @@ class ThermalStructureDrift(drift.DriftingEffect):
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return D_X, D_Y, D_Z: shift at ``until``; D_X_2 ...: further functions of time."""
         functions = drift.time_functions(state, shape)
-        names = tuple(f'D_{a}{suffix}' for suffix, _ in functions for a in AXES)
+        names = tuple(f'D_{a}{suffix}' for suffix, _ in functions for a in XYZ)
         count = len(functions)
-        return Terms(names, ('m',) * 3 * count, AXES * count, translation_columns(functions))
+        return Terms(names, ('m',) * 3 * count, XYZ * count, translation_columns(functions))

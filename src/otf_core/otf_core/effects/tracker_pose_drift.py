@@ -17,7 +17,7 @@ from otf_core.effects.base import Shape, State, Terms
 from otf_core.effects.drawing import Axes, Either, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.thermal_structure_drift import translation_columns
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 _SHIFT, _TURN = Axes('M'), Axes('W', 2e-6)
 
@@ -65,7 +65,7 @@ class TrackerPoseDrift(drift.DriftingEffect):
         functions = drift.time_functions(state, shape)
         turned = np.stack([np.cross(e, state.beam) for e in np.eye(3)], axis=2)
         turns = np.concatenate([g[:, None, None] * turned for _, g in functions], axis=2)
-        names = [f'{part}_{a}{suffix}' for part in 'MW' for suffix, _ in functions for a in AXES]
+        names = [f'{part}_{a}{suffix}' for part in 'MW' for suffix, _ in functions for a in XYZ]
         count = 3 * len(functions)
         columns = np.concatenate([translation_columns(functions), turns], axis=2)
         units = ('m',) * count + ('rad',) * count

@@ -13,7 +13,7 @@ import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms, Wave
 from otf_core.effects.drawing import Axes, LogUniform, Number, Trial
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 SECONDS = 2.0
 """Stretch over which the shapes to try keep their phase; a search refines them from there."""
@@ -57,5 +57,5 @@ class Vibration(Effect):
         """Return S_X, S_Y, S_Z, C_X, C_Y, C_Z; directions of the swing, no moving axis."""
         phase = 2.0 * np.pi * shape['frequency'] * state.time
         columns = [wave[:, None, None] * np.eye(3) for wave in (np.sin(phase), np.cos(phase))]
-        names = tuple(f'{part}_{a}' for part in 'SC' for a in AXES)
-        return Terms(names, ('m',) * 6, AXES * 2, np.concatenate(columns, axis=2))
+        names = tuple(f'{part}_{a}' for part in 'SC' for a in XYZ)
+        return Terms(names, ('m',) * 6, XYZ * 2, np.concatenate(columns, axis=2))

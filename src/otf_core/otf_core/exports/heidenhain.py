@@ -14,7 +14,6 @@ import numpy as np
 from otf_core.exports.base import Exported, Format, Request, asked_sign_words
 from otf_core.exports.rounded import rounded_tables
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES
 from otf_core.model.motions import DIRECTIONS, SQUARENESS
 
 
@@ -42,7 +41,7 @@ class Heidenhain(Format):
         )
         lines += [f'# constants for the kinematics, rad: {square}']
         lines += ['AXIS,AXISPOS,C1,C2,C3,C4,C5,C6']
-        for axis in AXES:
+        for axis in tables.machine.axis_names:
             motions = [tables.motions[f'E{d}{axis}'] for d in DIRECTIONS]
             for q in np.unique(np.concatenate([m.position for m in motions]).round(12)):
                 values = [round(request.factor * float(m.at(q)), 9) + 0.0 for m in motions]

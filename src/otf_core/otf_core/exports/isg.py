@@ -15,7 +15,7 @@ import numpy as np
 from otf_core.exports.base import Exported, Format, Request, asked_sign_words
 from otf_core.exports.rounded import rounded_tables
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
 
@@ -43,7 +43,7 @@ class Isg(Format):
             '\t'.join(SQUARENESS),
             '\t'.join(f'{request.factor * tables.squareness[k].value:.9f}' for k in SQUARENESS),
         ]
-        for axis in AXES:
+        for axis in tables.machine.axis_names:
             lines += ['#', *_block(tables, axis, request.factor)]
         return Exported(
             {request.name: ('\n'.join(lines) + '\n').encode()},

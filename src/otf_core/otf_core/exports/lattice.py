@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.exports.line_terms import axis_positions
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import ErrorTables, TablesFile
@@ -86,7 +85,8 @@ def sampled_lattice(tables: ErrorTables, points: int | None, most: int, instead:
 def _planes(tables: ErrorTables, axis: int, points: int | None) -> Array:
     """Positions of the planes across one axis, m."""
     nodes = axis_positions(tables, axis, points)
-    if points is not None or AXES[axis] not in tables.machine.chain.table_side:
+    machine = tables.machine
+    if points is not None or machine.axis_names[axis] not in machine.chain.table_side:
         return nodes
     fine = np.arange(FINER * (len(nodes) - 1) + 1) / FINER
     return np.asarray(np.interp(fine, np.arange(len(nodes)), nodes).round(12))

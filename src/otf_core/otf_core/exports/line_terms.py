@@ -9,14 +9,13 @@ volume: f_ij is the least-squares fit to the whole volume of a function of q_j a
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.driven_volume import table_ranges
@@ -147,6 +146,6 @@ def held_by(terms: Mapping[Pair, LineTerm], q: Array) -> Array:
     return total
 
 
-def pair_name(pair: Pair) -> str:
+def pair_name(pair: Pair, axes: Sequence[str]) -> str:
     """Say a pair: 'error along Y with X'."""
-    return f'error along {AXES[pair[0]]} with {AXES[pair[1]]}'
+    return f'error along {axes[pair[0]]} with {axes[pair[1]]}'

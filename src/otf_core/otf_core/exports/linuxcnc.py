@@ -24,7 +24,6 @@ from otf_core.exports.line_terms import (
     line_terms,
 )
 from otf_core.exports.travel import half_reversal
-from otf_core.model.machine import AXES
 
 Array = NDArray[np.float64]
 
@@ -62,7 +61,7 @@ class LinuxCnc(Format):
         words = [f'# {line}' for line in request.header(self)]
         ini = f'{stem}.ini'
         files, piece = {ini: b''}, list(words)
-        for k, axis in enumerate(AXES):
+        for k, axis in enumerate(tables.machine.axis_names):
             name = f'{stem}_{axis.lower()}.comp'
             half = half_reversal(request.content, k, terms[k, k].position)
             files[name] = _joint_file(terms[k, k], half, words)

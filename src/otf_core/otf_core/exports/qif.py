@@ -17,8 +17,8 @@ import numpy as np
 
 from otf_core.exports.base import Exported, Format, Request
 from otf_core.exports.rounded import rounded_tables
+from otf_core.model.frames import XYZ
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES
 from otf_core.model.motions import SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
 
@@ -88,14 +88,15 @@ def _function(name: str, position: np.ndarray, value: np.ndarray, unit: str) -> 
 
 def _functions(tables: ErrorTables) -> list[str]:
     """The 18 functions in the order of the schema, then the squareness."""
+    axes = tables.machine.axis_names
     named: list[tuple[str, ErrorMotion]] = [
-        (f'{axis}Linearity', ErrorMotion(axis, axis)) for axis in AXES
+        (f'{axis}Linearity', ErrorMotion(axis, axis)) for axis in axes
     ]
-    for axis in AXES:
+    for axis in axes:
         words = zip(('Roll', 'Pitch', 'Yaw'), ROTATIONS[axis], strict=True)
         named += [(f'{axis}Axis{word}', ErrorMotion(d, axis)) for word, d in words]
-    for axis in AXES:
-        named += [(f'{axis}AxisStraightness{d}', ErrorMotion(d, axis)) for d in AXES if d != axis]
+    for axis in axes:
+        named += [(f'{axis}AxisStraightness{d}', ErrorMotion(d, axis)) for d in XYZ if d != axis]
     lines: list[str] = []
     for name, motion in named:
         table = tables.motions[motion]

@@ -9,6 +9,8 @@ names the sign.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from otf_core.errors import ConfigError
 from otf_core.exports.base import Exported, Format, Request, asked_sign_words
 from otf_core.exports.line_terms import (
@@ -19,7 +21,6 @@ from otf_core.exports.line_terms import (
     held_by,
     pair_name,
 )
-from otf_core.model.machine import AXES
 
 MOST = 200
 """Points of a table on a SINUMERIK 828D, which cannot be changed."""
@@ -48,8 +49,9 @@ class SinumerikCec(Format):
         if min(len(term.position) for term in terms.values()) < 2:
             raise ConfigError(f'--points: {self.name} needs at least 2')
         lines = ['%_N_NC_CEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
+        axes = tables.machine.axis_names
         for number, (pair, term) in enumerate(terms.items()):
-            lines += _table(number, pair, term, request.factor)
+            lines += _table(number, pair, axes, term, request.factor)
         most = max(len(term.position) for term in terms.values())
         return Exported(
             {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
@@ -61,17 +63,19 @@ class SinumerikCec(Format):
         )
 
 
-def _table(number: int, pair: Pair, term: LineTerm, factor: float) -> list[str]:
+def _table(
+    number: int, pair: Pair, axes: Sequence[str], term: LineTerm, factor: float
+) -> list[str]:
     low, high = 1e3 * term.position[0], 1e3 * term.position[-1]
     step = (high - low) / (len(term.position) - 1)
     return [
-        f'; {pair_name(pair)}',
+        f'; {pair_name(pair, axes)}',
         *(
             f'$AN_CEC[{number},{n}]={factor * 1e3 * value + 0.0:.{DECIMALS}f}'
             for n, value in enumerate(term.value)
         ),
-        f'$AN_CEC_INPUT_AXIS[{number}]="{AXES[pair[1]]}1"',
-        f'$AN_CEC_OUTPUT_AXIS[{number}]="{AXES[pair[0]]}1"',
+        f'$AN_CEC_INPUT_AXIS[{number}]="{axes[pair[1]]}1"',
+        f'$AN_CEC_OUTPUT_AXIS[{number}]="{axes[pair[0]]}1"',
         f'$AN_CEC_STEP[{number}]={step:.9f}',
         f'$AN_CEC_MIN[{number}]={low:.6f}',
         f'$AN_CEC_MAX[{number}]={high:.6f}',

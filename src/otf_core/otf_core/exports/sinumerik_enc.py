@@ -17,7 +17,6 @@ from otf_core.exports.line_terms import (
     even_terms,
     held_by,
 )
-from otf_core.model.machine import AXES
 
 MOST = 5000
 DECIMALS = 6
@@ -47,9 +46,10 @@ class SinumerikEnc(Format):
         if min(len(term.position) for term in terms.values()) < 2:
             raise ConfigError(f'--points: {self.name} needs at least 2')
         lines = ['%_N_AX_EEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
-        for k, axis in enumerate(AXES):
+        axes = tables.machine.axis_names
+        for k, axis in enumerate(axes):
             lines += _table(terms[k, k], f'{axis}1')
-        counts = ', '.join(f'{a}1 {len(terms[k, k].position)}' for k, a in enumerate(AXES))
+        counts = ', '.join(f'{a}1 {len(terms[k, k].position)}' for k, a in enumerate(axes))
         return Exported(
             {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
             lambda q: held_by(terms, q),

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.exports.line_terms import middle_line
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import MotionTable, Squareness, TablesFile
 
@@ -61,7 +60,7 @@ def half_reversal(content: TablesFile, axis: int, position: Array) -> Array:
     tables, known = content.tables, reversal_motions(content)
     none = MotionTable(np.zeros(1), np.zeros(1), np.zeros(1))
     own: dict[str, MotionTable] = {
-        m: known.get(m, none) if m.axis == AXES[axis] else none for m in MOTIONS
+        m: known.get(m, none) if m.place == axis else none for m in MOTIONS
     }
     q = middle_line(tables, axis, position)
     only = replace(tables, motions=own, squareness={k: Squareness() for k in SQUARENESS})

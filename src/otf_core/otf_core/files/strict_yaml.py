@@ -127,6 +127,11 @@ class Fields:
         if not isinstance(data, Mapping):
             kind = 'nothing' if data is None else type(data).__name__
             raise ConfigError(f'{where}: expected a mapping of keys to values, got {kind}')
+        for key in data:
+            if not isinstance(key, str):
+                raise ConfigError(
+                    f'{where}: {shown(key)} is no key; decimals have a point, as in 0.3'
+                )
         self._data = dict(data)
         self._where = where
         self._taken: list[str] = []

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 from otf_core.errors import ConfigError
-from otf_core.fleet.job import Job, Outcome, run_job
+from otf_core.fleet.job import Job, JobResult, run_job
 
 CONNECT = 20.0
 """s to wait for a scheduler and its workers."""
 
 
-def done_here(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, Outcome]]:
+def done_here(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, JobResult]]:
     """Do jobs on this computer; yield each as it ends.
 
     Parameters
@@ -23,7 +23,7 @@ def done_here(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, Outcome]
         Jobs at once: a thread each that waits for the process of its job.
     """
     with ThreadPoolExecutor(workers) as pool:
-        waiting: dict[Future[Outcome], Job] = {pool.submit(run_job, job): job for job in jobs}
+        waiting: dict[Future[JobResult], Job] = {pool.submit(run_job, job): job for job in jobs}
         try:
             while waiting:
                 ended, _ = wait(waiting, return_when=FIRST_COMPLETED)
@@ -34,7 +34,7 @@ def done_here(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, Outcome]
                 future.cancel()
 
 
-def done_by_dask(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, Outcome]]:
+def done_by_dask(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, JobResult]]:
     """Do jobs on the workers of a Dask scheduler; yield each as it ends.
 
     All hosts see the same files under the same names, and have otf_core of the same version. A
@@ -46,7 +46,7 @@ def done_by_dask(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, Outco
         If Dask distributed is missing, or nothing answers at the address.
     """
     try:
-        from distributed import Client, as_completed  # type: ignore[import-not-found]
+        from distributed import Client, as_completed
     except ImportError:
         raise ConfigError(
             '--scheduler: needs Dask distributed on this computer and on the workers: '
@@ -62,6 +62,6 @@ def done_by_dask(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, Outco
         for future in as_completed(futures):
             lost = future.exception()
             if lost is not None:
-                yield futures[future], Outcome(1, f'lost by its workers: {lost}', None)
+                yield futures[future], JobResult(1, f'lost by its workers: {lost}', None)
             else:
                 yield futures[future], future.result()

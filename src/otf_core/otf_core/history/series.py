@@ -18,7 +18,6 @@ from otf_core.comparison.compare import GRID, source_of_tables
 from otf_core.comparison.convention import Common, common_ground, operator
 from otf_core.history.store import StoredRun
 from otf_core.model.evaluation import free_rows
-from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.uncertainty import prediction_rows
@@ -67,7 +66,7 @@ class Series:
     @cached_property
     def grid(self) -> Array:
         """Lattice over the common range, shape (n, 3), m."""
-        ends = [np.linspace(*self._ends(a), GRID) for a in AXES]
+        ends = [np.linspace(*self._ends(a), GRID) for a in self.common.machine.axis_names]
         return np.stack([g.ravel() for g in np.meshgrid(*ends, indexing='ij')], axis=1)
 
     def _ends(self, axis: str) -> tuple[float, float]:

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from otf_core.errors import ConfigError
-from otf_core.files.csv_points import read_points_csv
 from otf_core.info.kind import Explained, Kind, begins
+from otf_core.inputs.points_file import read_points
 
 
 def _residuals(path: Path) -> Explained:
@@ -51,7 +51,7 @@ def _direct(path: Path) -> Explained:
 
 
 def _points(path: Path) -> Explained:
-    points = read_points_csv(path)
+    points = read_points(path)[0]
     low, high = points.min(axis=0), points.max(axis=0)
     rows = [('points', str(len(points)))]
     ends = zip('xyz', low, high, strict=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import read_yaml
 from otf_core.info.kind import Explained, Kind
-from otf_core.model.machine import AXES, load_machine
+from otf_core.model.machine import load_machine
 
 YAML = ('.yaml', '.yml')
 
@@ -26,7 +26,7 @@ def _machine(path: Path) -> Explained:
     machine = load_machine(path)
     level = 1e6 * machine.tracker.u_range, 1e6 * machine.tracker.u_angle
     rows = [('machine', f'{machine.name}, chain {machine.chain}')]
-    for name in AXES:
+    for name in machine.axis_names:
         axis = machine.axes[name]
         rows.append((
             f'axis {name}', f'{1e3 * axis.min:g} to {1e3 * axis.max:g} mm, a node every '

@@ -23,6 +23,7 @@ DIAGNOSE = {
     'correcting': (0.8, 0.95),
     'writing': (0.95, 1.0),
 }
+SIMULATE = {'simulating': (0.0, 0.6), 'writing': (0.6, 1.0)}
 PLAN = {
     'choosing lines': (0.0, 0.4),
     'forecasting': (0.4, 0.5),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 EARLIEST = 1.0
 """s; earlier nothing is said."""
@@ -47,3 +48,29 @@ class TimeLeft:
         if fraction != self._last and elapsed >= EARLIEST and done >= LEAST:
             self._last, self._end = fraction, now + elapsed * max(0.0, 1.0 - fraction) / done
         return self._end - now if self._end >= now else math.nan
+
+
+def about(seconds: float) -> str:
+    """A time that is not known exactly, in words; empty for NaN."""
+    if not math.isfinite(seconds):
+        return ''
+    if seconds < 10:
+        return f'about {math.ceil(seconds)} s left'
+    if seconds < 90:
+        return f'about {10 * math.ceil(seconds / 10)} s left'
+    return f'about {seconds / 60:.0f} min left'
+
+
+class StepsLeft:
+    """Says after each of some steps, that take alike, how long the others will take."""
+
+    def __init__(self, steps: int) -> None:
+        self._steps, self._done, self._left = steps, 0, TimeLeft()
+        self._left.estimate('steps', 0.0, time.monotonic())
+
+    def after_one(self) -> str:
+        """Count a step; ', about ... left' or nothing."""
+        self._done += 1
+        share = min(self._done / max(self._steps, 1), 1.0)
+        words = about(self._left.estimate('steps', share, time.monotonic()))
+        return f', {words}' if words and share < 1.0 else ''

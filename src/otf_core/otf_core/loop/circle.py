@@ -29,7 +29,7 @@ from otf_core.loop.control_files import (
     written_files,
 )
 from otf_core.loop.corrected import corrected, corrected_program, in_parts
-from otf_core.loop.judged import OnPath, on_path, seen_from_lines, start_row, volumetric
+from otf_core.loop.judged import OnPath, by_line, on_path, seen_from_lines, start_row, volumetric
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import Machine
@@ -66,22 +66,33 @@ class Proof:
         m; mean volumetric error, true, best rigid motion taken out.
     forecast : float
         m; what the export forecast to remain on these lines, u of the tables in it.
+    of_tables, of_export, of_control : float
+        m; what is left, by where it comes from: true errors less those of the tables, what the
+        export cannot hold of these, and what the control does not bring to the motors of that
+        (delay, increments, following, second order). Mean lengths like ``after``.
     seen_before, seen_after : float
         m; mean distance of the tracker's samples from the lines.
     lag_mean, lag_max : float
         m; external offsets: motor correction minus what the tables ask for at that moment.
     lost : int
         Servo periods that were not sampled.
+    lines_before, lines_after : tuple of (mean, largest)
+        m; length of the errors on each line, as ``before`` and ``after``.
     """
 
     before: float
     after: float
     forecast: float
+    of_tables: float
+    of_export: float
+    of_control: float
     seen_before: float
     seen_after: float
     lag_mean: float
     lag_max: float
     lost: int
+    lines_before: tuple[tuple[float, float], ...]
+    lines_after: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -257,22 +268,30 @@ def _proof(
     recordings: Mapping[str, Recording],
     way: str,
 ) -> Proof:
-    sizes = [
-        volumetric(cell.actual(d)[p.row] - p.nominal, p.nominal)
-        for d, p in zip(driven, at, strict=True)
-    ]
-    q = at[0].nominal
-    tables = result.tables
-    unheld = volumetric(displacement(tables, q) - held(q), q)
+    errors = [cell.actual(d)[p.row] - p.nominal for d, p in zip(driven, at, strict=True)]
+    before, after = (volumetric(e, p.nominal) for e, p in zip(errors, at, strict=True))
+    q, tables = at[0].nominal, result.tables
+    of_export = volumetric(displacement(tables, q) - held(q), q)
     known = {'covariance': pack_covariance(result.covariance)}
     u = predict(TablesFile(tables, known), q).u
-    forecast = float(np.hypot(unheld, np.mean(np.linalg.norm(u, axis=1))))
+    brought = displacement(cell.truth, at[1].nominal) - held(at[1].nominal)
     lag = _lag(driven[1], at[1], held) if way == VOLUME else np.zeros(1)
+    path = recordings['check'].path
     return Proof(
-        sizes[0], sizes[1], forecast,
-        seen_from_lines(recordings['check']), seen_from_lines(recordings['proof']),
-        float(lag.mean()), float(lag.max()), max(d.lost for d in driven),
-    )  # fmt: skip
+        before=before,
+        after=after,
+        forecast=float(np.hypot(of_export, np.mean(np.linalg.norm(u, axis=1)))),
+        of_tables=volumetric(displacement(cell.truth, q) - displacement(tables, q), q),
+        of_export=of_export,
+        of_control=volumetric(errors[1] - brought, at[1].nominal),
+        seen_before=seen_from_lines(recordings['check']),
+        seen_after=seen_from_lines(recordings['proof']),
+        lag_mean=float(lag.mean()),
+        lag_max=float(lag.max()),
+        lost=max(d.lost for d in driven),
+        lines_before=by_line(errors[0], at[0], path),
+        lines_after=by_line(errors[1], at[1], path),
+    )
 
 
 def _lag(driven: Driven, at: OnPath, held: Field) -> Array:

@@ -14,7 +14,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.frames import XYZ
+from otf_core.model.machine import Machine
 
 SERVO_PERIOD = 1e-3
 """s"""
@@ -27,7 +28,7 @@ OFFSET_SHARE = 0.1
 COUNT = 1e-8
 """m; one count of an external offset."""
 INI, HAL, OPERATOR, VOLUME = 'otf.ini', 'otf.hal', 'operate.py', 'offsets.py'
-LATTICE, SAMPLES, TOLD = 'lattice.csv', 'samples.txt', 'told.json'
+LATTICE, SAMPLES = 'lattice.csv', 'samples.txt'
 
 
 def ini_text(machine: Machine, acceleration: float, feed: float) -> str:
@@ -56,7 +57,7 @@ def ini_text(machine: Machine, acceleration: float, feed: float) -> str:
         f'DEFAULT_LINEAR_ACCELERATION = {rate:.3f}', f'MAX_LINEAR_ACCELERATION = {rate:.3f}',
         '[KINS]', 'KINEMATICS = trivkins coordinates=xyz', 'JOINTS = 3',
     ]  # fmt: skip
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(machine.axis_names):
         low = 1e3 * (min(float(machine.lower[k]), 0.0) - MARGIN)
         high = 1e3 * (max(float(machine.upper[k]), 0.0) + MARGIN)
         limits = [
@@ -100,7 +101,7 @@ def hal_text(volume: bool) -> str:
     if volume:
         lines.append(f'loadusr -Wn otf-volume /usr/bin/python3 ./{VOLUME} {LATTICE}')
         lines.append('net fault otf-volume.fault => motion.feed-hold')
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(XYZ):
         letter = axis.lower()
         ends = (f' otf-volume.believed-{letter}', f' otf-volume.offset-{letter}')
         believed, offset = ends if volume else ('', '')

@@ -16,15 +16,25 @@ from numpy.typing import NDArray
 from otf_core.exports.base import Field
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-from otf_core.planning.nc import DIALECTS
-from otf_core.planning.nc.programs import INCREMENT, program
+from otf_core.planning.nc.linuxcnc import LinuxCnc
+from otf_core.planning.nc.programs import program
 
 Array = NDArray[np.float64]
 
 PART = 0.01
 """m; longest part of a line."""
-TOLERANCE = 1e-6
+TOLERANCE = 1e-7
 """m; blending between parts (G64 P)."""
+
+
+class _Corrected(LinuxCnc):
+    """Positions of 0.1 um, which the interpreter takes like any number."""
+
+    decimals = 4
+
+
+INCREMENT = 1e-7
+"""m; of these positions."""
 
 
 def in_parts(plan: Plan) -> Plan:
@@ -59,5 +69,5 @@ def corrected(parts: Plan, held: Field) -> Plan:
 
 def corrected_program(plan: Plan, header: Sequence[str]) -> str:
     """Program for LinuxCNC: parts blended, stops by dwell."""
-    text = program(DIALECTS['linuxcnc'], plan, header)
-    return text.replace('\nG61.1\n', f'\nG64 P{1e3 * TOLERANCE:.4f}\n', 1)
+    text = program(_Corrected(), plan, header)
+    return text.replace('\nG61.1\n', f'\nG64 P{1e3 * TOLERANCE:.6f}\n', 1)

@@ -41,10 +41,13 @@ class OnPath:
         Servo periods.
     nominal : ndarray, shape (n, 3), m
         Where the target should be.
+    share : ndarray, shape (n,)
+        Of the whole path.
     """
 
     row: NDArray[np.int64]
     nominal: Array
+    share: Array
 
 
 def start_row(driven: Driven, point: Array) -> int:
@@ -81,10 +84,32 @@ def on_path(driven: Driven, programmed: NominalPath, nominal: NominalPath | None
     wanted = np.arange(STEP, corners[-1], STEP)
     row = np.minimum(np.searchsorted(reach, wanted), len(reach) - 1)
     if nominal is None:
-        return OnPath(first + row, driven.believed[first + row])
+        return OnPath(first + row, driven.believed[first + row], wanted / corners[-1])
     at = reach[row]
     points = np.stack([np.interp(at, corners, nominal.points[:, k]) for k in range(3)], axis=1)
-    return OnPath(first + row, points)
+    return OnPath(first + row, points, wanted / corners[-1])
+
+
+def by_line(error: Array, at: OnPath, path: NominalPath) -> tuple[tuple[float, float], ...]:
+    """Mean and largest length of the errors on each line, best rigid motion of all taken out.
+
+    Parameters
+    ----------
+    error : ndarray, shape (n, 3), m
+    at : OnPath
+    path : NominalPath
+        The lines.
+
+    Returns
+    -------
+    tuple of (mean, largest), m
+        One pair a line.
+    """
+    length = np.linalg.norm(without_rigid_motion(error, at.nominal), axis=1)
+    ends = np.cumsum(path.leg_lengths)
+    line = np.minimum(np.searchsorted(ends, at.share * ends[-1]), len(ends) - 1)
+    own = [length[line == k] for k in range(len(ends))]
+    return tuple((float(v.mean()), float(v.max())) for v in own)
 
 
 def volumetric(error: Array, q: Array) -> float:

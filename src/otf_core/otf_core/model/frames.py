@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+XYZ = ('X', 'Y', 'Z')
+"""Directions of a frame, as the components of its vectors are called."""
+
 
 @dataclass(frozen=True)
 class RigidTransform:

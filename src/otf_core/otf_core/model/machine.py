@@ -26,6 +26,11 @@ from otf_core.model.limits import Limits, limits_from_fields
 from otf_core.model.presets import TRACKERS, chosen
 
 AXES = ('X', 'Y', 'Z')
+"""What axes of machines are called, in the order of the columns of positions.
+
+For this room alone: all others ask the machine for its own (``axis_names``); the directions of
+space are ``frames.XYZ``.
+"""
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,12 @@ class Chain:
         """Return the chain string."""
         return '-'.join(['w', *self.table_side, 'b', *self.target_side, 't'])
 
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Its axes, in the order of the columns of positions."""
+        own = (*self.table_side, *self.target_side)
+        return tuple(a for a in AXES if a in own)
+
     def lever_axes(self, axis: str) -> tuple[str, ...]:
         """Axes whose travel is part of the lever arm L of one axis (INTERFACES model)."""
         if axis in self.target_side:
@@ -125,14 +136,19 @@ class Machine:
     file_sha256: str = field(default='', repr=False, compare=False)
 
     @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Its axes, in the order of the columns of positions."""
+        return self.chain.axis_names
+
+    @property
     def lower(self) -> NDArray[np.float64]:
         """Lower ends of the axis ranges, shape (3,), m."""
-        return np.array([self.axes[a].min for a in AXES])
+        return np.array([self.axes[a].min for a in self.axis_names])
 
     @property
     def upper(self) -> NDArray[np.float64]:
         """Upper ends of the axis ranges, shape (3,), m."""
-        return np.array([self.axes[a].max for a in AXES])
+        return np.array([self.axes[a].max for a in self.axis_names])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the description as plain data, in the layout of machine.yaml.

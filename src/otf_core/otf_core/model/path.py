@@ -20,6 +20,8 @@ SINGLE = 0.75
 """Share of the length from which on a first lap is taken for the whole path."""
 MOVING = 1e-6
 """Component of a unit direction below which an axis stands."""
+TRAVELS = 0.05
+"""The same where what is measured has to show the travel of the axis."""
 
 
 @dataclass(frozen=True)

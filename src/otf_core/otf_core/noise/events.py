@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from otf_core.model.observation import Samples
 from otf_core.noise.rest import (
-    MOVING,
+    IN_MOTION,
     block_size,
     blocks_of,
     quiet_blocks,
@@ -99,7 +99,7 @@ def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:
     deviations = [spherical_deviations(samples.xyz[a:b]) for a, b in runs]
     blocks = [blocks_of(d, size) for d in deviations]
     quiet = quiet_blocks(blocks, resolution(deviations))
-    limit = MOVING * np.hypot(quiet.change, np.where(np.isfinite(quiet.away), quiet.away, 0.0))
+    limit = IN_MOTION * np.hypot(quiet.change, np.where(np.isfinite(quiet.away), quiet.away, 0.0))
     found = []
     for (first, _), (mean, _) in zip(runs, blocks, strict=True):
         places = np.arange(SIDE, len(mean) - SIDE)

@@ -25,7 +25,7 @@ MIN_SAMPLES = 4
 """Samples in a block, at low rates."""
 SHAKEN = 8.0
 """Ratio of a block's standard deviation to that of quiet blocks; heavy tails stay below it."""
-MOVING = 6.0
+IN_MOTION = 6.0
 """Change from block to block over its standard deviation in quiet blocks."""
 SETTLED = 4.0
 """Deviation of the first and last blocks from the median, in the same units."""
@@ -175,7 +175,7 @@ def at_rest(samples: Samples, runs: Index) -> Index:
         if len(mean) < SHORT:
             found.append((first, last))
             continue
-        jump = np.any(np.abs(np.diff(mean, axis=0)) > MOVING * quiet.change, axis=1)
+        jump = np.any(np.abs(np.diff(mean, axis=0)) > IN_MOTION * quiet.change, axis=1)
         bad = np.any(deviation > SHAKEN * quiet.deviation, axis=1)
         bad[1:] |= jump
         bad[:-1] |= jump

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.model.frames import RigidTransform, rigid_fit
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.nodes import table_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -169,7 +169,7 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
     outside = np.maximum(machine.lower - low, high - machine.upper)
     if outside.max() > 1e-3:
         raise InputError(
-            f'path: leaves the range of axis {AXES[int(np.argmax(outside))]} by '
+            f'path: leaves the range of axis {machine.axis_names[int(np.argmax(outside))]} by '
             f'{1e3 * outside.max():.1f} mm; do bag and machine description belong together?'
         )
     return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
@@ -249,8 +249,9 @@ def reduced(
     config: CalibrationConfig,
 ) -> Run:
     """Reduce an aligned recording to pieces for given table nodes."""
-    samples, spec = recording.samples, recording.machine.tracker
-    pieces = reduce_to_pieces(samples, alignment, tuple(nodes[a] for a in AXES), config)
+    samples, machine = recording.samples, recording.machine
+    spacing = tuple(nodes[a] for a in machine.axis_names)
+    pieces = reduce_to_pieces(samples, alignment, spacing, config)
     pose = rigid_pose(pieces, alignment.T_machine_tracker, config)
-    noise = noise_model(samples, spec, config.standstill_speed)
+    noise = noise_model(samples, machine.tracker, config.standstill_speed)
     return Run.of(recording, alignment, pieces, pose, noise)

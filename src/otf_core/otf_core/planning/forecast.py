@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from otf_core.config import CalibrationConfig, ForecastConfig
 from otf_core.model.evaluation import covered_grid, free_rows
 from otf_core.model.frames import RigidTransform
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
 from otf_core.model.path import MIN_LEG, sides_of_travel
@@ -176,6 +176,7 @@ def equal_pieces(knots: Mapping[str, Array], part: float, shortest: float) -> Cu
     Parameters
     ----------
     knots : mapping of axis to ndarray, m
+        In the order of the components of positions.
     part : float
         Of an interval between knots, that no piece is longer than.
     shortest : float
@@ -185,7 +186,7 @@ def equal_pieces(knots: Mapping[str, Array], part: float, shortest: float) -> Cu
     def cut(ends: Array) -> Array:
         step = ends[1] - ends[0]
         length = float(np.linalg.norm(step))
-        axes = zip(step, (knots[a] for a in AXES), strict=True)
+        axes = zip(step, knots.values(), strict=True)
         spans = [abs(along) / (part * (at[1] - at[0])) for along, at in axes if len(at) > 1]
         parts = min(max(spans), length / shortest)
         return np.linspace(0.0, length, max(1, int(np.ceil(parts - 1e-9))) + 1)
@@ -205,7 +206,10 @@ def as_needed(recorded: Cut, equal: Cut) -> Cut:
 
 def as_recorded(nodes: Mapping[str, Array], setup: Setup) -> Cut:
     """Cut lines into the pieces that a recording is reduced to, for these table nodes, m."""
-    tables, size = tuple(nodes[a] for a in AXES), setup.calibration.piece_length
+    tables, size = (
+        tuple(nodes[a] for a in setup.machine.axis_names),
+        setup.calibration.piece_length,
+    )
     return lambda ends: piece_boundaries(ends, 0, tables, size)
 
 

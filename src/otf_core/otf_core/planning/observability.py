@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.frames import XYZ
 from otf_core.model.kinematics import motion_influence
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.planning.forecast import Forecast
 from otf_core.solving.positive import Positive
@@ -56,7 +57,7 @@ def offset_in_words(machine: Machine) -> str:
     if not large.any():
         return 'with the target at the origin of the tool side'
     if large.sum() == 1:
-        return f'with one target offset along {AXES[int(large.argmax())]}'
+        return f'with one target offset along {XYZ[int(large.argmax())]}'
     return 'with one target offset'
 
 
@@ -65,7 +66,7 @@ def chain_shows(machine: Machine, error: str) -> bool:
     if error in SQUARENESS or unit_of(error) == 'm':
         return True
     motion = ErrorMotion.of(error)
-    about, axis = AXES[motion.along], motion.axis
+    about, axis = XYZ[motion.along], motion.axis
     return any(a not in (axis, about) for a in machine.chain.lever_axes(axis))
 
 
@@ -145,9 +146,9 @@ def _unseen(result: Forecast, machine: Machine, error: str, others: tuple[str, .
         return Unseen(error, (), words, f'lines that move {motion.axis}')
     if motion and not motion.is_translation and _moves_nothing(result, machine, motion):
         words = f'{error}: rotation about an axis through the target: it moves nothing'
-        return Unseen(error, (), words, _second_offset(AXES[motion.along]))
+        return Unseen(error, (), words, _second_offset(XYZ[motion.along]))
     if motion and not chain_shows(machine, error):
-        about = AXES[motion.along]
+        about = XYZ[motion.along]
         names = ' and '.join(others) or f'the translations of {motion.axis}'
         words = f'{error}: cannot be told from {names} {offset_in_words(machine)}'
         return Unseen(error, others, words, _second_offset(about))
@@ -159,7 +160,7 @@ def _unseen(result: Forecast, machine: Machine, error: str, others: tuple[str, .
 
 
 def _second_offset(about: str) -> str:
-    across = ' or '.join(a for a in AXES if a != about)
+    across = ' or '.join(a for a in XYZ if a != about)
     return f'a second run with a target offset that differs in {across}'
 
 
@@ -201,7 +202,7 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Unseen, 
 def _not_driven(result: Forecast, machine: Machine) -> list[Unseen]:
     """Ends of the axis ranges beyond the plan: no forecast holds there."""
     found = []
-    for axis in AXES:
+    for axis in machine.axis_names:
         nodes, spec = result.nodes[axis], machine.axes[axis]
         gap = max(nodes[0] - spec.min, spec.max - nodes[-1])
         if gap > 1e-6 and len(nodes) > 1:

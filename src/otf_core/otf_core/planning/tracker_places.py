@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import covered_grid, free_rows
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.frames import XYZ
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.plan import Plan
@@ -149,7 +150,7 @@ def check_place(plan: Plan, setup: Setup) -> None:
 
 def _words(side: tuple[int, ...], distance: float) -> str:
     signs = ''.join(
-        f'{"+" if s > 0 else "-"}{a}' for a, s in zip(AXES[:2], side[:2], strict=True) if s
+        f'{"+" if s > 0 else "-"}{a}' for a, s in zip(XYZ[:2], side[:2], strict=True) if s
     )
     if not signs:
         return f'above the middle, {distance:.2f} m away'

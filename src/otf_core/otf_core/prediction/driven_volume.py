@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
 
@@ -144,7 +143,7 @@ def table_ranges(tables: ErrorTables) -> tuple[Array, Array]:
     low, high : ndarray, shape (3,), m
     """
     low, high = np.zeros(3), np.zeros(3)
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(tables.machine.axis_names):
         own = [tables.motions[m] for m in MOTIONS if m.axis == axis]
         seen = [t for t in own if t.identifiable and len(t.position) > 1]
         if seen:

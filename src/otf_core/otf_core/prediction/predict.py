@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.model.machine import AXES
 from otf_core.model.tables import ErrorTables, TablesFile
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.predictor import Evaluated, Predictor
@@ -69,8 +68,8 @@ def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
         x, y, z = q[point]
         raise ConfigError(
             f'{where}: point {point + 1} ({x:g}, {y:g}, {z:g}) lies {out[point, k]:g} m outside '
-            f'the range of axis {AXES[k]}, {low[k]:g} m to {high[k]:g} m; points are in m'
-            + (', and these look like mm: divide them by 1000' if scaled else '')
+            f'the range of axis {machine.axis_names[k]}, {low[k]:g} m to {high[k]:g} m; '
+            'points are in m' + (', and these look like mm: divide them by 1000' if scaled else '')
         )
     count = int(np.sum(np.any(out > 1e-6, axis=1)))
     if not count:
@@ -78,7 +77,7 @@ def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
     k = int(np.argmax(out.max(axis=0)))
     return [
         f'{count} of {len(q)} points lie outside the axis ranges of the machine, by up to '
-        f'{1e3 * out[:, k].max():.4g} mm (axis {AXES[k]})'
+        f'{1e3 * out[:, k].max():.4g} mm (axis {machine.axis_names[k]})'
     ]
 
 

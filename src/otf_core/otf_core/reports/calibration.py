@@ -36,6 +36,7 @@ from otf_core.reports.calibration_report import calibration_html, calibration_se
 from otf_core.reports.residuals import write_residuals
 from otf_core.reports.reversal import reversal_csv, reversal_to_dict
 from otf_core.reports.section import sections_to_text
+from otf_core.threads import in_one_thread
 
 TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
 
@@ -142,6 +143,7 @@ def _factor(k: float | None) -> str:
     return '' if k is None else repr(float(k))
 
 
+@in_one_thread
 def write_calibration(
     result: CalibrationResult,
     folder: str | Path,
@@ -181,11 +183,16 @@ def write_calibration(
     residuals = write_residuals(result.runs, folder, text=residuals_csv)
     write_text(folder / 'summary.txt', format_result(result, facts) + '\n')
     if report:
-        write_text(folder / REPORT_FILE, calibration_html(facts))
+        write_report(folder, facts)
     data = result_to_dict(result, verb, facts)
     write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
     names = (TABLES_FILE, 'error_tables.csv', 'reversal.csv', *((REPORT_FILE,) if report else ()))
     return [*(folder / name for name in names), *residuals, folder / 'summary.txt']
+
+
+def write_report(folder: Path, facts: Facts) -> None:
+    """Write report.html into a folder that is there; ConfigError if it cannot be written."""
+    write_text(folder / REPORT_FILE, calibration_html(facts))
 
 
 def format_result(result: CalibrationResult, facts: Facts | None = None) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.evaluation import mean_length
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.model.motions import unit_of
 from otf_core.model.provenance import provenance
 from otf_core.reports.plots.comparison import draw_motions, draw_volume
@@ -62,10 +62,8 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
             'mae_a': mean_length(volume.a),
             'mae_b': mean_length(volume.b),
             'mae_difference': mean_length(difference),
-            'mean_absolute': dict(
-                zip(AXES, np.abs(difference).mean(axis=0).tolist(), strict=True)
-            ),
-            'standard_deviation': dict(zip(AXES, difference.std(axis=0).tolist(), strict=True)),
+            'mean_absolute': dict(zip(XYZ, np.abs(difference).mean(axis=0).tolist(), strict=True)),
+            'standard_deviation': dict(zip(XYZ, difference.std(axis=0).tolist(), strict=True)),
             'within': agreement(volume.normalised),
             'coverage_factor': COVERAGE_FACTOR,
         },

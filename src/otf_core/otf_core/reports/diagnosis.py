@@ -14,6 +14,7 @@ from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.reports.calibration import write_calibration
 from otf_core.reports.gap_report import report_html
+from otf_core.threads import in_one_thread
 
 SCHEMA = 'otf-gap/1'
 REPORT_FILE, BESIDE_TABLES = 'report.html', 'gap_report.html'
@@ -56,6 +57,7 @@ def effects_file(run: int) -> str:
     return f'effects_run_{run + 1}.yaml' if run else 'effects.yaml'
 
 
+@in_one_thread
 def write_diagnosis(
     diagnosis: Diagnosis, folder: str | Path, report: str = REPORT_FILE
 ) -> list[Path]:

@@ -11,8 +11,9 @@ from typing import Any
 
 from otf_core.files.manifest import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import write_text
-from otf_core.fleet.fleet import FILE, PAGE, fleet_to_dict, results
-from otf_core.fleet.job import Outcome
+from otf_core.fleet.fleet import FILE, PAGE, fleet_to_dict
+from otf_core.fleet.job import JobResult
+from otf_core.fleet.listed import listed_results
 from otf_core.model.motions import SQUARENESS
 from otf_core.reports.page import Heading, page_html
 from otf_core.reports.section import Section, Table
@@ -54,7 +55,7 @@ def cause_names(data: Mapping[str, Any]) -> list[str]:
 
 
 def fleet_rows(
-    verb: str, folder: Path, outcomes: Mapping[str, Outcome]
+    verb: str, folder: Path, outcomes: Mapping[str, JobResult]
 ) -> tuple[tuple[str, ...], list[Row], list[str]]:
     """Columns, a row per run that is done, and what many runs share.
 
@@ -63,9 +64,9 @@ def fleet_rows(
     verb : str
         'calibrate' or 'diagnose'.
     folder : Path
-    outcomes : mapping of run to Outcome
+    outcomes : mapping of run to JobResult
     """
-    done = list(results(verb, folder, outcomes))
+    done = list(listed_results(verb, folder, outcomes))
     if verb == 'calibrate':
         rows = [_calibrated(name, data, outcomes[name].message) for name, data in done]
         return TABLE_COLUMNS, rows, []
@@ -79,18 +80,18 @@ def fleet_rows(
     return GAP_COLUMNS, rows, shared
 
 
-def format_fleet(verb: str, outcomes: Mapping[str, Outcome]) -> str:
-    """Return the text for a terminal: counts, and every run that failed."""
+def format_fleet(verb: str, outcomes: Mapping[str, JobResult], *, gates: bool = True) -> str:
+    """Return the text for a terminal: counts, every run that failed and, with ``gates``, those."""
     data = fleet_to_dict(verb, outcomes)
     lines = [f'{data["done"]} of {len(outcomes)} runs done, {data["failed"]} failed']
     lines += [f'  {n}: exit {o.exit}: {o.message}' for n, o in outcomes.items() if not o.done]
-    gates = [n for n, o in outcomes.items() if o.done and o.exit]
-    if gates:
-        lines.append(f'  quality gate failed: {", ".join(gates)}')
+    beyond = [n for n, o in outcomes.items() if o.done and o.exit]
+    if beyond and gates:
+        lines.append(f'  quality gate failed: {", ".join(beyond)}')
     return '\n'.join(lines)
 
 
-def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> str:
+def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> str:
     """Return the page of machines side by side: self-contained HTML."""
     columns, rows, shared = fleet_rows(verb, folder, outcomes)
     numbers = tuple(k for k, column in enumerate(columns) if '(u' in column)
@@ -115,15 +116,26 @@ def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> str:
     return page_html(heading, sections)
 
 
-def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, Outcome]) -> list[Path]:
+def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> list[Path]:
     """Write fleet.json and fleet.html into the folder of a fleet.
 
     Returns
     -------
     list of Path
     """
-    data = fleet_to_dict(verb, outcomes)
     write_text(folder / PAGE, fleet_page(verb, folder, outcomes))
-    write_text(folder / FILE, json.dumps(data, indent=1) + '\n')
+    file = write_outcomes(verb, folder, outcomes)
+    list_results(verb, folder)
+    return [file, folder / PAGE]
+
+
+def list_results(verb: str, folder: Path) -> None:
+    """Write the manifest of a fleet."""
     write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
-    return [folder / FILE, folder / PAGE]
+
+
+def write_outcomes(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> Path:
+    """Write fleet.json into the folder of a fleet; its path."""
+    data = fleet_to_dict(verb, outcomes)
+    write_text(folder / FILE, json.dumps(data, indent=1) + '\n')
+    return folder / FILE

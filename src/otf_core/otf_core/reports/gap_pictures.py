@@ -37,14 +37,16 @@ def states(diagnosis: Diagnosis) -> list[State]:
     return found
 
 
-def key(diagnosis: Diagnosis) -> str:
-    """Key of the states and of the noise, as markup."""
-    names = [(s.kind, s.label) for s in states(diagnosis)] + [('noise', 'noise expected')]
-    spans = ''.join(
-        f'<span><span class="key" style="background:var(--{kind})"></span>{label}</span>'
-        for kind, label in names
-    )
+def key(diagnosis: Diagnosis, *, stroke: bool = False) -> str:
+    """Key of the states and of the noise, as markup; ``stroke``: as bars show the noise."""
+    noise = 'class="key stroke"' if stroke else _filled('noise')
+    names = [(_filled(s.kind), s.label) for s in states(diagnosis)] + [(noise, 'noise expected')]
+    spans = ''.join(f'<span><span {look}></span>{label}</span>' for look, label in names)
     return f'<p class="soft keys">{spans}</p>'
+
+
+def _filled(kind: str) -> str:
+    return f'class="key" style="background:var(--{kind})"'
 
 
 def group_bars(diagnosis: Diagnosis, parts: Sequence[Grouping], title: str) -> str:

@@ -39,6 +39,12 @@ def effect_cause(effect: str) -> str:
     return known.cause if known else ''
 
 
+def effect_meaning(effect: str) -> tuple[str, str]:
+    """Formula of an effect and what its parameters are; empty if it is not in the catalogue."""
+    known = REGISTRY.get(effect)
+    return (known.equation, known.coefficients) if known else ('', '')
+
+
 def confidence_words(confidence: float) -> str:
     """Confidence in words and as a number."""
     word = next(word for least, word in CONFIDENCE if confidence >= least)

@@ -13,13 +13,14 @@ from otf_core.loop.circle import PROGRAM, VOLUME, Circle
 from otf_core.model.provenance import provenance
 from otf_core.model.tables import tables_to_dict
 from otf_core.reports.calibration import write_calibration
+from otf_core.reports.loop_page import loop_page
 
 SCHEMA = 'otf-loop/1'
 
 
 def loop_to_dict(circle: Circle) -> dict[str, Any]:
     """Return a round as plain data: loop.json."""
-    proof = circle.proof
+    proof, path = circle.proof, circle.recordings['check'].path
     return {
         'schema': SCHEMA,
         'compensate': circle.way,
@@ -27,6 +28,11 @@ def loop_to_dict(circle: Circle) -> dict[str, Any]:
         'after_um': 1e6 * proof.after,
         'forecast_um': 1e6 * proof.forecast,
         'fall_percent': 100 * (1 - proof.after / proof.before),
+        'left_um': {
+            'of_tables': 1e6 * proof.of_tables,
+            'of_export': 1e6 * proof.of_export,
+            'of_control': 1e6 * proof.of_control,
+        },
         'seen_by_tracker': {
             'before_um': 1e6 * proof.seen_before,
             'after_um': 1e6 * proof.seen_after,
@@ -37,6 +43,14 @@ def loop_to_dict(circle: Circle) -> dict[str, Any]:
         }
         if circle.way == VOLUME
         else None,
+        'lines': [
+            {'start': path.points[k].tolist(), 'end': path.points[k + 1].tolist()}
+            | {
+                name: {'mean_um': 1e6 * sizes[k][0], 'largest_um': 1e6 * sizes[k][1]}
+                for name, sizes in (('before', proof.lines_before), ('after', proof.lines_after))
+            }
+            for k in range(len(proof.lines_after))
+        ],
         'servo_periods_lost': proof.lost,
         'failed_gates': list(failed_gates(circle)),
         'provenance': provenance('loop', machines=[circle.truth.machine]),
@@ -65,6 +79,9 @@ def format_loop(circle: Circle) -> str:
         f'{1e6 * proof.before:.2f} um before, {1e6 * proof.after:.2f} um after '
         f'({100 * (1 - proof.after / proof.before):.1f} % less); forecast '
         f'{1e6 * proof.forecast:.2f} um',
+        f'what is left comes of the tables (they do not know {1e6 * proof.of_tables:.2f} um), the '
+        f'export (cannot hold {1e6 * proof.of_export:.2f} um) and the control (does not bring '
+        f'{1e6 * proof.of_control:.2f} um of it to the motors)',
         f'as the tracker sees it, across the lines: {1e6 * proof.seen_before:.2f} um before, '
         f'{1e6 * proof.seen_after:.2f} um after, its noise in both',
     ]
@@ -93,6 +110,10 @@ def write_loop(circle: Circle, folder: str | Path) -> list[Path]:
     truth = json.dumps(tables_to_dict(circle.truth), indent=1)
     write_text(folder / 'truth_tables.json', truth + '\n')
     write_text(folder / 'summary.txt', format_loop(circle) + '\n')
-    write_text(folder / 'loop.json', json.dumps(loop_to_dict(circle), indent=1) + '\n')
-    names = [folder / name for name in ('loop.json', 'summary.txt', 'truth_tables.json')]
+    data = loop_to_dict(circle)
+    write_text(folder / 'loop.html', loop_page(circle, data, failed_gates(circle)))
+    write_text(folder / 'loop.json', json.dumps(data, indent=1) + '\n')
+    names = [
+        folder / name for name in ('loop.json', 'loop.html', 'summary.txt', 'truth_tables.json')
+    ]
     return [*names, written[0]]

@@ -38,28 +38,32 @@ class Heading:
     tiles: tuple[tuple[str, str, str], ...] = ()
 
 
-def _cell(cell: Cell, number: bool) -> str:
-    kind = ' class="number"' if number else ''
+def _cell(cell: Cell, number: bool, head: str = '') -> str:
+    """A cell; ``head`` is said again in it where a narrow page sets rows one below the other."""
+    kind = (' class="number"' if number else '') + (f' data-head="{text(head)}"' if head else '')
     if isinstance(cell, str):
         return f'<td{kind}>{text(cell)}</td>'
     first, *rest = cell
     more = ''.join(f'<div class="soft">{text(line)}</div>' for line in rest)
-    return f'<td{kind}><b>{text(first)}</b>{more}</td>'
+    return f'<td{kind}>{f"<b>{text(first)}</b>" if first else ""}{more}</td>'
 
 
 def _table(table: Table) -> str:
     right = set(table.numbers)
-    head = ''.join(
+    named = ''.join(
         f'<th class="number">{text(h)}</th>' if k in right else f'<th>{text(h)}</th>'
         for k, h in enumerate(table.head)
     )
+    cards = any(not isinstance(cell, str) for row in table.rows for cell in row)
+    heads = table.head if cards else ('',) * len(table.head)
     rows = ''.join(
-        f'<tr>{"".join(_cell(c, k in right) for k, c in enumerate(row))}</tr>'
+        f'<tr>{"".join(_cell(c, k in right, heads[k]) for k, c in enumerate(row))}</tr>'
         for row in table.rows
     )
     title = f'<caption>{text(table.title)}</caption>' if table.title else ''
-    thead = f'<thead><tr>{head}</tr></thead>' if any(table.head) else ''
-    body = f'<div class="scroll"><table>{title}{thead}<tbody>{rows}</tbody></table></div>'
+    thead = f'<thead><tr>{named}</tr></thead>' if any(table.head) else ''
+    kind = ' class="cards"' if cards else '' if thead else ' class="facts"'
+    body = f'<div class="scroll"><table{kind}>{title}{thead}<tbody>{rows}</tbody></table></div>'
     if table.folded:
         return f'<details><summary>{text(table.folded)}</summary>{body}</details>'
     return body

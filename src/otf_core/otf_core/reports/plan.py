@@ -19,7 +19,6 @@ import numpy as np
 from otf_core.files.csv_points import tidy, write_csv
 from otf_core.files.writing import write_text
 from otf_core.inputs.plan_json import SCHEMA
-from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
 from otf_core.noise.fields import noise_to_fields
@@ -158,7 +157,8 @@ def program_header(report: PlanReport) -> list[str]:
     """Comment lines at the head of a program."""
     plan = report.plan
     low, high = plan.path.points.min(axis=0), plan.path.points.max(axis=0)
-    spans = [f'{a} {_mm(lo)} TO {_mm(hi)}' for a, lo, hi in zip(AXES, low, high, strict=True)]
+    ranges = zip(report.setup.machine.axis_names, low, high, strict=True)
+    spans = [f'{a} {_mm(lo)} TO {_mm(hi)}' for a, lo, hi in ranges]
     return [
         'OTF PATH FOR A LASER TRACKER CALIBRATION',
         f'MACHINE {report.setup.machine.name}',

@@ -39,6 +39,8 @@ def scaled(unit: str, size: float) -> tuple[float, str]:
             return 1e6, short + unit[len(plain) :]
     if unit == 'm/m':
         return 1e6, 'um/m'
+    if unit == '1/K':
+        return 1e6, 'um/(m K)'
     if unit == 's' and 0 < size < 1e-2:
         return 1e3, 'ms'
     return 1.0, unit

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from otf_core.files.writing import ensure_folder, write_text
@@ -11,16 +12,17 @@ from otf_core.model.direct_measurement import DirectMeasurement
 from otf_core.model.provenance import provenance
 from otf_core.reports.plots.validation import draw_validation
 from otf_core.validation.run import Validation
-from otf_core.validation.table import format_rows, rows_to_dict
+from otf_core.validation.table import Row, format_rows, rows_to_dict
 
 SCHEMA = 'otf-validation/1'
+FILE = 'validation.json'
 WORDS = 'agreement is judged with expanded uncertainties, k = 2'
 
 
 def write_validation(
     found: Validation, measurement: DirectMeasurement, folder: str | Path
 ) -> list[Path]:
-    """Write the figures, validation.txt and, last, validation.json.
+    """Write the figures, and the table as ``write_table`` does.
 
     Parameters
     ----------
@@ -35,13 +37,25 @@ def write_validation(
     """
     folder = ensure_folder(folder)
     files = draw_validation(found, measurement, folder)
+    return [*files, *write_table(found.seeds, found.rows, folder)]
+
+
+def write_table(seeds: Sequence[int], rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Write validation.txt and validation.json; their paths.
+
+    Parameters
+    ----------
+    seeds : sequence of int
+        Of the cells.
+    rows : sequence of Row
+    folder : Path
+    """
     data = {
         'schema': SCHEMA,
-        'cells': list(found.seeds),
-        'rows': rows_to_dict(found.rows),
+        'cells': list(seeds),
+        'rows': rows_to_dict(rows),
         'provenance': provenance('validate', coverage=WORDS),
     }
-    files += [folder / 'validation.txt', folder / 'validation.json']
-    write_text(files[-2], format_rows(found.rows) + '\n')
-    write_text(files[-1], json.dumps(data, indent=1, allow_nan=False) + '\n')
-    return files
+    write_text(folder / 'validation.txt', format_rows(rows) + '\n')
+    write_text(folder / FILE, json.dumps(data, indent=1, allow_nan=False) + '\n')
+    return [folder / 'validation.txt', folder / FILE]

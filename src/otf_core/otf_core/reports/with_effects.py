@@ -9,7 +9,7 @@ from pathlib import Path
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
-from otf_core.reports.calibration import write_calibration
+from otf_core.reports.calibration import facts_of, write_calibration, write_report
 
 PLAIN_FOLDER = 'plain'
 EFFECTS_FILE = 'effects_taken_off'
@@ -42,6 +42,13 @@ def write_with_effects(
             files.append(folder / f'{name}.yaml')
             write_effects(files[-1], applied, machine)
     return [*written, *files]
+
+
+def write_reports(done: EffectsCalibration, folder: Path) -> None:
+    """Write the reports that ``write_with_effects`` has left out."""
+    if done.applied[0]:
+        write_report(folder / PLAIN_FOLDER, facts_of(done.plain))
+    write_report(folder, facts_of(done.result))
 
 
 def _differs(a: Sequence[AppliedEffect], b: Sequence[AppliedEffect]) -> bool:

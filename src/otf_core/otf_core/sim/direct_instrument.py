@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.model.kinematics import displacement
-from otf_core.model.machine import AXES
 from otf_core.model.motions import DIRECTIONS
 from otf_core.model.tables import ErrorTables
 
@@ -73,7 +72,7 @@ def measure_directly(
     machine = tables.machine
     middle = 0.5 * (machine.lower + machine.upper)
     axes = {}
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(machine.axis_names):
         position = np.linspace(machine.lower[k], machine.upper[k], positions)
         true = _true_readings(tables, axis, position, middle)
         true[:, k] += rng.normal(0, noise.length_scale) * (position - position[0])
@@ -88,7 +87,7 @@ def measure_directly(
 def _true_readings(tables: ErrorTables, axis: str, position: Array, middle: Array) -> Array:
     """Six errors along the line through ``middle``, relative to its start, shape (k, 6)."""
     q = np.tile(middle, (len(position), 1))
-    q[:, AXES.index(axis)] = position
+    q[:, tables.machine.axis_names.index(axis)] = position
     moved = displacement(tables, q)
     turned = np.stack([tables.motions[f'E{d}{axis}'].at(position) for d in DIRECTIONS[3:]], axis=1)
     return np.hstack([moved - moved[0], turned - turned[0]])

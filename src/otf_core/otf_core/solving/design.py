@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from otf_core.model.kinematics import lever, squareness_influence
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.solving.reversal import reversal_columns
 from otf_core.solving.unknowns import Unknowns, is_reversal, pose_block
@@ -122,7 +122,7 @@ class Design:
         return [[self._part(k, self.q + shift) for k in range(3)] for shift in self.shifts]
 
     def _part(self, axis: int, q: Array) -> AxisPart:
-        name = AXES[axis]
+        name = self.machine.axis_names[axis]
         basis = self.unknowns.bases[name]
         first, weight = basis.places(q[:, axis])
         arm = lever(self.machine, name, q)

@@ -26,7 +26,7 @@ from otf_core.effects.direction_dependent_tables import (
 )
 from otf_core.effects.position import scaled_position
 from otf_core.effects.state import state_of_travel
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
 from otf_core.solving.unknowns import Unknowns, reversal_block
@@ -110,7 +110,7 @@ def reversal_columns(
     state = replace(state_of_travel(machine, q, direction), side=side)
     shape = {HELD: float(unknowns.held)}
     backlash = Backlash().terms(state, shape).columns
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(machine.axis_names):
         yield reversal_block(f'E{axis}{axis}', 0), backlash[:, :, k]
     tables = DirectionDependentTables().terms(state, {**shape, 'order': unknowns.reversal - 1.0})
     for k, name in enumerate(tables.names):

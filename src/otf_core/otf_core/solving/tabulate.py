@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 
 from otf_core.model.evaluation import free_rows, mean_length, without_rigid_motion
 from otf_core.model.kinematics import motion_influence
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
@@ -131,7 +131,7 @@ def _cost(
     machine: Machine, done: JointSolution, nodes: Mapping[str, Array], values: Mapping[str, Array]
 ) -> TableCost:
     unknowns = done.unknowns
-    grid = _inner_places(*_ends(unknowns))
+    grid = _inner_places(*_ends(machine, unknowns))
     field = np.zeros_like(grid)
     motions: dict[str, float] = {}
     for name in MOTIONS:
@@ -175,7 +175,7 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float)
     -------
     Tabulation
     """
-    low, high = _ends(done.unknowns)
+    low, high = _ends(machine, done.unknowns)
     costs: dict[int, TableCost] = {}
     best = None
     for fraction in FRACTIONS:
@@ -225,13 +225,13 @@ def mean_grid_uncertainty(machine: Machine, unknowns: Unknowns, covariance: Arra
     unknowns : Unknowns
     covariance : ndarray, shape (full, full)
     """
-    grid = _inner_places(*_ends(unknowns))
+    grid = _inner_places(*_ends(machine, unknowns))
     rows = model_rows(machine, unknowns, grid)
     free = free_rows(rows.reshape(-1, rows.shape[2]), grid)
     variance = np.maximum(np.einsum('ij,ij->i', free @ covariance, free), 0.0)
     return float(np.sqrt(variance.reshape(-1, 3).sum(axis=1)).mean())
 
 
-def _ends(unknowns: Unknowns) -> tuple[Array, Array]:
-    knots = unknowns.knots
-    return np.array([knots[a][0] for a in AXES]), np.array([knots[a][-1] for a in AXES])
+def _ends(machine: Machine, unknowns: Unknowns) -> tuple[Array, Array]:
+    own = [unknowns.knots[a] for a in machine.axis_names]
+    return np.array([knots[0] for knots in own]), np.array([knots[-1] for knots in own])

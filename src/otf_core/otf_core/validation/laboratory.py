@@ -58,11 +58,10 @@ FULL_FEEDS = tuple(MM_PER_MIN * f for f in (2500.0, 5000.0, 10000.0, 15000.0))
 """Paper, Table 2."""
 
 
-def scale(quick: bool, seed: int) -> Scale:
-    """Full: eight cells; quick: two cells and shorter stops."""
-    if quick:
-        return Scale((seed, seed + 1), FULL_FEEDS, 1.0)
-    return Scale(tuple(range(seed, seed + 8)), FULL_FEEDS, 3.0)
+def scale(quick: bool, seed: int, cells: int | None = None) -> Scale:
+    """Full: eight cells; quick: two cells and shorter stops; or as many cells as asked for."""
+    count = cells or (2 if quick else 8)
+    return Scale(tuple(range(seed, seed + count)), FULL_FEEDS, 1.0 if quick else 3.0)
 
 
 def paper_machine() -> Machine:

@@ -11,6 +11,7 @@ import numpy as np
 from otf_core.comparison.compare import Comparison
 from otf_core.comparison.compare import agreement as share_within
 from otf_core.config import STANDSTILL
+from otf_core.live.time_left import StepsLeft
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
@@ -72,8 +73,9 @@ def validate(
     machine = machine or paper_machine()
     cells: list[Cell] = []
     example: SimulativeRun | None = None
+    left, ahead = StepsLeft(len(scale.seeds)), ''
     for number, seed in enumerate(scale.seeds, start=1):
-        where = f'cell {number} of {len(scale.seeds)}'
+        where = f'cell {number} of {len(scale.seeds)}{ahead}'
         progress(f'{where}: errors of 100 um on path and grid')
         run = simulative_run(laboratory, machine, seed)
         noiseless = simulative_run(laboratory, machine, seed, noise=False)
@@ -82,7 +84,7 @@ def validate(
         slowest = reference.results[list(reference.results)[1]]
         direct = direct_test(laboratory, reference.truth, slowest, seed)
         cells.append(Cell(run.replication, noiseless.replication, reference, direct))
-        example = example or run
+        example, ahead = example or run, left.after_one()
     assert example is not None
     rows = (*_simulative_rows(cells), *_reference_rows(cells), *_direct_rows(cells))
     return Validation(scale.seeds, rows, tuple(cells), example)

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -77,6 +77,34 @@ def rows_to_dict(rows: Sequence[Row]) -> list[dict[str, Any]]:
         }
         for r in rows
     ]
+
+
+def rows_from_dict(data: Sequence[Mapping[str, Any]]) -> tuple[Row, ...]:
+    """Return the rows of a validation.json."""
+    rows = []
+    for entry in data:
+        low, high = entry['limit'] or (None, None)
+        limit = (-np.inf if low is None else low, np.inf if high is None else high)
+        words = {name: str(entry[name]) for name in ('section', 'quantity', 'paper', 'unit')}
+        values = tuple(entry['values'])
+        rows.append(Row(**words, values=values, limit=limit if entry['limit'] else None))
+    return tuple(rows)
+
+
+def side_by_side(tables: Sequence[Sequence[Row]]) -> tuple[Row, ...]:
+    """Return one table of the cells of several.
+
+    Raises
+    ------
+    ValueError
+        If they do not have the same rows.
+    """
+    rows = []
+    for same in zip(*tables, strict=True):
+        if len({(r.section, r.quantity, r.unit) for r in same}) != 1:
+            raise ValueError(f'rows of different quantities: {[r.quantity for r in same]}')
+        rows.append(replace(same[0], values=tuple(v for r in same for v in r.values)))
+    return tuple(rows)
 
 
 def _digits(value: float) -> str:

@@ -137,12 +137,12 @@ def test_blind_trial_goes_on_in_its_folder_and_is_replaced_only_if_asked(
 ):
     from otf_core.blind import trial
 
-    def once(trials, seed, folder, jobs, progress):
+    def once(trials, seed, folder, workers, progress):
         Path(folder, 'cells', '000').mkdir(parents=True, exist_ok=True)
         Path(folder, 'cells', '000', 'machine.yaml').write_text(str(seed))
         for name in ('key.json', 'key.sha256', 'score.txt'):
             Path(folder, name).write_text(str(seed))
-        return 'done'
+        return trial.Trialled('done', {})
 
     monkeypatch.setattr(trial, 'run_trial', once)
     assert run('blind', '--trials', '1', '--seed', '1', '--out', 'blind') == 0

@@ -122,7 +122,7 @@ def test_method_and_options_are_stated_apart(cell, tmp_path):
 
 
 def test_key_of_a_blind_trial_says_it_too(tmp_path):
-    seal([], tmp_path, 1, lambda text: None)
+    seal([], tmp_path, iter, print)
     assert block_of(tmp_path / KEY)['verb'] == 'blind'
 
 

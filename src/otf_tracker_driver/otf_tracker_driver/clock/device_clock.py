@@ -15,18 +15,19 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_tracker_driver.clock.envelope import NOTHING, Known, Line, beneath
+from otf_tracker_driver.clock.envelope import NOTHING, WANDERS, Known, Line, beneath
 
 WINDOW = 120 * 10**9
 """ns; older packets are forgotten, so that a rate that changes with temperature is followed."""
 BUCKET = 25 * 10**7
 """ns; of packets within it only the least late one is kept."""
 SETTLING, UNSURE_FOR = 2 * 10**9, 3 * 10**9
-"""ns; so long packets are collected at least, and at most, before the first line is believed."""
+"""ns; so long packets are collected at least, and at most, before the first line is believed; half
+of it where the start of the clock bounds the line."""
 SURE = 6e5
-"""ns; standard uncertainty of a line that is believed at once."""
-WANDERS = 2e-6
-"""A quartz that has been seen keeps its rate within this."""
+"""ns; standard uncertainty of a line that is believed after the least time."""
+CERTAIN = 1e6
+"""ns; a line that cannot be off by more is believed at once."""
 EARLY = 5 * 10**6
 """ns; a packet that much beneath the line is impossible without a jump."""
 LATE = 80 * 10**6
@@ -118,14 +119,14 @@ class DeviceClock:
             delay = max(self._spread * 1e9, 1.0)
             u_rate = math.hypot(self.line.u_rate, WANDERS)
             self._known = Known(self.line.rate, u_rate, delay)
-        self._known = replace(self._known, floor=None)
+        self._known = replace(self._known, floor=None, ceiling=None)
         self.line = None
         self._points.clear()
         self._suspects.clear()
 
-    def started(self, host_ns: int) -> None:
-        """Take the time at which the clock was ordered to start from zero."""
-        self._known = replace(self._known, floor=host_ns)
+    def started(self, ordered_ns: int, answered_ns: int | None = None) -> None:
+        """Take when the clock was ordered to start from zero, and when that was answered."""
+        self._known = replace(self._known, floor=ordered_ns, ceiling=answered_ns)
 
     def take(self, device_ns: int, arrival_ns: int) -> Verdict:
         """Take the time of a packet's last sample on both clocks."""
@@ -163,15 +164,15 @@ class DeviceClock:
         if not self._points:
             self._began = arrival_ns
         self._add(device_ns, delay)
-        if len(self._points) < 2:
-            return Verdict.WAIT
         return self._settled(arrival_ns - self._began)
 
     def _settled(self, lasted: int) -> Verdict:
         """Draw the first line of an epoch if enough is known."""
-        if lasted < SETTLING:
-            return Verdict.WAIT
-        if lasted < UNSURE_FOR and beneath(*self._arrays(), self._known).u_base > SURE:
+        line = beneath(*self._arrays(), self._known)
+        lasted = 2 * lasted if math.isfinite(line.bound) else lasted
+        enough = lasted >= SETTLING and len(self._points) > 1
+        sure = line.u_base <= SURE or lasted >= UNSURE_FOR
+        if line.bound > CERTAIN and not (enough and sure):
             return Verdict.WAIT
         self._fit()
         return Verdict.STAMP

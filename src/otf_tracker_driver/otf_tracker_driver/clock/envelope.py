@@ -5,12 +5,13 @@ A packet that says device time d arrives at host time a = d + offset + rate d + 
 So a - d lies on or above the line offset + rate d (Moon, Skelly, Towsley: Estimation and removal
 of clock skew from network delay measurements, INFOCOM 1999). For delays with an exponential
 distribution of unknown mean the likeliest rate minimises n log(mean delay above the highest line
-beneath all points); the mean is taken from the median, which packets that are very late do not
-move, and what is known of the rate is added as a normal distribution: of quartz clocks at first,
-of this clock later. That keeps the line quiet in the first seconds.
+beneath all points). The density of real delays rises from zero, so that the least of n is known
+to one part in root n, not in n: root n log(mean) is minimised instead. Packets that are very late
+do not move the mean, and what is known of the rate is added as a normal distribution: of quartz
+clocks at first, of this clock later. That keeps the line quiet in the first seconds.
 
-Where the host has started the clock itself, its zero cannot lie before the command was sent. That
-bounds the line from below, and a packet that happens to be quick pins it between the two.
+Where the host has started the clock itself, its zero lies between the command and its answer. That
+bounds the line from both sides, as a packet that happens to be quick does from above.
 """
 
 from __future__ import annotations
@@ -41,6 +42,15 @@ less for those whose density does not."""
 
 MILLISECOND = 1e6
 """ns"""
+TELLING = 6e6
+"""ns; bounds of the start that are further apart say nothing."""
+WANDERS = 2e-6
+"""A quartz that has been seen keeps its rate within this."""
+UNSURE = 3.0
+"""How much further off the least late packets may be than by what is usual, against the start."""
+BELIEVED = 5e6
+"""ns; a tracker whose packets are all later after the answer to its start may have started after
+it."""
 MOST_LOWERED = 3e6
 """ns; for few packets, some of them very late."""
 
@@ -59,12 +69,15 @@ class Known:
         Median delay of packets.
     floor : int or None, ns
         Host time before which the clock did not show zero; None if nobody knows.
+    ceiling : int or None, ns
+        Host time after which it did not, as far as the packets do not contradict.
     """
 
     rate: float = 0.0
     u_rate: float = USUAL_RATE
     delay: float = USUAL_DELAY
     floor: int | None = None
+    ceiling: int | None = None
 
 
 NOTHING = Known()
@@ -85,6 +98,8 @@ class Line:
         Standard uncertainty of the rate.
     u_base : float, ns
         Standard uncertainty of ``base``.
+    bound : float, ns
+        ``base`` cannot be off by more; infinite if nothing bounds it from both sides.
     """
 
     origin: int
@@ -92,6 +107,7 @@ class Line:
     rate: float
     u_rate: float = 0.0
     u_base: float = 0.0
+    bound: float = math.inf
 
     def at(self, device_ns: NDArray[np.int64] | int) -> NDArray[np.int64]:
         """Host minus device time at these device times, ns."""
@@ -124,31 +140,55 @@ def beneath(
     above -= least[:, None]
     median = np.median(above, axis=1)
     mean = np.minimum(above, VERY_LATE * median[:, None]).mean(axis=1)
-    cost = n * np.log(mean + SHARPEST) + 0.5 * ((RATES - known.rate) / known.u_rate) ** 2
+    cost = (
+        math.sqrt(n) * np.log(mean + SHARPEST) + 0.5 * ((RATES - known.rate) / known.u_rate) ** 2
+    )
+    delay = (n * median + ASSUMED * known.delay) / (n + ASSUMED)
+    u = np.minimum(LOWERED * delay / math.sqrt(n), MOST_LOWERED)
+    offset, drift = least - u, RATES * origin
+    start = _start(known, base, float(np.interp(known.rate, RATES, least - drift)))
+    if start:
+        u_start = math.hypot((start[1] - start[0]) / math.sqrt(12), WANDERS * origin)
+        apart = offset - (sum(start) / 2 + drift)
+        u = UNSURE * u
+        both = u**2 + u_start**2
+        cost += 0.5 * apart**2 / both
+        offset, u = offset - apart * u**2 / both, u * u_start / np.sqrt(both)
     likely = np.exp(cost.min() - cost)
     likely /= likely.sum()
-    rate, highest, middle = (float(likely @ v) for v in (RATES, least, median))
+    rate, best, u_best = (float(likely @ v) for v in (RATES, offset, u))
     u_rate = math.sqrt(float(likely @ (RATES - rate) ** 2))
-    delay = (n * middle + ASSUMED * known.delay) / (n + ASSUMED)
-    lowered = min(LOWERED * delay / math.sqrt(n), MOST_LOWERED)
-    offset, u = highest - lowered, lowered
-    if known.floor is not None:
-        unsure = u_rate * origin
-        floor = known.floor - base + rate * origin - unsure
-        offset, u = _between(floor, highest, offset, u)
-    return Line(origin, base + round(offset), rate, u_rate, u)
+    bound = math.inf
+    if start:
+        unsure, drifted = u_rate * origin, rate * origin
+        lowest, highest = start[0] + drifted - unsure, start[1] + drifted + unsure
+        best = _between(lowest, min(highest, float(likely @ least)), best)
+        bound = max(best - lowest, highest - best)
+    return Line(origin, base + round(best), rate, u_rate, u_best, bound)
 
 
-def _between(lowest: float, highest: float, offset: float, u: float) -> tuple[float, float]:
+def _start(known: Known, base: int, highest: float) -> tuple[float, float] | None:
+    """Return between which offsets the clock has started, ns from ``base``; None if unknown.
+
+    ``highest`` is that of the highest line beneath all packets, at zero.
+    """
+    if known.floor is None or known.floor - base >= highest:
+        return None
+    lowest, ceiling = float(known.floor - base), highest
+    if known.ceiling is not None and highest - BELIEVED < known.ceiling - base < highest:
+        ceiling = float(known.ceiling - base)
+    return (lowest, ceiling) if ceiling - lowest < TELLING else None
+
+
+def _between(lowest: float, highest: float, offset: float) -> float:
     """Keep an estimate between its bounds, and the nearer to their middle the closer they are.
 
     Bounds up to 2 ms apart then leave an error of at most 1 ms, also if every packet is late by
-    more than the estimate knows. Bounds more than 6 ms apart say nothing.
+    more than the estimate knows.
     """
     if lowest >= highest:
-        return highest, u
+        return highest
     half = (highest - lowest) / 2
     slack = MILLISECOND - half if half < MILLISECOND else 1.5 * (half - MILLISECOND)
     middle = (lowest + highest) / 2
-    inside = min(max(offset, middle - slack, lowest), middle + slack, highest)
-    return inside, min(u, half / math.sqrt(3))
+    return min(max(offset, middle - slack, lowest), middle + slack, highest)

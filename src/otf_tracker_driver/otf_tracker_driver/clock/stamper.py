@@ -79,9 +79,9 @@ class Stamper:
         self._epoch, self._given, self._device = self._clock.epoch, None, None
         return rest
 
-    def started(self, host_ns: int) -> None:
-        """Take the time at which the device's clock was ordered to start from zero."""
-        self._clock.started(host_ns)
+    def started(self, ordered_ns: int, answered_ns: int | None = None) -> None:
+        """Take when the device's clock was ordered to start from zero, and when it answered."""
+        self._clock.started(ordered_ns, answered_ns)
 
     def flush(self) -> list[Samples]:
         """Return what still waits, stamped as well as can be."""

@@ -40,9 +40,9 @@ class Intake:
         """Begin a measurement: the tracker's clock starts again."""
         self._hand_on(self._stamper.restart())
 
-    def started(self, host_ns: int) -> None:
-        """Take the time at which the tracker was told to start."""
-        self._stamper.started(host_ns)
+    def started(self, ordered_ns: int, answered_ns: int) -> None:
+        """Take when the tracker was told to start, and when its answer arrived."""
+        self._stamper.started(ordered_ns, answered_ns)
 
     def end(self, interruption: str) -> None:
         """Hand on what waits; mark the gap that follows if there was an interruption."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 import traceback
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -17,6 +16,7 @@ from otf_tracker_driver.emscon.codes import Command, Status
 from otf_tracker_driver.emscon.commands import Value
 from otf_tracker_driver.emscon.errors import LinkError, Refused, TrackerError
 from otf_tracker_driver.emscon.framing import Framer, ProtocolError
+from otf_tracker_driver.emscon.wire import Wire, wired
 
 T = TypeVar('T')
 Values = tuple[Value, ...]
@@ -32,8 +32,6 @@ BUSY_FOR = 30.0
 BUSY_PAUSE = 0.1
 """s"""
 MOST_REFLECTORS = 200
-CHUNK = 1 << 16
-HINT = 'is it on, and the address right?'
 
 
 class Link:
@@ -41,7 +39,7 @@ class Link:
 
     Parameters
     ----------
-    reader, writer : asyncio streams
+    wire : Wire
     unasked : callable
         Takes packets that answer nothing, and when their first byte arrived, ns; returns at once.
     now_ns : callable
@@ -51,25 +49,19 @@ class Link:
     ----------
     ended : asyncio.Future
         Holds the LinkError that ended the connection.
-    asked_ns : int
-        When the last command was sent, on the clock of ``now_ns``.
+    asked_ns, answered_ns : int
+        When the last command was sent, and the last answer arrived, on the clock of ``now_ns``.
     unreadable, late_answers : int
         Packets that were framed but made no sense; answers that nobody waits for.
     """
 
-    def __init__(
-        self,
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
-        unasked: Unasked,
-        now_ns: Callable[[], int],
-    ) -> None:
-        self._reader, self._writer = reader, writer
+    def __init__(self, wire: Wire, unasked: Unasked, now_ns: Callable[[], int]) -> None:
+        self._wire = wire
         self._unasked, self._now_ns = unasked, now_ns
         self._waiting: dict[int, deque[asyncio.Queue[packets.Answer]]] = {}
         self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._heard = False
-        self.asked_ns = 0
+        self.asked_ns = self.answered_ns = 0
         self.unreadable = self.late_answers = 0
 
     async def read(self) -> None:
@@ -77,8 +69,11 @@ class Link:
         framer, reason = Framer(), 'the tracker closed the connection'
         begun_ns = 0
         try:
-            while chunk := await self._reader.read(CHUNK):
-                arrival_ns = self._now_ns()
+            while True:
+                chunk, age_ns = await self._wire.read()
+                if not chunk:
+                    break
+                arrival_ns = self._now_ns() - age_ns
                 if not framer.partial:
                     begun_ns = arrival_ns
                 for packet in framer.feed(chunk):
@@ -117,6 +112,7 @@ class Link:
             return
         waiting = self._waiting.get(packet.command)
         if waiting and not waiting[0].full():
+            self.answered_ns = arrival_ns
             waiting[0].put_nowait(packet)
         else:
             self.late_answers += 1
@@ -135,7 +131,8 @@ class Link:
 
     def tell(self, command: Command) -> None:
         """Send a command without values whose answer does not matter any more."""
-        self._writer.write(commands.encode_request(command))
+        with contextlib.suppress(LinkError):
+            self._wire.write(commands.encode_request(command))
 
     async def reflectors(self) -> dict[int, str]:
         """Return number and name of all reflectors; each comes in an answer of its own."""
@@ -178,7 +175,7 @@ class Link:
         waiting.append(answers)
         try:
             self.asked_ns = self._now_ns()
-            self._writer.write(commands.encode_request(command, *values))
+            self._wire.write(commands.encode_request(command, *values))
             yield answers
         finally:
             waiting.remove(answers)
@@ -216,24 +213,11 @@ async def connected(
     LinkError
         If there is no connection within ``within`` s, or it is lost inside the block.
     """
-    try:
-        opening = asyncio.open_connection(host, port)
-        reader, writer = await asyncio.wait_for(opening, within)
-    except (TimeoutError, asyncio.TimeoutError):
-        raise LinkError(
-            f'no connection within {within:g} s; is it on, and the address right?'
-        ) from None
-    except (OSError, UnicodeError, OverflowError) as error:
-        reason = getattr(error, 'strerror', None) or error
-        raise LinkError(f'no connection ({reason}); {HINT}') from None
-    writer.get_extra_info('socket').setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    link = Link(reader, writer, unasked, now_ns)
-    reading = asyncio.ensure_future(link.read())
-    try:
-        yield link
-    finally:
-        reading.cancel()
-        await asyncio.gather(reading, return_exceptions=True)
-        writer.close()
-        with contextlib.suppress(OSError, asyncio.TimeoutError):
-            await asyncio.wait_for(writer.wait_closed(), 1.0)
+    async with wired(host, port, within) as wire:
+        link = Link(wire, unasked, now_ns)
+        reading = asyncio.ensure_future(link.read())
+        try:
+            yield link
+        finally:
+            reading.cancel()
+            await asyncio.gather(reading, return_exceptions=True)

@@ -35,9 +35,9 @@ T = TypeVar('T')
 
 CONNECT_WITHIN = 2.0
 """s"""
-FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
+FIRST_PAUSE, LONGEST_PAUSE = 0.2, 1.0
 """s; between attempts, doubled each time."""
-SILENT_FOR = 1.5
+SILENT_FOR = 1.0
 """s; a tracker that streams sends packets three times per second, late by 60 ms at most."""
 LINGERS = 3.0
 """s; a tracker may take a connection for open for a while after its end."""
@@ -196,7 +196,7 @@ class Session:
             else:
                 self.state.trouble = f'{lost}; bring the beam back onto the reflector'
             await self._pause(link, pause)
-            pause = min(2 * pause, LONGEST_PAUSE / 2)
+            pause = min(2 * pause, LONGEST_PAUSE)
         return False
 
     async def _measure(self, link: Link) -> None:
@@ -207,7 +207,7 @@ class Session:
                 self._intake.begin()
                 self._measuring = True
                 await link.ask(Command.START_MEASUREMENT)
-                self._intake.started(link.asked_ns)
+                self._intake.started(link.asked_ns, link.answered_ns)
             self.state.phase, self.state.trouble = state.STREAMING, ''
             self.state.beam = Beam.ON_TARGET
             self._heard = _now()

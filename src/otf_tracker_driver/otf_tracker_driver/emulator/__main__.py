@@ -59,7 +59,8 @@ def _described(info: ParameterInfo) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the emulator; returns the exit code."""
     listed = '; '.join(map(_described, Faults.infos()))
-    parser = Parser('otf emulate-tracker', description=__doc__)
+    example = 'Example: ./otf emulate-tracker --machine machine.yaml --faults split,busy=0.1'
+    parser = Parser('otf emulate-tracker', description=__doc__, epilog=example)
     parser.add_argument('--machine', required=True, help='machine.yaml of the simulated cell')
     parser.add_argument('--host', default='127.0.0.1', help='address to listen on')
     parser.add_argument('--port', type=int, default=700, help='0: any that is free')

@@ -165,7 +165,7 @@ class Reader:
             self._transport.send(text.encode())
 
     def _take(self, chunk: bytes) -> None:
-        arrival_ns = self._clock.now_ns()
+        arrival_ns = self._clock.now_ns() - self._transport.age_ns
         if self._transport.datagrams:
             chunk += b'\n'
         points, wrong = [], ''

@@ -11,6 +11,7 @@ import tty
 from abc import ABC, abstractmethod
 
 from otf_core.errors import InputError
+from otf_tracker_driver.clock.arrival import receive, stamp_arrivals
 from otf_tracker_driver.stream.description import Source
 
 CHUNK = 1 << 16
@@ -19,9 +20,18 @@ CONNECT_WITHIN = 5.0
 
 
 class Transport(ABC):
-    """An open source of bytes; OSError where it has ended."""
+    """An open source of bytes; OSError where it has ended.
+
+    Attributes
+    ----------
+    datagrams : bool
+        What comes is whole messages.
+    age_ns : int, ns
+        How long ago what was received last had arrived.
+    """
 
     datagrams = False
+    age_ns = 0
 
     @abstractmethod
     def receive(self, timeout: float) -> bytes | None:
@@ -42,15 +52,16 @@ class Socket(Transport):
     def __init__(self, opened: socket.socket, datagrams: bool, only: str = '') -> None:
         self._socket, self.datagrams, self._only = opened, datagrams, only
         self._peer: object = None
+        stamp_arrivals(opened)
 
     def receive(self, timeout: float) -> bytes | None:
         """Return what has come; a TCP peer that has closed is an OSError."""
         self._socket.settimeout(timeout)
         try:
-            data, peer = self._socket.recvfrom(CHUNK)
+            data, self.age_ns, peer = receive(self._socket, CHUNK)
         except TimeoutError:
             return None
-        if self._only and peer[0] != self._only:
+        if self._only and not (isinstance(peer, tuple) and peer[0] == self._only):
             return None
         self._peer = peer
         if not data and not self.datagrams:

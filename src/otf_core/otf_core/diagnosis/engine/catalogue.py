@@ -11,7 +11,7 @@ import numpy as np
 from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, search
-from otf_core.diagnosis.engine.spectral import Line, strongest_lines
+from otf_core.diagnosis.engine.spectral import SpectralLine, strongest_lines
 from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
 from otf_core.effects.free import free_forms
@@ -59,7 +59,7 @@ def sight_of(tried: Tried) -> Visibility:
     return Visibility(float(np.median(ratio)), float(np.median(found)))
 
 
-def shapes_from_lines(lines: Sequence[Line]) -> dict[str, list[Shape]]:
+def shapes_from_lines(lines: Sequence[SpectralLine]) -> dict[str, list[Shape]]:
     """Frequencies and periods of spectral lines as shapes of the effects that make them."""
     shapes: dict[str, list[Shape]] = {}
     for line in lines:
@@ -69,10 +69,10 @@ def shapes_from_lines(lines: Sequence[Line]) -> dict[str, list[Shape]]:
     return shapes
 
 
-def spectral_lines(rows: Rows) -> list[Line]:
+def spectral_lines(rows: Rows) -> list[SpectralLine]:
     """Spectral lines of all runs, strongest first."""
     nodes = rows.done.unknowns.knots
-    lines: list[Line] = []
+    lines: list[SpectralLine] = []
     for run, solved in zip(rows.runs, rows.done.runs, strict=True):
         if len(run.pieces.samples):
             residuals = sample_residuals(run, solved.pose, rows.tables, nodes)

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.base import Effect, Shape, State, Terms
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 MOMENTS = 40
 """Moments of a jump that are tried."""
@@ -47,7 +47,7 @@ class Jump(Effect):
         """Return J_X, J_Y, J_Z."""
         after = (state.time > shape['moment']).astype(float)
         columns = after[:, None, None] * np.eye(3)
-        return Terms(tuple(f'J_{a}' for a in AXES), ('m',) * 3, ('',) * 3, columns)
+        return Terms(tuple(f'J_{a}' for a in XYZ), ('m',) * 3, ('',) * 3, columns)
 
 
 class Knock(Jump):
@@ -64,7 +64,7 @@ class Knock(Jump):
         after = (state.time > shape['moment']).astype(float)[:, None]
         turns = np.stack([after * np.cross(e, state.beam) for e in np.eye(3)], axis=2)
         return Terms(
-            (*shift.names, *(f'W_{a}' for a in AXES)),
+            (*shift.names, *(f'W_{a}' for a in XYZ)),
             (*shift.units, *('rad',) * 3),
             ('',) * 6,
             np.concatenate([shift.columns, turns], axis=2),
@@ -99,7 +99,7 @@ class SlowWave(Effect):
         phase = 2.0 * np.pi * state.time / shape['period']
         waves = (np.sin(phase), np.cos(phase))
         columns = np.concatenate([w[:, None, None] * np.eye(3) for w in waves], axis=2)
-        names = tuple(f'{part}_{a}' for part in 'SC' for a in AXES)
+        names = tuple(f'{part}_{a}' for part in 'SC' for a in XYZ)
         return Terms(names, ('m',) * 6, ('',) * 6, columns)
 
 

@@ -9,6 +9,7 @@ along the axis is exponential.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ from scipy.ndimage import median_filter
 
 from otf_core.effects import Effect
 from otf_core.effects.base import Wave
-from otf_core.model.machine import AXES
+from otf_core.model.path import TRAVELS
 from otf_core.solving.sample_states import SampleResiduals
 
 Array = NDArray[np.float64]
@@ -36,12 +37,10 @@ PERIODS = (0.0015, 0.06)
 """m; longer ones are followed by the tables, shorter ones by no tracker."""
 BIN = 2.5e-4
 """m; raster of axis positions."""
-MOVING = 0.05
-"""Least share of an axis in the travel direction."""
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """A spectral line.
 
     Attributes
@@ -77,11 +76,13 @@ def _over_level(power: Array, place: Array) -> Array:
     return np.asarray(power / np.maximum(level, 1e-300))
 
 
-def _improbability(value: float, shape: float, trials: int) -> float:
-    """Minus log of the probability of such a value in so many trials."""
-    from scipy.stats import gamma  # 0.4 s that only a diagnosis pays
+def _improbability(value: float, series: int, trials: int) -> float:
+    """Minus log of the probability of such a power, summed over series, in so many trials.
 
-    return float(-gamma.logsf(value, shape) - np.log(max(trials, 1)))
+    A sum of n powers of noise over its level follows the Erlang distribution of shape n.
+    """
+    terms = sum(value**k / math.factorial(k) for k in range(series))
+    return float(value - np.log(terms) - np.log(max(trials, 1)))
 
 
 def line_in_time(residuals: SampleResiduals) -> Peak | None:
@@ -101,16 +102,16 @@ def line_in_time(residuals: SampleResiduals) -> Peak | None:
     power = np.abs(np.fft.rfft(series, length, axis=0)[use]) ** 2
     total = sum(_over_level(power[:, k], frequency[use]) for k in range(3))
     best = int(np.argmax(total))
-    score = _improbability(float(np.asarray(total)[best]), 3.0, len(power))
+    score = _improbability(float(np.asarray(total)[best]), 3, len(power))
     return float(frequency[use][best]), score
 
 
 def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     """Find the strongest line over the position of one axis."""
-    k = AXES.index(axis)
-    moving = np.abs(residuals.state.direction[:, k]) > MOVING
+    k = residuals.state.machine.axis_names.index(axis)
+    moving = np.abs(residuals.state.direction[:, k]) > TRAVELS
     across = 1.0 - residuals.state.direction[:, k] ** 2
-    moving &= across > MOVING
+    moving &= across > TRAVELS
     if moving.sum() < 100:
         return None
     q = residuals.state.q[moving, k]
@@ -122,11 +123,11 @@ def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     power = np.abs(np.fft.rfft(series, length)[use]) ** 2
     ratio = _over_level(power, number[use])
     best = int(np.argmax(ratio))
-    score = _improbability(float(ratio[best]), 1.0, len(ratio))
+    score = _improbability(float(ratio[best]), 1, len(ratio))
     return float(1.0 / number[use][best]), score
 
 
-def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> list[Line]:
+def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> list[SpectralLine]:
     """Lines that effects make, strongest first.
 
     Parameters
@@ -136,9 +137,9 @@ def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> li
         Those that make no lines are passed over.
     """
     in_time = [line_in_time(residuals)]
-    along_axes = [line_along_axis(residuals, a) for a in AXES]
+    along_axes = [line_along_axis(residuals, a) for a in residuals.state.machine.axis_names]
     lines = [
-        Line(effect.name, effect.wave, *peak)
+        SpectralLine(effect.name, effect.wave, *peak)
         for effect in effects
         if effect.wave is not None
         for peak in (in_time if effect.wave.in_time else along_axes)

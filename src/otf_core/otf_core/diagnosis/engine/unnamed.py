@@ -1,32 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
 """Structure of a gap that no effect explains: which inputs it depends on, and how it acts.
 
-Smooth functions of every input, and of every two, are compared. A score test screens them: with
-the scores h of the whitened residual (what a shift of every piece would gain), a function Phi
-would gain about g' N^-1 g, g = Phi' h, N the information without tables and poses. The best are
-fitted exactly and priced as effects are; then the way to act, the same for all until then, is
-chosen in the same way. Looking at many costs the logarithm of their number.
+Smooth functions of every input, and of every two, are compared; a cycle in time is an input where
+there is a clear one. A score test screens them (``score``). The best are fitted exactly and
+priced as effects are; then the way to act, the same for all until then, is chosen in the same
+way. Looking at many costs the logarithm of their number.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.evidence import Option, estimate
 from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.score import Scores, strongest_cycle
 from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.acting import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.empirical import Empirical
 from otf_core.effects.free import Free, FreeForm
-from otf_core.effects.inputs import SIGNAL, Span, input_values, scaled_input, span_of
-from otf_core.solving.whitener import Whitener
+from otf_core.effects.inputs import (
+    CYCLE,
+    SIGNAL,
+    Span,
+    functions_of,
+    input_values,
+    scaled_input,
+    span_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -37,6 +43,8 @@ INPUTS = (
 )  # fmt: skip
 ALONE, IN_PAIR = 6, 3
 """Highest order of a function of one input, and of each of two."""
+LONG = 60
+"""Order of a function of time alone that is tried as well: what switches every few legs."""
 ORDERS = {'time': 20, 'feed': 2, 'acceleration': 3, 'sense_x': 2, 'sense_y': 2, 'sense_z': 2}
 """Highest orders of functions of one input, where they differ."""
 SCREENED = 14
@@ -45,10 +53,11 @@ ENOUGH = 0.95
 """Share of the evidence for two inputs that one of them must reach to be enough."""
 ONE_DIRECTION = 0.9
 """Share of the squared displacement along one direction from which that alone is tried."""
-RIDGE = 1e-4
-"""Of the scaled information, against functions that the data hardly tell apart."""
 NEEDED = 12.0
 """Logarithm of the odds that a structure needs."""
+
+
+_EMPIRICAL = Empirical()
 
 
 @dataclass(frozen=True)
@@ -72,30 +81,59 @@ class Structure:
         return effect
 
 
-def find_structure(rows: Rows) -> Structure | None:
-    """Find what a gap depends on, and how it acts; None if no structure has the odds."""
+@dataclass(frozen=True, eq=False)
+class Structures:
+    """Smooth functions of one and of two inputs, acting as vectors, that were fitted to runs.
+
+    Attributes
+    ----------
+    rows : Rows
+    ranked : tuple of Tried
+    looked : float
+        Logarithm of the number of structures that were looked at.
+    """
+
+    rows: Rows
+    ranked: tuple[Tried, ...]
+    looked: float
+
+    def tried(self, free: Free) -> Tried:
+        """Fit one structure."""
+        spans = {name: span_of(self.rows.states, name) for name in free.inputs}
+        return tried_shapes(self.rows, FreeForm(_EMPIRICAL, free, spans), [{}])[0]
+
+    def score(self, tried: Tried, variance: float) -> float:
+        """Evidence of one of them, less the price of having looked at all."""
+        return tried.odds(np.arange(len(tried.size)), variance) - self.looked
+
+
+def try_structures(rows: Rows) -> Structures:
+    """Fit every structure of one input, and those of two that a score test prefers."""
+    scores = Scores.of(rows)
     inputs = _inputs(rows)
+    if period := strongest_cycle(rows, scores):
+        inputs.append(f'{CYCLE}{period:.6g}')
     alone = [_form((name,)) for name in inputs]
+    alone.append(Free(('time',), (LONG,), acts=vector))
     pairs = [_form(names) for names in combinations(inputs, 2)]
     spans = {name: span_of(rows.states, name) for name in inputs}
-    best = np.argsort(_screened(rows, pairs, spans))[::-1][:SCREENED]
-    empirical = Empirical()
+    best = np.argsort(_screened(rows, scores, pairs, spans))[::-1][:SCREENED]
+    found = Structures(rows, (), float(np.log(len(alone) + len(pairs))))
+    forms = (*alone, *(pairs[k] for k in best))
+    return replace(found, ranked=tuple(found.tried(form) for form in forms))
 
-    def tried(free: Free) -> Tried:
-        own = {name: spans[name] for name in free.inputs}
-        return tried_shapes(rows, FreeForm(empirical, free, own), [{}])[0]
 
-    looked = float(np.log(len(alone) + len(pairs)))
-    ranked = [tried(form) for form in (*alone, *(pairs[k] for k in best))]
+def find_structure(tried: Structures) -> Structure | None:
+    """Find what a gap depends on, and how it acts; None if no structure has the odds."""
+    rows, ranked = tried.rows, tried.ranked
     variance = noise_variance(rows, _left(_likeliest(ranked, 1.0), rows))
     first = _simplest(ranked, variance)
-    ways = [first, *(tried(f) for f in _ways(first, rows, variance))]
+    ways = [first, *(tried.tried(f) for f in _ways(first, rows, variance))]
     found = _likeliest(ways, variance)
-    take = np.arange(len(found.size))
-    score = found.odds(take, variance) - looked
+    score = tried.score(found, variance)
     if score < NEEDED:
         return None
-    return Structure(Cause(found.made(take, variance), score, 1.0, ()))
+    return Structure(Cause(found.made(np.arange(len(found.size)), variance), score, 1.0, ()))
 
 
 def _inputs(rows: Rows) -> list[str]:
@@ -116,58 +154,35 @@ def _form(names: tuple[str, ...], acts: Acting = vector) -> Free:
     most = ALONE if len(names) == 1 else IN_PAIR
     orders = (ORDERS.get(n, most) if len(names) == 1 else min(ORDERS.get(n, most), most)
               for n in names)  # fmt: skip
-    return Free(names, tuple(orders), acts=acts)
+    # cosine and sine of a cycle belong together
+    whole = (o - o % 2 if n.startswith(CYCLE) else o for n, o in zip(names, orders, strict=True))
+    return Free(names, tuple(whole), acts=acts)
 
 
-def _screened(rows: Rows, forms: Sequence[Free], spans: dict[str, Span]) -> Array:
+def _screened(rows: Rows, scores: Scores, forms: Sequence[Free], spans: dict[str, Span]) -> Array:
     """About what each structure would gain as a vector, shape (f,)."""
-    pulled = rows.by_run(rows.pulled(rows.residual[:, None]).plain)
-    axes = [s.system.axes for s in rows.done.runs]
-    scores = np.concatenate([
-        np.einsum('cpk,cp->pk', a, part[..., 0]) for a, part in zip(axes, pulled, strict=True)
-    ])  # fmt: skip
-    weights = np.concatenate([_information(w) for w in rows.whiteners], axis=1)
-    whole = np.concatenate(axes, axis=1)
     tables = {
-        name: legendre.legvander(
+        name: functions_of(
+            name,
             np.concatenate([scaled_input(name, input_values(s, name), spans[name])
                             for s in rows.states]),
             ORDERS.get(name, ALONE),
         )
         for name in spans
     }  # fmt: skip
-    information = np.einsum('cpi,cpj,cp->ijp', whole, whole, weights)
-    return np.array([_gain(f, tables, scores, information) for f in forms])
+    return np.array([_gain(form, tables, scores) for form in forms])
 
 
-def _information(whitener: Whitener) -> Array:
-    """Weight of a slow displacement of every piece, shape (c, p), 1/m^2."""
-    bounds = whitener.bounds
-    inverses = whitener.inverses
-    found = np.empty((len(inverses[0]), bounds[-1][1]))
-    for (low, high), leg in zip(bounds, inverses, strict=True):
-        for component, inverse in enumerate(leg):
-            found[component, low:high] = np.sum(inverse.sum(axis=1) ** 2) / (high - low)
-    return found
-
-
-def _gain(form: Free, tables: dict[str, Array], scores: Array, information: Array) -> float:
+def _gain(form: Free, tables: dict[str, Array], scores: Scores) -> float:
     """Half the fall of the sum of squares by a structure, less a price of its coefficients."""
     columns = []
     for number in form.numbers:
         own = [tables[n][:, k] for n, k in zip(form.inputs, number, strict=True)]
         columns.append(np.prod(own, axis=0))
     functions = np.stack(columns[1:], axis=1)
-    right = (functions.T @ scores).T.ravel()
-    matrix = np.block([
-        [functions.T @ (information[i, j][:, None] * functions) for j in range(3)]
-        for i in range(3)
-    ])  # fmt: skip
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    whole = scale[:, None] * matrix * scale + RIDGE * np.eye(right.size)
-    scaled = scale * right
-    gain = float(scaled @ np.linalg.solve(whole, scaled))
-    return 0.5 * gain - 0.5 * right.size * float(np.log(max(len(scores) / right.size, 2.0)))
+    count = 3 * functions.shape[1]
+    price = 0.5 * count * np.log(max(len(functions) / count, 2.0))
+    return float(scores.gain(functions) - price)
 
 
 def _likeliest(ranked: Sequence[Tried], variance: float) -> Tried:
@@ -178,13 +193,14 @@ def _simplest(ranked: Sequence[Tried], variance: float) -> Tried:
     """The likeliest, or one of its inputs alone where that is about as good."""
     best = _likeliest(ranked, variance)
     score = best.odds(np.arange(len(best.size)), variance)
-    names = set(_inputs_of(best))
-    inner = [t for t in ranked if set(_inputs_of(t)) < names]
+    names = set(inputs_of(best))
+    inner = [t for t in ranked if set(inputs_of(t)) < names]
     enough = [t for t in inner if t.odds(np.arange(len(t.size)), variance) > ENOUGH * score]
     return _likeliest(enough, variance) if enough else best
 
 
-def _inputs_of(tried: Tried) -> tuple[str, ...]:
+def inputs_of(tried: Tried) -> tuple[str, ...]:
+    """Inputs of a structure."""
     effect = tried.effect
     assert isinstance(effect, FreeForm)
     return effect.form.inputs
@@ -197,12 +213,12 @@ def _left(tried: Tried, rows: Rows) -> Array:
 
 def _ways(first: Tried, rows: Rows, variance: float) -> list[Free]:
     """The same inputs acting in other ways."""
-    names = _inputs_of(first)
+    assert isinstance(first.effect, FreeForm)
     ways: list[Acting] = [ACTING[RIGID_TRACKER], ACTING[RIGID_TABLE]]
     main, share = _main_direction(first.made(np.arange(len(first.size)), variance), rows)
     if share > ONE_DIRECTION:
         ways.append(Along((float(main[0]), float(main[1]), float(main[2]))))
-    return [_form(names, way) for way in ways]
+    return [replace(first.effect.form, acts=way) for way in ways]
 
 
 def _main_direction(option: Option, rows: Rows) -> tuple[Array, float]:

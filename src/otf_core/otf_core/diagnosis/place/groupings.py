@@ -5,20 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import combinations, pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.place.views import RunView
-from otf_core.model.machine import AXES
+from otf_core.model.path import TRAVELS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MOST_WINDOWS = 12
-MOVING = 0.05
-"""Direction component below which an axis stands."""
 FEED_STEP = 0.1
 """Feeds that differ by a smaller share count as one."""
 MOST_FEEDS = 4
@@ -81,11 +79,12 @@ def by_leg(views: Sequence[RunView]) -> Grouping:
 
 def by_line(views: Sequence[RunView]) -> Grouping:
     """Direction of the line: single axes with their sense, diagonals by the axes they move."""
-    senses = [f'{s}{a}' for a in AXES for s in '+-']
-    planes = ['diagonal XY', 'diagonal XZ', 'diagonal YZ', 'diagonal XYZ']
+    axes = views[0].axis_names
+    senses = [f'{s}{a}' for a in axes for s in '+-']
+    planes = [f'diagonal {"".join(p)}' for p in (*combinations(axes, 2), axes)]
     indices = []
     for view in views:
-        moving = np.abs(view.direction) > MOVING
+        moving = np.abs(view.direction) > TRAVELS
         axis = np.argmax(np.abs(view.direction), axis=1)
         backward = np.take_along_axis(view.direction, axis[:, None], 1)[:, 0] < 0
         still = np.where(moving[:, 2], np.where(moving[:, 1], 2, 1), 0)
@@ -96,12 +95,13 @@ def by_line(views: Sequence[RunView]) -> Grouping:
 
 def by_sense(views: Sequence[RunView], axis: int) -> Grouping:
     """Sense of travel of one axis, diagonals included."""
-    labels = [f'{AXES[axis]} forward', f'{AXES[axis]} backward', f'{AXES[axis]} at rest']
+    name = views[0].axis_names[axis]
+    labels = [f'{name} forward', f'{name} backward', f'{name} at rest']
     indices = []
     for view in views:
         d = view.direction[:, axis]
-        indices.append(np.where(np.abs(d) < MOVING, 2, np.where(d > 0, 0, 1)))
-    return Grouping(f'sense of {AXES[axis]}', labels, indices)
+        indices.append(np.where(np.abs(d) < TRAVELS, 2, np.where(d > 0, 0, 1)))
+    return Grouping(f'sense of {name}', labels, indices)
 
 
 def by_feed(views: Sequence[RunView]) -> Grouping:
@@ -134,7 +134,7 @@ def by_region(views: Sequence[RunView]) -> Grouping:
     edges = [np.linspace(a, b + 1e-9, n + 1) for a, b, n in zip(low, high, counts, strict=True)]
     named = [
         [f'{axis} {word}' for word in THIRDS] if n == 3 else [f'{axis} one level']
-        for axis, n in zip(AXES, counts, strict=True)
+        for axis, n in zip(views[0].axis_names, counts, strict=True)
     ]
     labels = [', '.join(names) for names in product(*named)]
     indices = []

@@ -18,7 +18,7 @@ from otf_core.diagnosis.place.shapes import (
     wave,
 )
 from otf_core.diagnosis.place.views import RunView
-from otf_core.model.machine import AXES
+from otf_core.model.path import TRAVELS
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,6 @@ WAVES_PER_AXIS = 3.0
 """Longer waves are for the tables."""
 SHORTEST_WAVE = 2.2
 """Spacings of the pieces along the axis on the slowest lines."""
-MOVING = 0.05
 PER_FEED = 'um per 0.1 m/s'
 
 
@@ -100,18 +99,21 @@ def drift_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
 
 def _sense(view: RunView, axis: int) -> Array:
     d = view.direction[:, axis]
-    return np.where(np.abs(d) < MOVING, 0.0, np.sign(d))
+    return np.where(np.abs(d) < TRAVELS, 0.0, np.sign(d))
 
 
 def travel_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
     """What flips with the sense of travel, alike at all feeds or growing with the feed."""
     speeds = np.concatenate([v.speed for v in views])
-    two_feeds = np.quantile(speeds, 0.9) > 1.2 * np.quantile(speeds, 0.1)
+    axes, two_feeds = (
+        views[0].axis_names,
+        np.quantile(speeds, 0.9) > 1.2 * np.quantile(speeds, 0.1),
+    )
 
     def flipping(axis: int) -> GapShape:
         def words(c: Array) -> str:
             return (
-                f'flips with the sense of travel of {AXES[axis]}: {direction_words(c)} forward, '
+                f'flips with the sense of travel of {axes[axis]}: {direction_words(c)} forward, '
                 'the opposite backward'
             )
 
@@ -120,7 +122,7 @@ def travel_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
     def growing(axis: int) -> GapShape:
         def words(c: Array) -> str:
             return (
-                f'flips with the sense of travel of {AXES[axis]} and grows with its feed: '
+                f'flips with the sense of travel of {axes[axis]} and grows with its feed: '
                 f'{direction_words(c, 1e5, PER_FEED)} forward'
             )
 
@@ -147,7 +149,7 @@ def _spacing(view: RunView, axis: int) -> Array:
 
 def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[GapShape]:
     """Waves along the position of an axis; means over pieces weaken short ones."""
-    spacing = {id(v): _spacing(v, axis) for v in views}
+    name, spacing = views[0].axis_names[axis], {id(v): _spacing(v, axis) for v in views}
     every = np.concatenate(list(spacing.values()))
     moving = every[every > 1e-6]
     length = float(np.ptp(np.concatenate([v.q[:, axis] for v in views])))
@@ -160,9 +162,9 @@ def wave_shapes(views: Sequence[RunView], axis: int) -> Iterator[GapShape]:
             return np.asarray(weak[:, None] * wave(2.0 * np.pi * frequency * view.q[:, axis]))
 
         def words(c: Array) -> str:
-            return f'period {1e3 / frequency:.1f} mm of axis {AXES[axis]}, {amplitude_words(c)}'
+            return f'period {1e3 / frequency:.1f} mm of axis {name}, {amplitude_words(c)}'
 
-        return GapShape(f'wave {AXES[axis]}', scales, words, finer_shapes(shape, frequency, width))
+        return GapShape(f'wave {name}', scales, words, finer_shapes(shape, frequency, width))
 
     low, high = WAVES_PER_AXIS / length, 1.0 / (SHORTEST_WAVE * float(np.quantile(moving, 0.1)))
     count = max(2, min(MOST_WAVES, int((high - low) * 2 * length)))
@@ -190,13 +192,13 @@ def slow_wave_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
 
 def product_shapes(views: Sequence[RunView]) -> Iterator[GapShape]:
     """What changes along one axis with the position of another."""
-    q = np.concatenate([v.q for v in views])
+    axes, q = views[0].axis_names, np.concatenate([v.q for v in views])
     middle, half = 0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0)
 
     def shape(a: int, b: int) -> GapShape:
         def words(c: Array) -> str:
             return (
-                f'grows with the product of the positions of {AXES[a]} and {AXES[b]}, '
+                f'grows with the product of the positions of {axes[a]} and {axes[b]}, '
                 f'to {direction_words(c)}'
             )
 

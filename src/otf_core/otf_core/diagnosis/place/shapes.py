@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.place.views import RunView
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 Array = NDArray[np.float64]
 Scales = Callable[[RunView], Array]
@@ -72,7 +72,7 @@ def direction_words(vector: Array, scale: float = 1e6, unit: str = 'um') -> str:
     main = int(np.argmax(np.abs(vector)))
     if abs(vector[main]) > 0.9 * size:
         sign = '+' if vector[main] > 0 else '-'
-        return f'{scale * size:.2g} {unit} along machine {sign}{AXES[main]}'
+        return f'{scale * size:.2g} {unit} along machine {sign}{XYZ[main]}'
     parts = ', '.join(f'{scale * v:.2g}' for v in vector)
     return f'{scale * size:.2g} {unit} along X, Y, Z = ({parts})'
 
@@ -87,6 +87,6 @@ def amplitude_words(value: Array) -> str:
     amplitude = _amplitude(value)
     size, main = float(np.linalg.norm(amplitude)), int(np.argmax(amplitude))
     if amplitude[main] > 0.9 * size:
-        return f'amplitude {1e6 * amplitude[main]:.2g} um along {AXES[main]}'
+        return f'amplitude {1e6 * amplitude[main]:.2g} um along {XYZ[main]}'
     parts = ', '.join(f'{1e6 * v:.2g}' for v in amplitude)
     return f'amplitudes along X, Y, Z of ({parts}) um'

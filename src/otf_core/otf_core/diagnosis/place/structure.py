@@ -41,7 +41,7 @@ EXACT = 24
 
 
 @dataclass(frozen=True)
-class Structure:
+class GapStructure:
     """One shape found in the residual.
 
     Attributes
@@ -211,7 +211,7 @@ def find_structures(
     views: Sequence[RunView],
     residuals: Sequence[Array] | None = None,
     project: Projection | None = None,
-) -> list[Structure]:
+) -> list[GapStructure]:
     """Find plain shapes in the residual, the one that explains most first.
 
     Parameters
@@ -236,7 +236,7 @@ def find_structures(
         for family in all_shapes(views)
         if family
     ]
-    found: list[Structure] = []
+    found: list[GapStructure] = []
     chosen: list[GapShape] = []
     plain, whole = project, residual
     while families and len(found) < MAX_STRUCTURES:
@@ -248,7 +248,7 @@ def find_structures(
         if score < NEEDED_SCORE or share < NEEDED_SHARE:
             break
         chosen.append(candidate.shape)
-        found.append(Structure(candidate.shape.family, '', min(share, 1.0), score))
+        found.append(GapStructure(candidate.shape.family, '', min(share, 1.0), score))
         # axes may each have their own sense of travel; a second step or wave is a refinement
         family, removal = candidate.shape.family, _removal(candidate.white)
         families = [

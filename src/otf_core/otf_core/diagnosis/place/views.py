@@ -28,6 +28,8 @@ class RunView:
     Attributes
     ----------
     name : str
+    axis_names : tuple of str
+        Of the machine, in the order of the components of ``q``.
     time : ndarray, shape (p,), s
         Since the start of the recording.
     leg : ndarray of int64, shape (p,)
@@ -51,6 +53,7 @@ class RunView:
     """
 
     name: str
+    axis_names: tuple[str, ...]
     time: Array
     leg: Index
     q: Array

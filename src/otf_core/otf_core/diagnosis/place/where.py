@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.place import groupings as by
-from otf_core.diagnosis.place.bands import time_bands, wave_bands
+from otf_core.diagnosis.place.bands import band_groups, usual_bands
 from otf_core.diagnosis.place.groups import (
     Group,
     leg_rows,
@@ -28,7 +28,7 @@ from otf_core.diagnosis.place.where_words import (
     structure_words,
     summary_words,
 )
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 
 Array = NDArray[np.float64]
 Rows = list[dict[str, Any]]
@@ -62,7 +62,7 @@ def pointing_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> lis
                 joined = rows_along(rows, weights)
                 sums[k].append(leg_sums([joined], seen, seen.sum(axis=0)))
     found = []
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(XYZ):
         found += make_groups([f'along machine {axis}'], 'points', sums[k])
     return found
 
@@ -112,9 +112,8 @@ def _all_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[st
         for name, parts in groupings_of(views).items()
     }
     groups['by_axis_and_direction'] += pointing_groups(views, residuals)
-    groups['by_frequency'] = time_bands(views, residuals)
-    for axis in range(3):
-        groups['by_frequency'] += wave_bands(views, residuals, axis)
+    [bands] = band_groups(views, [residuals], usual_bands(views))
+    groups['by_frequency'] = [group for own in bands for group in own]
     return groups
 
 

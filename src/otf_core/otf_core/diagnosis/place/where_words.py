@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from otf_core.diagnosis.place.groups import Group, unevenness
-from otf_core.diagnosis.place.structure import Structure
+from otf_core.diagnosis.place.structure import GapStructure
 
 SIGNIFICANT, MOST_SIGNIFICANT = 4.0, 5.5
 """Standard deviations of an excess that is worth a word: of all pieces, and of the largest of
@@ -102,7 +102,7 @@ def _band_words(total: Group, bands: Sequence[Group]) -> list[str]:
     return []
 
 
-def structure_words(total: Group, groups: Sequence[Group], found: Sequence[Structure]) -> str:
+def structure_words(total: Group, groups: Sequence[Group], found: Sequence[GapStructure]) -> str:
     """Describe the shape of a gap.
 
     Parameters
@@ -111,7 +111,7 @@ def structure_words(total: Group, groups: Sequence[Group], found: Sequence[Struc
         All pieces.
     groups : sequence of Group
         Of all kinds.
-    found : sequence of Structure
+    found : sequence of GapStructure
     """
     if not stands_out(total, groups):
         return NO_STRUCTURE

@@ -31,12 +31,15 @@ class Dialect(ABC):
         s.
     needs_dwell : bool
         True where only a dwell makes the machine stop exactly at a corner.
+    decimals : int
+        Of positions in mm.
     """
 
     name: str
     file_name: str
     longest_dwell: float = 9999.0
     needs_dwell: bool = False
+    decimals: int = 3
 
     @abstractmethod
     def comment(self, text: str) -> str:
@@ -76,10 +79,11 @@ class Dialect(ABC):
         return lines
 
 
-def words(axes: str, point: Array, sign: bool = False) -> str:
-    """Axis words in mm with three decimals: ``X10.000 Y20.000``; ``sign`` writes a plus too."""
-    style = '+.3f' if sign else '.3f'
-    return ' '.join(f'{a}{round(float(point["XYZ".index(a)]), 3) + 0.0:{style}}' for a in axes)
+def words(axes: str, point: Array, sign: bool = False, decimals: int = 3) -> str:
+    """Axis words in mm: ``X10.000 Y20.000``; ``sign`` writes a plus too."""
+    style = f'{"+" if sign else ""}.{decimals}f'
+    values = {a: round(float(point['XYZ'.index(a)]), decimals) + 0.0 for a in axes}
+    return ' '.join(f'{a}{value:{style}}' for a, value in values.items())
 
 
 def plain(text: str, limit: int = _WIDTH) -> str:

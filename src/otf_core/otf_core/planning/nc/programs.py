@@ -39,10 +39,12 @@ def on_increment(plan: Plan, low: Array, high: Array) -> Plan:
 
 def _check(dialect: Dialect, plan: Plan) -> None:
     points = plan.path.points
-    off = np.abs(points - np.rint(points / INCREMENT) * INCREMENT).max()
+    increment = 10.0 ** -(3 + dialect.decimals)
+    off = np.abs(points - np.rint(points / increment) * increment).max()
     if off > 1e-9:
         raise ConfigError(
-            f'{dialect.name}: the path has positions between the increments of 0.001 mm'
+            f'{dialect.name}: the path has positions between the increments of '
+            f'{1e3 * increment:g} mm'
         )
     if np.abs(points).max() > LARGEST:
         raise ConfigError(f'{dialect.name}: positions beyond {1e3 * LARGEST:.3f} mm')
@@ -68,7 +70,7 @@ def program(dialect: Dialect, plan: Plan, header: Sequence[str]) -> str:
     ----------
     dialect : Dialect
     plan : Plan
-        Positions on ``INCREMENT``, see ``on_increment``.
+        Positions on the increment of the dialect, see ``on_increment``.
     header : sequence of str
         Comment lines.
 

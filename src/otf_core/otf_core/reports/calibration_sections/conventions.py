@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from otf_core.calibration.result import GAUGE
 from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.calibration_sections.conditions import measured
+from otf_core.reports.circumstances import measured
 from otf_core.reports.section import Section
 from otf_core.version import __version__
 

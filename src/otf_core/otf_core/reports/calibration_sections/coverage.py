@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.model.machine import AXES
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.panel import Panel
@@ -27,7 +26,7 @@ def section(facts: Facts) -> Section:
     """Return the section."""
     low, high = table_ranges(facts.tables)
     rows, data = [], {}
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(facts.machine.axis_names):
         own = facts.machine.axes[axis]
         share = 100.0 * (high[k] - low[k]) / (own.max - own.min)
         rows.append((axis, f'{own.min:.3f} to {own.max:.3f}', f'{low[k] + 0.0:.3f} to '
@@ -63,7 +62,7 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
 
 
 def _panel(facts: Facts, k: int) -> str:
-    runs, axis = facts.result.runs, AXES[k]
+    runs, axis = facts.result.runs, facts.machine.axis_names[k]
     own = facts.machine.axes[axis]
     edges = np.linspace(own.min, own.max, BINS + 1)
     q = np.concatenate([run.q[:, k] for run in runs])

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.prediction.volumetric import table_rows, table_values
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.quantities import micro
@@ -54,7 +54,7 @@ def diagonals(low: Array, high: Array) -> list[Diagonal]:
 
 def _name(sign: NDArray[np.int64]) -> str:
     marks = {1: '+', -1: '\N{MINUS SIGN}'}
-    return ' '.join(f'{marks[int(s)]}{axis}' for s, axis in zip(sign, AXES, strict=True) if s)
+    return ' '.join(f'{marks[int(s)]}{axis}' for s, axis in zip(sign, XYZ, strict=True) if s)
 
 
 def deviations(facts: Facts, one: Diagonal) -> tuple[Array, Array]:

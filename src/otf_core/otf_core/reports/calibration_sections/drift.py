@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.calibration.result import RunResult
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.model.path import leg_bounds
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.panel import Panel
@@ -70,13 +70,14 @@ def section(facts: Facts) -> Section:
         change, wide = value[-1] - value[0], 2.0 * np.hypot(u[-1], u[0])
         parts = [f'{1e6 * c:.2f} +/- {1e6 * w:.2f}' for c, w in zip(change, wide, strict=True)]
         rows.append((name, *parts, f'{time[-1] - time[0]:.0f}'))
-        found += [f'{a} in run {name}' for a, c, w in zip(AXES, change, wide, strict=True)
+        found += [f'{a} in run {name}' for a, c, w in zip(XYZ, change, wide, strict=True)
                   if abs(c) > w]  # fmt: skip
         data.append({'run': run.name, 'change': change.tolist(), 'U': wide.tolist(),
                      'time': float(time[-1] - time[0])})  # fmt: skip
     said = f'Larger than U: along {listed(found)}.' if found else 'No drift beyond U.'
     words = (
         said,
+        _moved(facts),
         'Change of the mean residual from the first to the last part of the run (closure of start '
         'and end), with U (k = 2). It also holds what the model lacks at the places driven then; '
         'a steady drift shows as a slope in the picture.',
@@ -87,13 +88,23 @@ def section(facts: Facts) -> Section:
                    draw=lambda: _pictures(facts.result.runs))  # fmt: skip
 
 
+def _moved(facts: Facts) -> str:
+    """Whether tracker or target moved against the machine in mid-run."""
+    result = facts.result
+    said = [w for w in (*result.warnings, *result.failed_gates) if w.startswith('moved: ')]
+    return ' '.join(f'{w[:1].upper()}{w[1:]}.' for w in said) or (
+        'Not moved: no step of tracker or target was found during a run. Steps below about 5 um, '
+        'and right at start and end, would not be seen.'
+    )
+
+
 def _pictures(runs: Sequence[RunResult]) -> Sequence[Picture]:
     time, value, u = drift(runs[0])
     if len(time) < 2:
         return ()
     along = Scale(0.0, float(runs[0].pieces.time.max()), 'time since the first sample (s)')
     parts = []
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(XYZ):
         y, wide = 1e6 * value[:, k], 2e6 * u[:, k]
         scale = around(np.concatenate([y - wide, y + wide, [0.0]]), 'mean residual (µm)')
         panel = Panel(along, scale)

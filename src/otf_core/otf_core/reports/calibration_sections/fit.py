@@ -36,7 +36,7 @@ def section(facts: Facts) -> Section:
         ('factor on the covariance for what remains', f'{fit.inflation:.3f}'),
         ('residual rms', f'{micro(fit.residual_rms)} um'),
         ('residual rms in the plane of the beam (a2), across it (a3)', f'{two} um, {three} um'),
-        ('correlation time of the noise', f'{min(times):.2f} to {max(times):.2f} s'),
+        ('correlation time of the noise', _between(times)),
         ('iterations', f'{fit.iterations}'),
     )
     data = {
@@ -65,3 +65,8 @@ def condition_number(facts: Facts) -> float:
     values = np.linalg.eigvalsh(covariance[np.ix_(own, own)])
     kept = values[values > 1e-12 * values[-1]]
     return float(np.sqrt(kept[-1] / kept[0]))
+
+
+def _between(times: list[float]) -> str:
+    low, high = (f'{value:.2f}' for value in (min(times), max(times)))
+    return f'{low} s' if low == high else f'{low} to {high} s'

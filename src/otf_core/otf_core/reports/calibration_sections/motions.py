@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from otf_core.calibration.result import GAUGE, CalibrationResult
-from otf_core.model.machine import AXES
+from otf_core.files.csv_points import tidy
+from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, MOTIONS, ErrorMotion
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.panel import Panel, words
@@ -23,7 +24,7 @@ def role(motion: ErrorMotion) -> str:
     """What a motion is called."""
     if motion.is_translation:
         return ROLES[motion.is_positioning]
-    return 'roll' if motion.along == motion.place else f'rotation about {AXES[motion.along]}'
+    return 'roll' if motion.along == motion.place else f'rotation about {XYZ[motion.along]}'
 
 
 def section(facts: Facts) -> Section:
@@ -33,6 +34,7 @@ def section(facts: Facts) -> Section:
             'Largest U, 95 %', 'k', 'dof')  # fmt: skip
     table = Table(head, rows, numbers=tuple(range(3, 11)))
     words_ = (
+        *_largest(facts),
         'Each picture shows one error motion over the position of its axis: line and nodes, and '
         'the band of the expanded uncertainty (k = 2). Scales differ from picture to picture.',
     )
@@ -41,6 +43,25 @@ def section(facts: Facts) -> Section:
             '', f'Gauge: {GAUGE}.', spacing_words(facts.result), '')  # fmt: skip
     return Section('motions', 'Error motions', words_, _data(facts), (table,), text,
                    draw=lambda: _pictures(facts))  # fmt: skip
+
+
+def _largest(facts: Facts) -> list[str]:
+    """The motions that reach farthest from their zero, and where."""
+    found = []
+    for unit, kind in (('m', 'displacement'), ('rad', 'rotation')):
+        known = [n for n in facts.by_name if n in MOTIONS and facts.by_name[n].unit == unit]
+        if not known:
+            continue
+        name = max(known, key=lambda n: float(np.abs(facts.tables.motions[n].value).max()))
+        motion, table = ErrorMotion.of(name), facts.tables.motions[name]
+        k = int(np.abs(table.value).argmax())
+        wide = facts.by_name[name].k * float(table.u[k])
+        at, value = tidy(float(table.position[k])), micro(float(table.value[k]))
+        found.append(
+            f'Largest {kind}: {name}, {role(motion)}, {value} +/- {micro(wide)} '
+            f'{micro_unit(unit)} at {motion.axis} {at:g} m (U, 95 %).'
+        )
+    return found
 
 
 def _data(facts: Facts) -> dict[str, object]:
@@ -92,7 +113,9 @@ def spacing_words(result: CalibrationResult) -> str:
 
 def _pictures(facts: Facts) -> Sequence[Picture]:
     panels = tuple(
-        _panel(facts, ErrorMotion(direction, axis)) for direction in DIRECTIONS for axis in AXES
+        _panel(facts, ErrorMotion(direction, axis))
+        for direction in DIRECTIONS
+        for axis in facts.machine.axis_names
     )
     both = (
         'Forward (dashed) and backward (dotted) travel where they differ. '
@@ -100,9 +123,9 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
         else ''
     )
     caption = (
-        f'Error motions, from left to right of X, Y and Z. Line with nodes: mean of both senses '
-        f'of travel; band: U = 2 u, pointwise. {both}Rings: nodes that the data do not determine, '
-        f'continued smoothly.'
+        f'The last letter is the axis that moves; a wide page has its motions one below the '
+        f'other. Line with nodes: mean of both senses of travel; band: U = 2 u, pointwise. {both}'
+        f'Rings: nodes that the data do not determine, continued smoothly.'
     )
     return [Picture(panels, caption, columns=3)]
 

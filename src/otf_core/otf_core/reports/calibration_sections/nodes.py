@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.files.csv_points import tidy
-from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, ErrorMotion
 from otf_core.prediction.table_prior import MotionPrior
 from otf_core.reports.calibration_facts import Facts
@@ -20,7 +19,7 @@ FEW = 100
 
 def section(facts: Facts) -> Section:
     """Return the section."""
-    counts = {axis: node_counts(facts, axis) for axis in AXES}
+    counts = {axis: node_counts(facts, axis) for axis in facts.machine.axis_names}
     tables = tuple(_table(facts, name, counts[name.axis]) for name in MOTIONS)
     words = (
         'Position in m, value, u (k = 1) and U (95 %) in um or urad, as in error_tables.csv '
@@ -33,7 +32,7 @@ def node_counts(facts: Facts, axis: str) -> NDArray[np.int64]:
     """Samples used around every node of an axis, shape (k,)."""
     position = facts.tables.motions[f'E{axis}{axis}'].position
     edges = np.concatenate([[-np.inf], 0.5 * (position[1:] + position[:-1]), [np.inf]])
-    k = AXES.index(axis)
+    k = facts.machine.axis_names.index(axis)
     q = np.concatenate([run.q[:, k] for run in facts.result.runs])
     count = np.concatenate([run.pieces.count for run in facts.result.runs])
     found = np.histogram(q, edges, weights=count)[0]

@@ -15,7 +15,7 @@ from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.drawing.scene import Dots, Item, Strokes, box, scene
+from otf_core.reports.drawing.scene import TURNED, Dots, Item, Strokes, box, scene
 from otf_core.reports.quantities import micro
 from otf_core.reports.section import Picture, Section
 
@@ -49,8 +49,8 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
         name = f'Run {number}. ' if len(runs) > 1 else ''
         space = Picture(
             (_space(facts, run),),
-            f'{name}Path coloured by the length of the residual across it, after compensation. On '
-            f'a screen, drag to turn.',
+            f'{name}Path coloured by the length of the residual across it, after '
+            f'compensation. {TURNED}',
             title='In space' if number == 1 else '',
         )
         time = Picture(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.model.machine import AXES
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.quantities import micro
 from otf_core.reports.reversal import format_reversal
@@ -30,7 +29,7 @@ def section(facts: Facts) -> Section:
                        {'model': reversal.model}, text=text)  # fmt: skip
     rows: list[tuple[str, ...]] = []
     data = {}
-    for axis in AXES:
+    for axis in facts.machine.axis_names:
         name = f'E{axis}{axis}'
         table, mean = reversal.motions[name], facts.tables.motions[name].value
         if not table.identifiable or not facts.tables.motions[name].identifiable:

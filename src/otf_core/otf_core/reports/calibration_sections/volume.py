@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_sections.overview import contributions
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.drawing.scene import SCRIPT, Dots, Item, Strokes, box, scene
+from otf_core.reports.drawing.scene import SCRIPT, TURNED, Dots, Item, Strokes, box, scene
 from otf_core.reports.quantities import micro
 from otf_core.reports.section import Picture, Section, Table
 
@@ -66,7 +66,7 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
         (before, after),
         f'Left: error vectors as the machine stands, the longest {size:.2f} um. Right: what '
         f'is to be expected after compensation, U (95 %) of the vector, on a scale of its own. '
-        f'On a screen, drag to turn.',
+        f'{TURNED}',
         columns=2,
         title='In space',
     )
@@ -127,14 +127,14 @@ def _cloud(facts: Facts, step: float) -> str:
 
 def _histogram(facts: Facts, axis: int) -> str:
     values = 1e6 * facts.volume.error[:, axis]
-    reach = around(np.append(values, 0.0), f'd{AXES[axis]} (µm)')
+    reach = around(np.append(values, 0.0), f'd{XYZ[axis]} (µm)')
     edges = np.linspace(reach.low, reach.high, BINS + 1)
     return _columns(reach, edges, np.histogram(values, edges)[0] / len(values), 'before', axis)
 
 
 def _expected(facts: Facts, axis: int) -> str:
     u = np.maximum(1e6 * facts.volume.u[:, axis], 1e-6)
-    reach = around(3.0 * float(u.max()) * np.array([-1.0, 1.0]), f'd{AXES[axis]} (µm)')
+    reach = around(3.0 * float(u.max()) * np.array([-1.0, 1.0]), f'd{XYZ[axis]} (µm)')
     edges = np.linspace(reach.low, reach.high, BINS + 1)
     return _columns(reach, edges, np.diff(ndtr(edges[:, None] / u).mean(axis=1)), 'after', axis)
 
@@ -142,5 +142,5 @@ def _expected(facts: Facts, axis: int) -> str:
 def _columns(reach: Scale, edges: Array, share: Array, kind: str, axis: int) -> str:
     panel = Panel(reach, around(100.0 * share, 'share of points (%)', zero=True))
     when = 'as it stands' if kind == 'before' else 'expected after'
-    heading = f'along {AXES[axis]}, {when}'
+    heading = f'along {XYZ[axis]}, {when}'
     return panel.draw([panel.columns(edges, 100.0 * share, kind)], f'errors {heading}', heading)

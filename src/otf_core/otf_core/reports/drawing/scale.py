@@ -15,7 +15,7 @@ ROUND = (1.0, 2.0, 5.0, 10.0)
 FINE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
 MOST, FEWEST = 7, 2
 """Marks on a logarithmic scale beyond which only powers of ten are marked, below which
-more of them."""
+more of them; intervals on a linear one below which there are more."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,8 @@ class Scale:
             few = len(inside) <= MOST or self.high < 10.0 * self.low
             return [(v, f'{v:g}') for m, v in inside if few or m == 1.0]
         step = round_step((self.high - self.low) / self.marks)
+        if math.floor(self.high / step + 1e-9) - math.ceil(self.low / step - 1e-9) < FEWEST:
+            step = round_step(0.4 * step)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         digits = max(0, -math.floor(math.log10(step) + 1e-9))
         return [

@@ -68,6 +68,8 @@ class Label:
     dy: float = 0.0
 
 
+TURNED = 'On a screen, drag it or use the arrow keys to turn it; Home turns it back.'
+"""For captions."""
 Item = Strokes | Dots | Label
 EDGES = (
     ('X', (0.5, 0.0, 0.0), 'end', -4.0, 15.0),
@@ -139,7 +141,7 @@ def scene(
     if not turns:
         return picture
     numbers = html.escape(json.dumps(data, separators=(',', ':')), quote=True)
-    return picture.replace('<svg ', f'<svg class="turn" data-scene="{numbers}" ', 1)
+    return picture.replace('<svg ', f'<svg class="turn" tabindex="0" data-scene="{numbers}" ', 1)
 
 
 SCRIPT = """
@@ -148,7 +150,8 @@ for (const svg of document.querySelectorAll('svg.turn')) {
   const items = JSON.parse(svg.dataset.scene);
   const marks = [...svg.children].slice(-items.length);
   const box = svg.viewBox.baseVal, half = box.height / 2 - 28;
-  let azimuth = -58 * Math.PI / 180, elevation = 24 * Math.PI / 180, last = null;
+  const front = [-58 * Math.PI / 180, 24 * Math.PI / 180];
+  let [azimuth, elevation] = front, last = null;
   const draw = () => {
     const ca = Math.cos(azimuth), sa = Math.sin(azimuth);
     const ce = Math.cos(elevation), se = Math.sin(elevation);
@@ -179,16 +182,27 @@ for (const svg of document.querySelectorAll('svg.turn')) {
       mark.setAttribute('d', d);
     });
   };
+  const turn = (right, down) => {
+    azimuth -= right;
+    elevation = Math.max(-1.5, Math.min(1.5, elevation + down));
+    draw();
+  };
   svg.addEventListener('pointerdown', e => { last = [e.clientX, e.clientY];
     svg.setPointerCapture(e.pointerId); });
   svg.addEventListener('pointermove', e => {
     if (!last) return;
-    azimuth -= (e.clientX - last[0]) / 150;
-    elevation = Math.max(-1.5, Math.min(1.5, elevation + (e.clientY - last[1]) / 150));
+    turn((e.clientX - last[0]) / 150, (e.clientY - last[1]) / 150);
     last = [e.clientX, e.clientY];
-    draw();
   });
   for (const end of ['pointerup', 'pointercancel']) svg.addEventListener(end, () => last = null);
+  const steps = {ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1],
+    ArrowDown: [0, 0.1]};
+  svg.addEventListener('keydown', e => {
+    if (e.key === 'Home') [azimuth, elevation] = front;
+    else if (!(e.key in steps)) return;
+    e.preventDefault();
+    turn(...(steps[e.key] || [0, 0]));
+  });
 }
 """
-"""Turns every picture of ``scene`` with mouse or finger; needs nothing else."""
+"""Turns every picture of ``scene`` with mouse, finger or arrow keys; needs nothing else."""

@@ -18,6 +18,7 @@ svg text.middle { text-anchor: middle; } svg text.strong { font-weight: 600; fon
 .dots { fill: none; stroke-width: 3; stroke-linecap: round; }
 .grid { fill: none; stroke: var(--line); stroke-width: 0.8; }
 .line.ink, .dots.ink { stroke: var(--ink); } .area.ink { fill: var(--ink); }
+.line.dark { stroke: #1b1f24; }
 .line.soft, .dots.soft { stroke: var(--soft); stroke-width: 1; } .area.soft { fill: var(--soft); }
 .line.before, .dots.before { stroke: var(--before); } .area.before { fill: var(--before); }
 .line.after, .dots.after { stroke: var(--after); } .area.after { fill: var(--after); }
@@ -86,20 +87,27 @@ td > b { font-weight: 600; }
 svg { width: 100%; height: auto; color: var(--ink); display: block; }
 .keys > span { white-space: nowrap; margin-right: 0.8em; display: inline-block; }
 .key { display: inline-block; width: 0.8em; height: 0.8em; background: var(--s);
-  margin-right: 0.35em; }
+  margin-right: 0.35em; } .key.stroke { width: 2px; height: 1.1em; background: var(--ink);
+  vertical-align: middle; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figcaption { font-size: 0.9rem; color: var(--soft); margin-top: 0.2rem; max-width: 52rem; }
 details summary { cursor: pointer; color: var(--soft); }
 li { margin: 0.25rem 0; max-width: 52rem; overflow-wrap: anywhere; }
 @media (max-width: 520px) { body { padding: 1rem 0.8rem; } .verdict { font-size: 1.2rem; }
   th, td { padding-right: 0.5rem; font-size: 0.9rem; }
-  td.number { white-space: normal; } }
+  td.number { white-space: normal; } .facts td { overflow-wrap: anywhere; }
+  .cards thead { display: none; } .cards tr { display: block; padding: 0.4rem 0;
+  border-bottom: 1px solid var(--line); } .cards td { display: block; border: none;
+  padding: 0.1rem 0; text-align: left; } .cards td[data-head]::before { font-size: 0.8rem;
+  content: attr(data-head) ": "; color: var(--soft); } }
 @page { size: A4; margin: 14mm; }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; } nav, .screen {
-  display: none; } h2, h3, caption { break-after: avoid; } tr { break-inside: avoid; }
+  display: none; } h2 { margin-top: 1rem; padding-top: 0.5rem; }
+  h2, h3, caption { break-after: avoid; } tr { break-inside: avoid; }
   .scroll { overflow: visible; } thead { display: table-header-group;
-  break-after: avoid; } tbody tr:first-child { break-before: avoid; } figure svg {
-  max-height: 13cm; } * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
+  break-after: avoid; } details:not([open]) { display: none; }
+  tbody tr:first-child { break-before: avoid; } figure svg { max-height: 13cm; }
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 )
 """The whole page."""

@@ -10,8 +10,9 @@ import re
 def typeset(value: object) -> str:
     """Text with proper signs, not escaped."""
     plain = re.sub(r'(?<![A-Za-z0-9_])u(m|rad)(?![A-Za-z0-9_])', r'µ\1', str(value))
-    plain = re.sub(r'(?<= )\+/-(?= )', '±', plain)
-    plain = re.sub(r'(?<![\w.])-(?=\d)', '\N{MINUS SIGN}', plain)
+    plain = re.sub(r'(?<![^ (])\+/-(?= )', '±', plain)
+    plain = re.sub(r'(?<![\w.])-(?=\d|[XYZ]\b)', '\N{MINUS SIGN}', plain)
+    plain = re.sub(r'(?<=\d) deg\b', '\N{DEGREE SIGN}', plain)
     return re.sub(r'(?<=\d) (?=%)', '\u00a0', plain)
 
 

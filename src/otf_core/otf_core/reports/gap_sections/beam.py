@@ -25,6 +25,6 @@ def _pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
     )
     caption = (
         'Root mean square of the residual by length of the beam, its azimuth about machine Z '
-        '(from +X) and its elevation over the XY plane; strokes: noise expected.'
+        '(from +X) and its elevation over the XY plane.'
     )
-    return [Picture(parts, caption, columns=2, key=key(diagnosis))]
+    return [Picture(parts, caption, columns=2, key=key(diagnosis, stroke=True))]

@@ -7,6 +7,7 @@ from otf_core.diagnosis.result import Diagnosis, NamedCause
 from otf_core.reports.gap_words import (
     confidence_words,
     effect_cause,
+    effect_meaning,
     effect_name,
     shape_words,
     shown_parameters,
@@ -21,8 +22,8 @@ def section(diagnosis: Diagnosis) -> Section:
     if not diagnosis.causes:
         reason = {
             'none': 'None: the run shows no more than its simulation.',
-            'unknown': 'None named: no effect of the catalogue explains the gap. '
-            f'Its structure: {diagnosis.unexplained_where}.',
+            'unknown': 'None named: no effect of the catalogue explains the gap.'
+            + ('' if diagnosis.unnamed else f' Its structure: {diagnosis.unexplained_where}.'),
         }.get(diagnosis.verdict, 'None found.')
         return Section('causes', 'Causes', (reason, *_unnamed(diagnosis)), text=text)
     words: tuple[str, ...] = ()
@@ -33,8 +34,16 @@ def section(diagnosis: Diagnosis) -> Section:
         )
     rows = tuple(_row(k, c) for k, c in enumerate(diagnosis.causes, start=1))
     head = ('', 'Cause', 'Axes', 'Parameters (+/- U, k = 2)', 'Gap (um)', 'Confidence')
-    table = Table(head, rows, numbers=(4,))
-    return Section('causes', 'Causes', words, tables=(table,), text=text)
+    tables = (Table(head, rows, numbers=(4,)), *_meanings(diagnosis))
+    return Section('causes', 'Causes', words, tables=tables, text=text)
+
+
+def _meanings(diagnosis: Diagnosis) -> tuple[Table, ...]:
+    """What the parameters stand for, effect by effect."""
+    named = dict.fromkeys(c.effect for c in diagnosis.causes)
+    found = [(effect_name(e), *effect_meaning(e)) for e in named if any(effect_meaning(e))]
+    head = ('Cause', 'Displacement of the target', 'Parameters')
+    return (Table(head, tuple(found), title='What the parameters are'),) if found else ()
 
 
 def _unnamed(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -64,7 +73,7 @@ def _row(rank: int, cause: NamedCause) -> tuple[Cell, ...]:
         sure.append('that it is one of these')
     names, more = shown_parameters(cause)
     parameters = [
-        f'{n} {_unbroken(quantity(cause.parameters[n], cause.u[n], cause.units.get(n, "")))}'
+        _unbroken(f'{n} {quantity(cause.parameters[n], cause.u[n], cause.units.get(n, ""))}')
         for n in names
         if n in cause.u
     ]
@@ -93,7 +102,7 @@ def _text(cause: NamedCause) -> list[str]:
     ]
     for name, value in cause.parameters.items():
         shown = quantity(value, cause.u.get(name), cause.units.get(name, ''))
-        k = ' (k = 2)' if name in cause.u else ''
+        k = ' (k = 2)' if name in cause.u else ' (chosen)'
         lines.append(f'    {name} = {shown}{k}')
     if cause.departs:
         lines.append(f'    departs from the formula: {cause.departs}')

@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.place.bands import band_groups
+from otf_core.diagnosis.place.bands import Bands, band_groups
+from otf_core.diagnosis.place.groups import Group
+from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.model.machine import AXES
 from otf_core.reports.drawing.panel import Panel, words
 from otf_core.reports.drawing.scale import Scale, around
 from otf_core.reports.gap_pictures import key, states
@@ -38,34 +39,41 @@ def section(diagnosis: Diagnosis) -> Section:
 def _pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
     views = diagnosis.shown.views
     steps = np.concatenate([np.diff(v.time[a:b]) for v in views for a, b in v.bounds if b - a > 1])
-    parts = [_panel(diagnosis, None, _edges(SLOWEST, 0.5 / float(np.median(steps))))]
+    bands = [_bands(None, SLOWEST, 0.5 / float(np.median(steps)))]
     for k in range(3):
         length = max(float(np.ptp(v.q[:, k])) for v in views)
         if length > LONG:
-            parts.append(_panel(diagnosis, k, _edges(1.0 / length, SHORTEST)))
+            bands.append(_bands(k, 1.0 / length, SHORTEST))
+    shown = states(diagnosis)
+    groups = zip(*band_groups(views, [s.residuals for s in shown], bands), strict=True)
+    kinds = [state.kind for state in shown]
+    parts = (
+        _panel(views[0], own, dict(zip(kinds, found, strict=True)))
+        for own, found in zip(bands, groups, strict=True)
+    )
     return [Picture(tuple(parts), CAPTION, columns=2, key=key(diagnosis))]
 
 
-def _edges(low: float, high: float) -> Array:
+def _bands(axis: int | None, low: float, high: float) -> Bands:
     count = max(3, round(BANDS_PER_OCTAVE * np.log2(high / low)))
-    return np.geomspace(low, high, count)
+    return Bands(axis, np.geomspace(low, high, count), [str(k) for k in range(count + 1)])
 
 
-def _panel(diagnosis: Diagnosis, axis: int | None, edges: Array) -> str:
-    """Root mean square by band, per half octave."""
-    name = 'frequency (Hz)' if axis is None else f'length of waves along {AXES[axis]} (mm)'
-    heading = 'in time' if axis is None else f'along {AXES[axis]}'
-    labels = [str(k) for k in range(len(edges) + 1)]
+def _panel(view: RunView, bands: Bands, found: Mapping[str, Sequence[Group]]) -> str:
+    """Root mean square by band, per half octave, of every kind of state."""
+    own = '' if bands.axis is None else view.axis_names[bands.axis]
+    name = f'length of waves along {own} (mm)' if own else 'frequency (Hz)'
+    heading = f'along {own}' if own else 'in time'
+    edges = bands.edges
     ratio = float(np.sqrt(edges[1] / edges[0]))
     lines: list[tuple[Array, Array, str]] = []
-    for state in states(diagnosis):
-        found = band_groups(diagnosis.shown.views, state.residuals, axis, edges, labels)
-        inner = [g for g in found if int(g.label) < len(edges)]
+    for kind, groups in found.items():
+        inner = [g for g in groups if int(g.label) < len(edges)]
         middle = np.array([float(edges[int(g.label)]) / ratio for g in inner])
-        middle = middle if axis is None else 1e3 / middle
+        middle = 1e3 / middle if own else middle
         if not lines:
             lines.append((middle, np.array([1e6 * g.expected for g in inner]), 'noise'))
-        lines.append((middle, np.array([1e6 * g.rms for g in inner]), state.kind))
+        lines.append((middle, np.array([1e6 * g.rms for g in inner]), kind))
     reach = np.concatenate([line[0] for line in lines])
     if not reach.size:
         return Panel(Scale(0.0, 1.0, name, marks=1), Scale(0.0, 1.0, '', marks=1)).draw(

@@ -9,6 +9,7 @@ import numpy as np
 
 from otf_core.diagnosis.free_curves import SCALES, Curve
 from otf_core.diagnosis.result import Diagnosis
+from otf_core.effects.inputs import label_of
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
 from otf_core.reports.gap_words import effect_name
@@ -26,7 +27,7 @@ def section(diagnosis: Diagnosis) -> Section:
         shown.append(('Cause without a name', unnamed.words, unnamed.curves))
     if not shown:
         return Section('functions', '')
-    words = tuple(f'{name}: {said}.' for name, said, _ in shown)
+    words = tuple(f'{effect_name(c.effect)}: {c.departs}.' for c in diagnosis.causes if c.curves)
     text = (*(f'{name}: {said}' for name, said, _ in shown), '')
     return Section(
         'functions',
@@ -48,7 +49,7 @@ def _panel(curve: Curve) -> str:
     at = across * np.array(curve.at)
     value, u = factor * np.array(curve.value), factor * np.array(curve.u)
     low, high = value - 2.0 * u, value + 2.0 * u
-    label = f'{curve.input} ({of_input})' if of_input else curve.input
+    label = label_of(curve.input) + (f' ({of_input})' if of_input else '')
     ends = float(at[0]), max(float(at[-1]), float(at[0]) + 1e-9)
     panel = Panel(
         Scale(*ends, label),
@@ -56,9 +57,9 @@ def _panel(curve: Curve) -> str:
     )
     marks = [
         panel.level(0.0, 'soft'),
-        panel.band(at, low, high, 'noise'),
+        panel.band(at, low, high, 'after band'),
         panel.line(at, value, 'after'),
     ]
-    held = ', '.join(f'{n} = {v:.3g}' for n, v in curve.held.items())
+    held = ', '.join(f'{label_of(n)} = {v:.3g}' for n, v in curve.held.items())
     heading = f'{curve.term} at {held}' if held else curve.term
-    return panel.draw(marks, f'{curve.term} against {curve.input}', heading)
+    return panel.draw(marks, f'{curve.term} against {label_of(curve.input)}', heading)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
 from otf_core.reports.gap_pictures import key
@@ -78,7 +78,7 @@ def _along(view: RunView, causes: bool, axis: int) -> str:
     panel = Panel(_time(view), around(values, 'mean (µm)'))
     marks = [panel.level(0.0, 'soft')]
     marks += [panel.dots(*part, f'{kind} node') for part, kind in found]
-    return panel.draw(marks, f'residual along {AXES[axis]} against time', f'along {AXES[axis]}')
+    return panel.draw(marks, f'residual along {XYZ[axis]} against time', f'along {XYZ[axis]}')
 
 
 def _leg_means(view: RunView, residual: Array, axis: int) -> tuple[Array, Array]:

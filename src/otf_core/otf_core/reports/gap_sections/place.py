@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.reports.drawing.heat import heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale
@@ -27,25 +27,25 @@ ARROW = 0.9
 """Length of the longest arrow, cells."""
 FEWEST = 5
 """Pieces in a cell from which it is drawn."""
-WIDE, HIGH = 278.0, 228.0
+WIDE, HIGH = 274.0, 228.0
 """px; room for the cells."""
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Square cells of a view.
+    """Cells of a view: nearly square, and together exactly the range.
 
     Attributes
     ----------
     low : ndarray, shape (n, 2), m
         Lower corners.
-    size : float, m
+    size : ndarray, shape (2,), m
     rms : ndarray, shape (n,), um
     mean : ndarray, shape (n, 2), um
     """
 
     low: Array
-    size: float
+    size: Array
     rms: Array
     mean: Array
 
@@ -58,10 +58,11 @@ def section(diagnosis: Diagnosis) -> Section:
 def cells(views: Sequence[RunView], vectors: Array, plane: tuple[int, int]) -> Cells:
     """Cells of the views of all runs for vectors (p, 3), m; of the longest axis there are 8."""
     q = np.concatenate([v.q for v in views])
-    size = max(float(np.ptp(q, axis=0).max()) / CELLS, 1e-6)
+    wished = max(float(np.ptp(q, axis=0).max()) / CELLS, 1e-6)
     q = q[:, plane]
-    low = q.min(axis=0)
-    count = np.maximum(np.ceil(np.ptp(q, axis=0) / size - 1e-9).astype(int), 1)
+    low, span = q.min(axis=0), np.maximum(np.ptp(q, axis=0), 1e-6)
+    count = np.maximum(np.rint(span / wished).astype(int), 1)
+    size = span / count
     index = np.minimum(np.floor((q - low) / size + 1e-9).astype(int), count - 1)
     enough = np.bincount(index @ [count[1], 1])[index @ [count[1], 1]] >= FEWEST
     keys, cell = np.unique(index[enough], axis=0, return_inverse=True)
@@ -111,20 +112,20 @@ def _panel(
     half = 0.5 * metre * np.array([WIDE, HIGH])
     low, high = middle - half, middle + half
     panel = Panel(
-        Scale(float(low[0]), float(high[0]), f'{AXES[plane[0]]} (m)'),
-        Scale(float(low[1]), float(high[1]), f'{AXES[plane[1]]} (m)'),
+        Scale(float(low[0]), float(high[0]), f'{XYZ[plane[0]]} (m)'),
+        Scale(float(low[1]), float(high[1]), f'{XYZ[plane[1]]} (m)'),
         height=HIGH + 62.0,
     )
     marks = []
-    corners = panel.points(found.low[:, 0], found.low[:, 1] + found.size)
-    side = found.size / metre
+    corners = panel.points(found.low[:, 0], found.low[:, 1] + found.size[1])
+    wide, tall = found.size / metre
     for (x, y), level in zip(corners, heat_classes(found.rms, step), strict=True):
         marks.append(
-            f'<rect class="area heat h{level}" x="{x:.1f}" y="{y:.1f}" width="{side:.1f}" '
-            f'height="{side:.1f}"/>'
+            f'<rect class="area heat h{level}" x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" '
+            f'height="{tall:.1f}"/>'
         )
     centre = found.low + 0.5 * found.size
-    reach = 0.5 * ARROW * found.size / max(longest, 1e-9) * found.mean
-    marks.append(panel.arrows(centre - reach, centre + reach, 'ink thin'))
-    names = ' and '.join(AXES[k] for k in plane)
+    reach = 0.5 * ARROW * found.size.min() / max(longest, 1e-9) * found.mean
+    marks.append(panel.arrows(centre - reach, centre + reach, 'dark thin'))
+    names = ' and '.join(XYZ[k] for k in plane)
     return panel.draw(marks, f'residual over {names}, {label}', label)

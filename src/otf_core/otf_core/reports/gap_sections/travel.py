@@ -24,7 +24,7 @@ def _pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
         group_bars(diagnosis, [by.by_sense(views, k) for k in range(3)], 'residual by sense'),
     )
     caption = (
-        'Root mean square of the residual; strokes: noise expected. Diagonals are named after the '
-        'axes they move; forward is towards larger axis positions.'
+        'Root mean square of the residual. Diagonals are named after the axes they move; forward '
+        'is towards larger axis positions.'
     )
-    return [Picture(parts, caption, columns=2, key=key(diagnosis))]
+    return [Picture(parts, caption, columns=2, key=key(diagnosis, stroke=True))]

@@ -10,4 +10,5 @@ from otf_core.reports.section import Section
 def section(diagnosis: Diagnosis) -> Section:
     """Return the section."""
     summary = diagnosis.where.summary
-    return Section('where', 'Where it lies', (summary,), {'summary': summary}, text=(summary,))
+    how = 'What noise leaves is computed piece by piece here; the simulation above draws it.'
+    return Section('where', 'Where it lies', (summary, how), {'summary': summary}, text=(summary,))

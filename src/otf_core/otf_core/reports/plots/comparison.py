@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison
 from otf_core.model.direct_measurement import MotionReadings
 from otf_core.model.evaluation import mean_length
-from otf_core.model.machine import AXES
+from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, ErrorMotion
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_step, heat_words
@@ -115,7 +115,8 @@ def draw_motion(
 
 def draw_motions(comparison: Comparison, folder: str | Path) -> Path:
     """Write motions.svg: all motions both sides know, and below their differences."""
-    motions = [ErrorMotion(d, axis) for d in DIRECTIONS for axis in AXES]
+    axes = comparison.common.machine.axis_names
+    motions = [ErrorMotion(d, axis) for d in DIRECTIONS for axis in axes]
     pictures = [_panel(comparison, m) for m in motions]
     pictures += [_difference(comparison, m) for m in motions]
     caption = (
@@ -135,7 +136,7 @@ def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume'
     rows = [Bar(n, ((size, kind),), f'{size:.2f} µm') for n, kind, size in sizes]
     difference = 1e6 * volume.difference
     reach = float(np.abs(difference).max()) or 1.0
-    pictures = [_histogram(difference[:, k], reach, AXES[k]) for k in range(3)]
+    pictures = [_histogram(difference[:, k], reach, XYZ[k]) for k in range(3)]
     pictures.append(bars(rows, 'mean error on the grid', width=340.0))
     length = np.linalg.norm(volume.difference, axis=1)
     step = heat_step(1e6 * length)

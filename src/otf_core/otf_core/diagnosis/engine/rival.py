@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Something else: what speaks against the named causes is not only the rest of the catalogue.
+
+The rival of the causes is the likeliest smooth function of one or two inputs, whatever its cause,
+priced as an effect is and by the number of functions looked at. With E_c the evidence of the
+causes together, E_s that of the rival, both for the noise that the better of them leaves,
+
+    P(causes) : P(something else) = exp(E_c) : exp(E_s).
+
+A function that leaves the trace of the causes is no rival: it is what they do, in other words.
+
+The odds that an effect needs before it is named are odds of "nothing, and noise other than
+assumed"; they count in its confidence as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from otf_core.diagnosis.engine.evidence import estimate, log_evidence
+from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.search import (
+    NEEDED_EVIDENCE,
+    SAME_TRACE,
+    Cause,
+    fit_jointly,
+    noise_variance,
+)
+from otf_core.diagnosis.engine.tried import Tried
+from otf_core.diagnosis.engine.unnamed import Structures, inputs_of
+
+Array = NDArray[np.float64]
+
+NEXT_TO_NOTHING = 1e-4
+"""Share of the largest singular value."""
+RIVALS = 3
+"""Structures, the likeliest first, whose traces are looked at."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """The likeliest structure that is not what the causes do.
+
+    Attributes
+    ----------
+    odds : float
+        Logarithm of the odds of it against the causes; minus infinity if there is none.
+    inputs : tuple of str
+    """
+
+    odds: float = -np.inf
+    inputs: tuple[str, ...] = ()
+
+    def confidence(self, cause: Cause) -> float:
+        """Probability of a cause among the effects, something else, and nothing."""
+        against = np.logaddexp.reduce([0.0, self.odds, NEEDED_EVIDENCE - cause.score])
+        return cause.confidence * float(np.exp(-against))
+
+
+def rival_of(causes: Sequence[Cause], structures: Structures) -> Rival:
+    """Weigh the causes of a gap against something else.
+
+    Parameters
+    ----------
+    causes : sequence of Cause
+        Not empty.
+    structures : Structures
+        Fitted to the same rows.
+    """
+    rows = structures.rows
+    own = np.concatenate([c.option.own for c in causes], axis=1)
+    trace = own @ fit_jointly(causes, rows).value
+    variance = noise_variance(rows, rows.residual - trace)
+    likeliest = sorted(structures.ranked, key=lambda t: -structures.score(t, variance))
+    for tried in likeliest[:RIVALS]:
+        other = _trace(tried, rows, variance)
+        if _same(trace, other):
+            continue
+        least = min(variance, noise_variance(rows, rows.residual - other))
+        odds = structures.score(tried, least) - together(causes, rows, least)
+        return Rival(odds, inputs_of(tried))
+    return Rival()
+
+
+def together(causes: Sequence[Cause], rows: Rows, variance: float) -> float:
+    """Evidence of causes together: of each on what those before it leave."""
+    residual, total = rows.residual, 0.0
+    basis = np.zeros((len(residual), 0))
+    for cause in causes:
+        option = cause.option
+        white = option.own - basis @ (basis.T @ option.own)
+        orders = np.array(option.terms.orders)
+        total += log_evidence(
+            white.T @ white,
+            white.T @ residual,
+            option.size,
+            variance,
+            orders[option.take] if len(orders) else orders,
+        )
+        taken = linalg.orth(white, NEXT_TO_NOTHING)
+        basis = np.concatenate([basis, taken], axis=1)
+        residual = residual - taken @ (taken.T @ residual)
+    return total
+
+
+def _trace(tried: Tried, rows: Rows, variance: float) -> Array:
+    """What a structure takes away of the residual, shape (r,)."""
+    option = tried.made(np.arange(len(tried.size)), variance)
+    return option.own @ estimate(option.own, option.size, rows.residual, option.widths).value
+
+
+def _same(trace: Array, other: Array) -> bool:
+    """Tell whether two explanations take away the same."""
+    rest = trace - other
+    return float(rest @ rest) < SAME_TRACE * float(trace @ trace)

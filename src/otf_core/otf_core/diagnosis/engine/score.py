@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Score test: what functions of every piece would gain of a residual, without fitting them.
+
+With the scores h of the whitened residual (what a shift of every piece would gain), a function Phi
+would gain about g' N^-1 g, g = Phi' h, N the information without tables and poses. So many
+functions can be looked at, the best of which are fitted exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.engine.rows import Rows
+from otf_core.effects.inputs import CYCLE, functions_of
+from otf_core.solving.whitener import Whitener
+
+Array = NDArray[np.float64]
+
+RIDGE = 1e-4
+"""Of the scaled information, against functions that the data hardly tell apart."""
+SLOWEST, FASTEST = 1.5, 1.0
+"""Cycles in a run, and Hz, between which a cycle in time is looked for; see ``spectral``."""
+FINENESS = 4
+"""Trial frequencies for every cycle in a run."""
+HARMONICS = 6
+"""Cosines and sines by which the period is refined."""
+TOGETHER = 64
+"""Frequencies looked at together."""
+CLEAR = 16.0
+"""Gain, less the logarithm of the number of frequencies, from which a cycle is an input."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of shifts of all pieces.
+
+    Attributes
+    ----------
+    pull : ndarray, shape (p, 3), 1/m
+    information : ndarray, shape (3, 3, p), 1/m^2
+    """
+
+    pull: Array
+    information: Array
+
+    @classmethod
+    def of(cls, rows: Rows) -> Scores:
+        """Of the residual of rows."""
+        pulled = rows.by_run(rows.pulled(rows.residual[:, None]).plain)
+        axes = [s.system.axes for s in rows.done.runs]
+        pull = np.concatenate([
+            np.einsum('cpk,cp->pk', a, part[..., 0]) for a, part in zip(axes, pulled, strict=True)
+        ])  # fmt: skip
+        weights = np.concatenate([_weights(w) for w in rows.whiteners], axis=1)
+        whole = np.concatenate(axes, axis=1)
+        return cls(pull, np.einsum('cpi,cpj,cp->ijp', whole, whole, weights))
+
+    def gain(self, functions: Array) -> float:
+        """Half the fall of the sum of squares by functions (p, k), each along X, Y and Z."""
+        right = (functions.T @ self.pull).T.ravel()
+        matrix = np.block([
+            [functions.T @ (self.information[i, j][:, None] * functions) for j in range(3)]
+            for i in range(3)
+        ])  # fmt: skip
+        return float(_gains(matrix[None], right[None])[0])
+
+    def gains_of_waves(self, time: Array, frequency: Array) -> Array:
+        """The same of cosine and sine of time (p,) at frequencies (f,) in Hz, shape (f,)."""
+        flat = self.information.reshape(9, -1).T
+        found = []
+        for part in np.array_split(frequency, max(1, len(frequency) // TOGETHER)):
+            angle = 2.0 * np.pi * part[:, None] * time
+            waves = np.stack([np.cos(angle), np.sin(angle)])
+            right = (waves @ self.pull).transpose(1, 2, 0).reshape(len(part), 6)
+            products = [[(a * b @ flat).reshape(-1, 3, 3) for b in waves] for a in waves]
+            matrix = np.array(products).transpose(2, 3, 0, 4, 1).reshape(-1, 6, 6)
+            found.append(_gains(matrix, right))
+        return np.concatenate(found)
+
+
+def _gains(matrix: Array, right: Array) -> Array:
+    """Gains for information (f, k, k) and scores (f, k)."""
+    diagonal = np.diagonal(matrix, axis1=1, axis2=2)
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-300))
+    whole = scale[:, :, None] * matrix * scale[:, None, :] + RIDGE * np.eye(right.shape[1])
+    scaled = scale * right
+    solved = np.linalg.solve(whole, scaled[:, :, None])[:, :, 0]
+    return np.asarray(0.5 * np.sum(scaled * solved, axis=1))
+
+
+def _weights(whitener: Whitener) -> Array:
+    """Weight of a slow displacement of every piece, shape (c, p), 1/m^2."""
+    bounds, inverses = whitener.bounds, whitener.inverses
+    found = np.empty((len(inverses[0]), bounds[-1][1]))
+    for (low, high), leg in zip(bounds, inverses, strict=True):
+        for component, inverse in enumerate(leg):
+            found[component, low:high] = np.sum(inverse.sum(axis=1) ** 2) / (high - low)
+    return found
+
+
+def strongest_cycle(rows: Rows, scores: Scores) -> float | None:
+    """Period in s of the strongest cycle in time; None if there is no clear one."""
+    time = np.concatenate([s.time for s in rows.states])
+    length = max(s.end for s in rows.states)
+    step = 1.0 / (FINENESS * length)
+    frequency = np.arange(SLOWEST / length, FASTEST, step)
+    if not len(frequency):
+        return None
+    gains = scores.gains_of_waves(time, frequency)
+    if gains.max() - np.log(len(frequency)) < CLEAR:
+        return None
+    best = float(frequency[int(np.argmax(gains))])
+    near = 1.0 / (best + step * np.linspace(-1.0, 1.0, 8 * FINENESS + 1))
+    harmonics = [scores.gain(_harmonics(time, float(period))) for period in near]
+    return float(near[int(np.argmax(harmonics))])
+
+
+def _harmonics(time: Array, period: float) -> Array:
+    name = f'{CYCLE}{period!r}'
+    return functions_of(name, 2.0 * np.mod(time, period) / period - 1.0, HARMONICS)[:, 1:]

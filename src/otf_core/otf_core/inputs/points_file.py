@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points from a text: CSV in m with the header x,y,z, or any table that says what it holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import InputError
+from otf_core.files.csv_points import read_points_csv
+from otf_core.inputs.columns import LENGTHS, find_columns
+from otf_core.inputs.text_table import TextTable, read_text_table
+
+Array = NDArray[np.float64]
+
+
+def read_points(name: str | Path) -> tuple[Array, str]:
+    """Points (n, 3), m, and what the text was read as; empty for a plain CSV.
+
+    Delimiter, decimal comma, case and units of the head are found out; m where it states none.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or a plain CSV is faulty.
+    InputError
+        If the text names no points, or a line is none.
+    """
+    if _is_plain(name):
+        return read_points_csv(name), ''
+    try:
+        table = read_text_table(name)
+    except InputError:
+        return read_points_csv(name), ''  # says what is expected
+    found = find_columns(table, None)
+    if table.skipped:
+        raise InputError(f'{name}: line {table.skipped[0]}: expected numbers like the other lines')
+    texts = [[table.number(row[c.place]) for c in found.point] for row in table.rows]
+    stated = {c.unit for c in found.point} - {None}
+    if len(stated) > 1 or not stated <= set(LENGTHS):
+        raise InputError(f'{name}: x, y, z are in {stated}; expected m or mm')
+    unit = stated.pop() or 'm' if stated else 'm'
+    names = ', '.join(c.name for c in found.point)
+    points = _finite(np.array(texts, dtype=np.float64), table)
+    return points * 10.0 ** LENGTHS[unit], f'{name}: x, y, z from {names} in {unit}'
+
+
+def _is_plain(name: str | Path) -> bool:
+    try:
+        with open(name, encoding='utf-8-sig') as file:
+            first = file.readline()
+    except (OSError, UnicodeDecodeError):
+        return True
+    return {'x', 'y', 'z'} <= {field.strip() for field in first.split(',')}
+
+
+def _finite(points: Array, table: TextTable) -> Array:
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise InputError(f'{table.where}: line {table.lines[bad[0]]}: not finite')
+    return points

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blind trial: what answers count for, sealing, published tables."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from otf_core.blind.counts import binomial_interval, expected_calibration_error, reliability
+from otf_core.blind.natures import OUTSIDE
+from otf_core.blind.outcome import outcome
+from otf_core.blind.publish import Measured, fragment
+from otf_core.blind.recovery import parameter_deviations
+from otf_core.blind.score import stated, summary
+from otf_core.blind.seal import KEY, SEAL, open_key
+from otf_core.blind.table import criteria
+from otf_core.errors import InputError
+
+
+def part(effect, size_um=2.0, snr=50.0, raw_um=4.0, groups=(), besides=()):
+    names = sorted(OUTSIDE[effect].stands_for) if effect in OUTSIDE else [effect]
+    return {
+        'effect': effect,
+        'names': names,
+        'depends': {'groups': groups, 'besides': besides},
+        'parameters': {},
+        'size_um': size_um,
+        'raw_um': raw_um,
+        'snr': snr,
+    }
+
+
+def entry(*parts, kind='one', bends_um=0.0, heavy_tails=False):
+    return {
+        'cell': '000',
+        'kind': kind,
+        'parts': list(parts),
+        'bends_um': bends_um,
+        'heavy_tails': heavy_tails,
+    }
+
+
+def answer(*causes, verdict='explained', not_visible=()):
+    return {
+        'verdict': verdict,
+        'causes': [{'effect': e, 'indistinguishable_from': list(o), 'u': {}} for e, o in causes],
+        'not_visible': [{'effect': n} for n in not_visible],
+    }
+
+
+@pytest.mark.parametrize(
+    ('hidden', 'said', 'result'),
+    [
+        ([], answer(verdict='none'), 'quiet'),
+        ([], answer(('tracker_noise', ())), 'false_alarm'),
+        ([], answer(('backlash', ())), 'false_alarm'),
+        ([], answer(verdict='unknown'), 'false_alarm'),
+        ([part('backlash')], answer(('backlash', ())), 'right'),
+        ([part('backlash')], answer(('backlash', ()), ('tracker_noise', ())), 'right'),
+        ([part('backlash')], answer(('tracker_noise', ()), ('backlash', ())), 'second'),
+        ([part('backlash')], answer(('tracker_noise', ())), 'wrong'),
+        ([part('tracker_noise')], answer(('tracker_noise', ())), 'right'),
+        ([part('backlash')], answer(('servo_mismatch', ('backlash',))), 'listed'),
+        ([part('backlash')], answer(('servo_mismatch', ('backlash', *'abcd'))), 'wrong'),
+        ([part('backlash')], answer(('vibration', ()), ('backlash', ())), 'second'),
+        ([part('backlash')], answer(('vibration', ())), 'wrong'),
+        ([part('backlash')], answer(verdict='unknown'), 'called_unknown'),
+        ([part('backlash')], answer(verdict='none'), 'unseen'),
+        ([part('table_tilt', 0.01, 1.0)], answer(not_visible=('table_tilt',)), 'not_visible'),
+        ([part('table_tilt', 0.01, 1.0)], answer(verdict='none'), 'silent'),
+        ([part('table_tilt', 0.01, 1.0)], answer(('backlash', ())), 'wrong'),
+        ([part('unknown_machine_step')], answer(verdict='unknown'), 'unknown'),
+        ([part('unknown_machine_step')], answer(('backlash', ())), 'forced'),
+        ([part('unknown_machine_step')], answer(('tracker_noise', ())), 'forced'),
+        ([part('backlash'), part('vibration')], answer(('vibration', ())), 'half'),
+    ],
+)
+def test_outcomes(hidden, said, result):
+    assert outcome(entry(*hidden), said).result == result
+
+
+def test_effect_taken_out_of_the_catalogue_must_not_be_blamed_on_another():
+    hidden = entry(part('backlash'))
+    assert outcome(hidden, answer(('servo_mismatch', ())), ('backlash',)).result == 'forced'
+    assert outcome(hidden, answer(verdict='unknown'), ('backlash',)).result == 'unknown'
+
+
+def test_bends_of_smooth_tables_may_be_named():
+    smooth = entry(bends_um=0.5)
+    assert outcome(smooth, answer(('table_resolution', ()))).result == 'quiet'
+
+
+def test_noise_that_is_not_there_is_a_needless_cause_and_counts_over_all_cells():
+    said = answer(('backlash', ()), ('tracker_noise', ()))
+    false = outcome(entry(part('backlash')), said)
+    heavy = outcome(entry(part('backlash'), heavy_tails=True), said)
+    there = outcome(entry(part('backlash'), part('tracker_noise'), kind='two'), said)
+    assert [o.extra for o in (false, heavy, there)] == [('tracker_noise',), (), ()]
+    row = next(r for r in summary([false, heavy, there]) if r.name.startswith('noise as spec'))
+    assert (row.hits, row.of) == (1, 1)
+
+
+def test_unknown_effects_are_counted_apart_by_whether_a_decoy_exists():
+    hidden = ['unknown_machine_step'] * 2 + ['unknown_axis_brake'] * 3
+    said = [answer(verdict='unknown')] * 3 + [answer(('backlash', ())), answer(verdict='none')]
+    cells = [outcome(entry(part(h), kind='unknown'), a) for h, a in zip(hidden, said, strict=True)]
+    cells.append(outcome(entry(part('unknown_stick_slip', 0.0, 0.0), kind='unknown'), said[3]))
+    rows = {r.name: r for r in summary(cells)}
+    assert rows['no catalogue, a decoy exists: called unknown'][1:] == (2, 2)
+    assert rows['no catalogue, no decoy: called unknown'][1:] == (1, 3)
+    assert rows['no catalogue, no trace: given a name'][1:] == (1, 1)
+
+
+def test_published_tables_are_the_rows_of_the_score(tmp_path):
+    cells = [outcome(entry(), answer(verdict='none')) for _ in range(3)]
+    cells = [replace(c, kind='none') for c in cells]
+    (tmp_path / SEAL).write_text('0123456789abcdef0123\n')
+    (tmp_path / '.fleet').mkdir()
+    ended = {'exit': 0, 'message': '', 'sha256': 'f' * 64, 'seconds': 12.3}
+    state = json.dumps({'inputs': '', 'outcome': ended})
+    (tmp_path / '.fleet' / 'answers-000.json').write_text(state)
+    measured = Measured.of(tmp_path, [{'seed': 7}] * 3, '2026-01-01', False)
+    text = fragment(measured, criteria(cells, []))
+    assert './otf blind --trials 3 --seed 7 --out blind\n' in text
+    assert '| nothing: none blamed | 3 of 3 (100 %) | 29 % to 100 % |' in text
+    assert '`0123456789abcdef...`' in text
+    assert 'took 12 s' in text
+
+
+def test_parameters_are_compared_where_shapes_agree():
+    true = {'effect': 'cyclic_error', 'parameters': {'period': 0.01, 'S_X': 2e-6}}
+    cause = {'effect': 'cyclic_error', 'parameters': {'period': 0.0101, 'S_X': 2.2e-6}}
+    cause['u'] = {'S_X': 1e-7}
+    assert parameter_deviations([true], [cause]) == pytest.approx((2.0,))
+    cause['parameters']['period'] = 0.02
+    assert parameter_deviations([true], [cause]) == ()
+
+
+def test_changed_key_is_refused(tmp_path):
+    (tmp_path / KEY).write_text(json.dumps({'cells': []}))
+    (tmp_path / SEAL).write_text('0\n')
+    with pytest.raises(InputError, match='sealed'):
+        open_key(tmp_path)
+
+
+def test_stated_confidence_is_compared_with_what_is_there():
+    named = [('backlash', 0.995), ('servo_mismatch', 0.95), ('cross_coupling', 0.999)]
+    given = {
+        'verdict': 'explained',
+        'not_visible': [],
+        'causes': [{'effect': e, 'confidence': c, 'indistinguishable_from': []} for e, c in named],
+    }
+    scored = outcome(entry(part('backlash'), part('servo_mismatch'), kind='two'), given)
+    assert scored.confidence == (0.995, 0.95, 0.999)
+    classes = reliability(stated([scored]))
+    assert [c.row.share for c in classes] == ['1 of 1 (100 %)', '1 of 2 (50 %)']
+    assert [c.mean for c in classes] == pytest.approx([0.95, 0.997])
+    off = (1 * 0.05 + 2 * 0.497) / 3
+    assert expected_calibration_error(classes) == pytest.approx(off)
+
+
+@pytest.mark.parametrize(
+    ('hits', 'of', 'low', 'high'),
+    # tables of the exact binomial: 1 - 0.025^(1/n) at the ends; 5 of 10 in Clopper and Pearson
+    [(0, 10, 0.0, 0.3085), (10, 10, 0.6915, 1.0), (5, 10, 0.1871, 0.8129)],
+)
+def test_binomial_intervals_are_exact(hits, of, low, high):
+    assert binomial_interval(hits, of) == pytest.approx((low, high), abs=1e-4)
+
+
+def unnamed(*inputs, before=4.0, after=1.0):
+    said = answer(verdict='unknown')
+    found = {'depends_on': list(inputs), 'before_um': before, 'after_um': after}
+    return {**said, 'unnamed': found if inputs else None}
+
+
+@pytest.mark.parametrize(
+    ('groups', 'besides', 'named', 'right', 'among'),
+    [
+        ([['time']], [], ['time'], True, True),
+        ([['time']], [], ['time', 'x'], False, True),
+        ([['time']], ['x'], ['time', 'x'], True, True),
+        ([['time'], ['x']], [], ['time'], False, False),
+        ([['feed', 'lap'], ['x']], [], ['lap', 'x'], True, True),
+        ([['x'], ['y'], ['z']], [], ['x', 'z'], True, True),
+        ([['x'], ['y'], ['z']], [], ['x'], False, False),
+        ([['time']], [], [], False, False),
+        ([], [], ['time'], None, None),
+    ],
+)
+def test_inputs_are_right_if_they_are_those_of_the_truth(groups, besides, named, right, among):
+    hidden = part('unknown_feed_offset', groups=groups, besides=besides)
+    scored = outcome(entry(hidden, kind='unknown'), unnamed(*named))
+    assert (scored.inputs_right, scored.inputs_among) == (right, among)
+
+
+def test_a_cause_in_another_form_is_right_by_any_name_that_fits_it():
+    worn = entry(part('departed_backlash_worn'), kind='departed')
+    assert outcome(worn, answer(('direction_dependent_tables', ()))).result == 'right'
+    assert outcome(worn, answer(('servo_mismatch', ('backlash',)))).result == 'listed'
+    assert outcome(worn, answer(('servo_mismatch', ()))).result == 'wrong'
+    assert outcome(worn, answer(verdict='unknown')).result == 'called_unknown'
+
+
+def test_gap_left_is_that_of_the_cause_without_a_name_where_there_is_one():
+    hidden = entry(part('unknown_feed_offset'), kind='unknown')
+    said = {**unnamed('feed'), 'gap': {'before_um': 4.0, 'after_um': 4.0}}
+    assert outcome(hidden, said).gap_left == pytest.approx(0.25)
+    rows = {r.name: r for r in summary([outcome(hidden, said)])}
+    assert rows[', less than half of the gap left'][1:] == (1, 1)
+
+
+def test_a_cause_that_follows_a_signal_is_judged_by_the_signal_too():
+    hidden = part('departed_warm_head', groups=[['signal:/spindle/temperature']])
+    said = answer(('thermal_structure_drift', ()))
+    assert outcome(entry(hidden, kind='signal'), said).follows is False
+    curve = {'input': 'signal:/spindle/temperature@30', 'held': {}}
+    said['causes'][0]['curves'] = [curve]
+    scored = outcome(entry(hidden, kind='signal'), said)
+    assert (scored.follows, scored.result) == (True, 'right')
+    assert outcome(entry(part('backlash')), said).follows is None

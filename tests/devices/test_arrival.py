@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bytes that are read late carry the time at which they arrived."""
+
+import asyncio
+import socket
+import time
+
+import pytest
+
+from otf_tracker_driver.clock.arrival import receive, stamp_arrivals
+from otf_tracker_driver.emscon.wire import wired
+
+LATE = 0.08
+"""s; between arrival and reading."""
+
+STARTING = 20
+"""Packets until the kernel stamps them, which it begins to do after it is asked, at the most."""
+
+
+def pair(kind):
+    """Two connected sockets of this computer; what the second receives is stamped."""
+    listening = socket.socket(socket.AF_INET, kind)
+    listening.bind(('127.0.0.1', 0))
+    sender = socket.socket(socket.AF_INET, kind)
+    if kind == socket.SOCK_STREAM:
+        listening.listen()
+        sender.connect(listening.getsockname())
+        receiver, _ = listening.accept()
+        listening.close()
+    else:
+        receiver = listening
+        sender.connect(listening.getsockname())
+    stamp_arrivals(receiver)
+    return sender, receiver
+
+
+@pytest.mark.parametrize('kind', [socket.SOCK_STREAM, socket.SOCK_DGRAM])
+def test_age_of_what_is_read_late_is_told(kind):
+    sender, receiver = pair(kind)
+    with sender, receiver:
+        for _ in range(STARTING):
+            before = time.monotonic_ns()
+            sender.send(b'packet')
+            time.sleep(LATE)
+            data, age, _ = receive(receiver, 100)
+            longest = time.monotonic_ns() - before
+            if age:
+                break
+    assert data == b'packet'
+    assert 0.9 * LATE * 1e9 < age <= longest
+
+
+def test_time_of_day_that_is_set_back_makes_no_age(monkeypatch):
+    sender, receiver = pair(socket.SOCK_STREAM)
+    with sender, receiver:
+        sender.send(b'packet')
+        now = time.time_ns()
+        monkeypatch.setattr(time, 'time_ns', lambda: now - 3600 * 10**9)
+        assert receive(receiver, 100)[:2] == (b'packet', 0)
+
+
+def test_wire_tells_the_arrival_also_when_its_event_loop_is_busy():
+    async def read_late():
+        served = asyncio.Event()
+
+        async def serve(reader, writer):
+            while await reader.read(1):
+                writer.write(b'packet')
+                await writer.drain()
+                served.set()
+            writer.close()
+
+        server = await asyncio.start_server(serve, '127.0.0.1', 0)
+        host, port = server.sockets[0].getsockname()
+        async with server, wired(host, port, 5.0) as wire:
+            for _ in range(STARTING):
+                served.clear()
+                wire.write(b'?')
+                await served.wait()
+                time.sleep(LATE)  # as if other work held the loop up
+                data, age = await wire.read()
+                if age:
+                    break
+            return data, age
+
+    data, age = asyncio.run(read_late())
+    assert data == b'packet' and age > 0.9 * LATE * 1e9
