@@ -131,7 +131,7 @@ def rate(given):
 
 def elsewhere(given):
     """Return remappings of what comes from other namespaces; tf stays within the cell."""
-    names = {'tracker': ('point', 'status', 'gap'), 'planner': ('path', 'plan')}
+    names = {'tracker': ('point', 'status', 'gap', 'calibrated'), 'planner': ('path', 'plan')}
     return [
         *([('/tf_static', 'tf_static')] if given['namespace'] else []),
         *(

@@ -167,6 +167,21 @@ class Collector:
         self._watch()
         return True
 
+    def of_another(self, until_ns: int, why: str) -> Samples | None:
+        """Set samples up to a stamp aside; return those that stay, None if nothing is changed."""
+        samples = self.buffer.snapshot()
+        if self.taken or not len(samples) or samples.stamp_ns[0] > until_ns:
+            return None
+        rest = samples.part(
+            int(np.searchsorted(samples.stamp_ns, until_ns, 'right')), len(samples)
+        )
+        self._next_run(why)
+        self.remarks.clear()  # nothing of this machine's was set aside
+        for stamp_ns, (x, y, z) in zip(rest.stamp_ns.tolist(), rest.xyz.tolist(), strict=True):
+            self.buffer.append(stamp_ns, x, y, z)
+        self._watch()
+        return rest
+
     def reset(self) -> None:
         """Forget the samples; a stream that the driver has told of goes on."""
         self.buffer.clear()

@@ -59,7 +59,7 @@ class Calibrator(Node):
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
-        self._results = ResultPublishers(self)
+        self._results = ResultPublishers(self, self._session.intake)
         self.create_subscription(Path, PATH, self._on_path, qos.PATH)
         self.create_subscription(TrackerStatus, STATUS, self._on_status, qos.STATUS)
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
