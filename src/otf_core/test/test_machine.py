@@ -194,6 +194,7 @@ def test_file_that_is_not_there_is_named(tmp_path):
 def test_chain_splits_at_the_base(text, table, target):
     chain = Chain.parse(text)
     assert (chain.table_side, chain.target_side) == (table, target)
+    assert chain.axis_names == ('X', 'Y', 'Z'), 'the order of the columns of positions'
     assert str(chain) == text
 
 

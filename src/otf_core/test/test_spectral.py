@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from core_cells import some_machine
 from scipy.signal import lfilter
-from scipy.stats import binom
+from scipy.stats import binom, gamma
 
 from otf_core.diagnosis.engine.spectral import (
+    _improbability,
     line_along_axis,
     line_in_time,
     line_since_stop,
@@ -183,3 +184,12 @@ def test_a_direction_in_which_nothing_is_left_adds_nothing():
     place, score = line_in_time(found)
     assert score > 30.0
     assert place == pytest.approx(7.3, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ('value', 'series', 'trials'), [(0.3, 3, 1), (40.0, 3, 5000), (9.0, 1, 7)]
+)
+def test_score_is_how_improbable_gamma_distributed_power_is(value, series, trials):
+    expected = -gamma.logsf(value, series) - np.log(trials)
+    assert _improbability(value, series, trials) == pytest.approx(expected, rel=1e-9)
+    assert np.isfinite(_improbability(1e6, series, trials)), 'stronger lines stay in order'

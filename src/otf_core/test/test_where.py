@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gap_cells import NOISE, SIZE, along, run_view
 
+from otf_core.diagnosis.place.bands import as_waves
 from otf_core.diagnosis.place.groupings import by_feed, by_line, by_region, by_time
 from otf_core.diagnosis.place.groups import normal_score, partition
 from otf_core.diagnosis.place.structure import find_structures
@@ -239,3 +240,13 @@ def test_what_the_causes_leave_can_be_looked_at():
     assert 'step' in describe_structure([view])
     assert describe_structure([view], 'residual_after') == 'no structure beyond noise'
     assert 'nothing stands out' in where_of([view], 'residual_after').summary
+
+
+@pytest.mark.parametrize('count', [6, 7, 31])
+def test_waves_of_a_leg_are_an_orthonormal_basis_of_whole_cycles(count):
+    turned = as_waves(np.eye(count)).T  # one wave per row
+    np.testing.assert_allclose(turned @ turned.T, np.eye(count), atol=1e-12)
+    for row, wave_of_leg in enumerate(turned):
+        power = np.abs(np.fft.rfft(wave_of_leg)) ** 2
+        assert np.argmax(power) == (row + 1) // 2
+        assert power.max() > (1 - 1e-12) * power.sum()
