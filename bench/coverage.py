@@ -110,7 +110,7 @@ def truth_in_gauge(case: Case) -> dict[str, Array]:
     nodes = {a: tables.motions[f'EX{a}'].position for a in machine.axis_names}
     points = np.stack(np.meshgrid(*nodes.values(), indexing='ij'), axis=-1)
     q = points.reshape(-1, 3)
-    unknowns = layout({axis: linear(own) for axis, own in nodes.items()})
+    unknowns = layout({a: linear(nodes[a]) for a in machine.axes})
     rows = np.zeros((3 * len(q), unknowns.full))
     model = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, q).reshape(
         3 * len(q), -1

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from otf_core.calibration.result import CalibrationResult
-from otf_core.model.machine import AXES
 from otf_core.model.path import NominalPath
 from otf_core.reports.page import Heading, page_html
 from otf_core.reports.section import Section, Table
@@ -47,7 +46,8 @@ def _facts(rows: Sequence[Row]) -> tuple[Table, ...]:
 def _determination(result: CalibrationResult, path: NominalPath) -> Section:
     machine, fit = result.tables.machine, result.fit
     ranges = ', '.join(
-        f'{a} {1e3 * machine.axes[a].min:g} to {1e3 * machine.axes[a].max:g} mm' for a in AXES
+        f'{name} {1e3 * axis.min:g} to {1e3 * axis.max:g} mm'
+        for name, axis in machine.axes.items()
     )
     offset = ', '.join(f'{1e3 * v:g}' for v in machine.target_offset)
     return Section(
