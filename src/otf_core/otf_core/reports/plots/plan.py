@@ -14,8 +14,9 @@ from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_step, heat_words
 from otf_core.reports.drawing.scene import Dots, Item, Label, Strokes, box, scene
 from otf_core.reports.drawing.sheet import write_sheet
-from otf_core.reports.quantities import micro, micro_unit
 
+UNITS = {'m': 'um', 'rad': 'urad'}
+"""Millionths of what errors are in."""
 CAPTION = (
     'Above: the path with the tracker and its beams to the corners of the volume; standard '
     'uncertainty of the error vector, k = 1, the best rigid motion taken out, as colour. Below: '
@@ -55,7 +56,7 @@ def _grid(report: PlanReport, step: float) -> str:
 
 
 def _bars(report: PlanReport, unit: str) -> str:
-    found = report.forecast
+    found, words = report.forecast, UNITS[unit]
     rows = []
     for name in (*SQUARENESS, *MOTIONS):
         if unit_of(name) != unit:
@@ -65,9 +66,9 @@ def _bars(report: PlanReport, unit: str) -> str:
             continue
         u = found.u[name]
         mean, most = float(u.mean()), float(u.max())
-        rows.append(Bar(name, ((1e6 * mean, 'after'),), f'{micro(mean)} {micro_unit(unit)}',
+        rows.append(Bar(name, ((1e6 * mean, 'after'),), f'{1e6 * mean:.2f} {words}',
                         1e6 * most))  # fmt: skip
-    return bars(rows, f'uncertainty of errors in {micro_unit(unit)}', width=480.0)
+    return bars(rows, f'uncertainty of errors in {words}', width=480.0)
 
 
 def write_plan_picture(report: PlanReport, folder: Path) -> Path:
