@@ -12,15 +12,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_calibrator.beside import Beside
 from otf_calibrator.collector import Collector
 from otf_calibrator.job import Request
 from otf_calibrator.losses import SequenceWatch
 from otf_core.bags.cdr import DecodedPoints, decode_path
 from otf_core.bags.journal import Journal
 from otf_core.bags.screening import judged
+from otf_core.bags.signal_messages import topic_of
+from otf_core.bags.signals import read_signals
 from otf_core.bags.topics import PATH, POINT, STATUS
 from otf_core.errors import InputError
+from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.path import NominalPath
+from otf_core.model.signals import Signal
 
 TAKEN_UP = 600.0
 """s; a run that was written longer ago is not the running measurement."""
@@ -65,6 +70,7 @@ class Intake:
     def __init__(self, collector: Collector, warn: Callable[[str], None]) -> None:
         self._collector, self._warn = collector, warn
         self.journal: Journal | None = None
+        self.beside = Beside()
         self._sequence = SequenceWatch()
         self._segment: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
         self._first = self._at = 0
@@ -84,6 +90,12 @@ class Intake:
         )
         if self.journal:
             self.journal.message(STATUS, message)
+
+    def signal(self, spec: SignalSpec, stamp_ns: int, value: float, message: bytes) -> None:
+        """Take a value of a signal and its message."""
+        self.beside.add(spec, stamp_ns, value)
+        if self.journal:
+            self.journal.message(topic_of(spec), message)
 
     def samples(self, batch: Batch) -> None:
         """Take samples; those of other frames are only counted."""
@@ -110,6 +122,14 @@ class Intake:
         if not collector.taken:
             place = f'; they are in {folder}' if folder else ''
             self._warn(f'{len(collector.buffer)} samples set aside, {why}{place}')
+
+    def of_another(self, until_ns: int, why: str) -> None:
+        """Set samples up to a stamp aside: they were of another machine's run."""
+        rest = self._collector.of_another(until_ns, why)
+        if rest is not None and len(rest):
+            self._collector.screening.good(rest.stamp_ns, rest.xyz)
+            if self.journal:
+                self.journal.points(rest.stamp_ns, rest.xyz, POINT.frame)
 
     def settle(self, request: Request, results: Path | None) -> None:
         """Say in the journal that a run was calibrated; one that goes on stays as it is."""
@@ -162,9 +182,17 @@ class Intake:
                 else:
                     self.status(status(content), content)
             self.journal = journal
+            for spec, signal in self._signals_in(recorded.run.folder).items():
+                for stamp, value in zip(signal.stamp_ns, signal.value, strict=True):
+                    self.beside.add(spec, int(stamp), float(value))
             count = len(self._collector.buffer)
             said.append(f'{recorded.run.folder}: goes on with {count} samples of it')
         return '; '.join(said)
+
+    def _signals_in(self, folder: Path) -> dict[SignalSpec, Signal]:
+        """Signals of a run that is taken up."""
+        found = read_signals(folder, (), self.beside.specs)
+        return {s: found[s.name] for s in self.beside.specs if s.name in found}
 
     def _take(self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> None:
         collector, now = self._collector, time.monotonic()

@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
@@ -25,9 +25,11 @@ from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output import OutputFolder
 from otf_core.history.store import add_run
+from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.model.signals import Signal
 from otf_core.pieces.methods import PREPARATIONS
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import facts_of, write_calibration, write_report
@@ -59,6 +61,7 @@ class Request:
     screening: Screening = field(default_factory=Screening)
     journal: Path | None = None
     final: bool = True
+    signals: Mapping[SignalSpec, Signal] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,9 @@ class Worker:
                 outcome.report(folder)
             what = 'the samples were not saved'
             if files.save_bag:
-                write_bag(folder / BAG, BagContent(recording.samples, recording.path))
+                signals = outcome.request.signals
+                content = BagContent(recording.samples, recording.path, signals=signals)
+                write_bag(folder / BAG, content)
         except OtfError as error:
             problem = f'{what}: {error}'
             self._warn(problem)
@@ -203,7 +208,8 @@ def recording_of(request: Request) -> Recording:
     remarks = [*request.remarks, *request.screening.remarks()]
     # in the order in which the offline command takes them from a bag
     samples = in_time_order(TOPIC, request.samples.stamp_ns, request.samples.xyz, remarks)
-    return Recording(samples, request.path, machine, BAG, tuple(remarks))
+    signals = {spec.name: signal for spec, signal in request.signals.items()}
+    return Recording(samples, request.path, machine, BAG, tuple(remarks), signals)
 
 
 def check_files(files: CalibratorConfig) -> None:

@@ -17,7 +17,7 @@ from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.diagnostics import tell
 from otf_calibrator.intake import Batch
 from otf_calibrator.job import Calibrated, check_files
-from otf_calibrator.listening import keep_journal, status_of
+from otf_calibrator.listening import listen, status_of
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.results import ResultPublishers
 from otf_calibrator.session import Session
@@ -56,10 +56,10 @@ class Calibrator(Node):
             raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
         check_files(files)
         self._session = Session(self._read_settings, self.get_logger().warning)
-        keep_journal(self, self._session.intake, files)
+        listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
-        self._results = ResultPublishers(self)
+        self._results = ResultPublishers(self, self._session.intake)
         self.create_subscription(Path, PATH, self._on_path, qos.PATH)
         self.create_subscription(TrackerStatus, STATUS, self._on_status, qos.STATUS)
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
@@ -85,7 +85,7 @@ class Calibrator(Node):
         except OtfError as error:
             self.get_logger().error(f'planner/path ignored: {error}')
             return
-        if self._session.intake.path(path, serialize_message(message)):
+        if self._session.intake.path(path, serialize_message(convert.path_for_journal(message))):
             kept, points = len(self._session.collector.buffer), len(message.poses)
             self.get_logger().info(f'new path of {points} points, for {kept} samples so far')
 
@@ -102,8 +102,8 @@ class Calibrator(Node):
             self._finish(job)
         if outcome := self._session.saved():
             self._done(outcome)
-        if reason := self._session.complete():
-            self.get_logger().info(self._session.start(reason))
+        if started := self._session.due():
+            self.get_logger().info(started)
         if early := self._session.look_ahead():
             method = self._read_settings()[0].method
             self.get_logger().info(self._results.publish_provisional(early, method))

@@ -7,17 +7,25 @@ import numpy as np
 import pytest
 import yaml
 from core_cells import some_machine
+from effect_cells import driven_state
 from engine_cells import holding, noise, solved_rows
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from otf_core.bags.bag import BagContent, read_bag, write_bag
 from otf_core.bags.signals import read_signals
+from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.search import search
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
+from otf_core.effects.free import signal_forms
 from otf_core.errors import ConfigError
+from otf_core.model.declared_signals import DRIVEN
+from otf_core.model.machine import machine_from_dict
 from otf_core.model.signals import LAGS, Signal, courses
+from otf_core.planning.creator import plan_path
+from otf_core.sim.cell import simulate
 
 START = 1_700_000_000_000_000_000
 
@@ -98,3 +106,77 @@ def test_strain_that_follows_a_signal_is_named_with_it():
     given = AppliedEffect(effect, {'S_X_1': 1e-5})
     entry = yaml.safe_load(yaml.safe_dump(effects_to_data([given], some_machine())))
     assert effects_from_data(entry, 'file', some_machine()) == (given,)
+
+
+# ---------------------------------------------------------------- declared in machine.yaml
+
+DECLARED = {
+    '/motor': {'unit': 'K', 'acts_on': ['thermal_axis_expansion']},
+    '/coolant': {'type': 'std_msgs/msg/Bool'},
+    '/state:load.percent': {'unit': '%'},
+}
+
+
+def declaring(signals):
+    """A machine with a section of signals."""
+    return machine_from_dict({**some_machine().to_dict(), 'signals': signals})
+
+
+def test_declared_signals_are_echoed_and_read_where_a_bag_has_them(tmp_path, caplog):
+    machine = declaring({**DECLARED, '/oil': {}})
+    assert machine_from_dict(machine.to_dict()).signals == machine.signals
+    motor, coolant, state, _ = machine.signals
+    assert (motor.type, coolant.unit, state.type) == ('sensor_msgs/msg/Temperature', '', '')
+    bag = bag_of_signals(tmp_path / 'bag')
+    found = read_signals(bag, (), machine.signals)
+    assert list(found) == ['signal:/motor', 'signal:/coolant']
+    assert found['signal:/motor'].value.tolist() == [20.0, 21.0, 22.0, 23.0]
+    assert 'no topic /oil, a signal of the machine' in caplog.text
+
+
+@pytest.mark.parametrize(
+    ('signals', 'words'),
+    [
+        ({'motor': {}}, 'signals: motor: expected the name of a topic'),
+        ({'/motor': {'type': 'a/msg/B'}}, "'a/msg/B' is no message with one number; possible: s"),
+        ({'/motor:mass': {'type': 'std_msgs/msg/Bool'}}, 'has no field mass; its number is data'),
+        ({'/motor': {'acts_on': ['backlash']}}, 'acts_on: expected a list of effects among therm'),
+        ({'/motor': {'colour': 'red'}}, 'colour: unknown key; known here: unit, type, acts_on'),
+    ],
+)
+def test_what_is_wrong_with_a_declaration_is_said(signals, words):
+    with pytest.raises(ConfigError) as caught:
+        declaring(signals)
+    assert words in str(caught.value)
+
+
+def test_a_signal_drives_only_what_it_may_act_on():
+    machine = declaring(DECLARED)
+    probe = driven_state()
+    course = np.arange(float(len(probe)))
+    states = [replace(probe, machine=machine, more={'signal:/motor@30': course})]
+    named = {e: signal_forms(REGISTRY[e], states) for e in DRIVEN}
+    assert [e for e, forms in named.items() if forms] == ['thermal_axis_expansion']
+
+
+def test_a_simulated_run_holds_the_signals_that_effects_follow(tmp_path):
+    """The displacement is read off the samples again: 2 um per K of what the bag says."""
+    machine = declaring({'/coolant': {'type': 'std_msgs/msg/Float64'}})
+    follows = effects_from_data([{
+        'effect': 'thermal_structure_drift', 'form': 'free', 'parameters': {'Z_1': 6e-6},
+        'inputs': {'signal:/spindle': [20.0, 26.0]},
+    }], 'effects', machine)  # fmt: skip
+    plan = plan_path(machine, PlannerConfig(passes=1, levels=2, feed=0.5))
+    config = SimulationConfig(rate=20.0, seed=3)
+    run, still = simulate(machine, plan, config, effects=follows), simulate(machine, plan, config)
+    write_bag(tmp_path / 'bag', BagContent(run.samples, plan.path, signals=run.signals))
+    read = read_signals(tmp_path / 'bag', ['/spindle', '/coolant'])
+    warm = read['signal:/spindle']
+    assert {s.wanted for s in run.signals} == {'/spindle', '/coolant'}
+    assert set(read['signal:/coolant'].value.tolist()) == {0.0, 1.0}
+    assert warm.value.min() == 20.0 and 22.0 < warm.value.max() <= 26.0
+    moved = (run.samples.xyz - still.samples.xyz) @ run.rotation
+    stamps = run.samples.stamp_ns - warm.stamp_ns[0]
+    kelvin = np.interp(stamps, warm.stamp_ns - warm.stamp_ns[0], warm.value) - 20.0
+    assert np.allclose(moved, np.outer(kelvin, [0.0, 0.0, 2e-6]), atol=1e-9)
+    assert read_bag(tmp_path / 'bag').samples.xyz.tobytes() == run.samples.xyz.tobytes()

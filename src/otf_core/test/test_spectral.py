@@ -9,7 +9,12 @@ from core_cells import some_machine
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from otf_core.diagnosis.engine.spectral import line_along_axis, line_in_time, strongest_lines
+from otf_core.diagnosis.engine.spectral import (
+    line_along_axis,
+    line_in_time,
+    line_since_stop,
+    strongest_lines,
+)
 from otf_core.effects import REGISTRY
 from otf_core.solving.sample_states import detrend_legs
 
@@ -54,6 +59,7 @@ def driven(rng, legs=24, *, oblique=False, tau=0.0, white=0.0, wave=None):
     state = SimpleNamespace(
         time=time[use], q=q[use], direction=direction[use], machine=some_machine()
     )
+    state.more = {'since_stop': (within / RATE)[use]}
     return SimpleNamespace(leg=leg[use], state=state, residual=detrend_legs(values[use], leg[use]))
 
 
@@ -62,7 +68,7 @@ COLOURS = [(0.0, 0.0), (0.05, 0.0), (0.3, 0.5), (2.0, 0.5), (0.3, 0.0)]
 
 
 @pytest.mark.parametrize(('tau', 'white'), COLOURS)
-@pytest.mark.parametrize('kind', ['vibration', 'cyclic_error'])
+@pytest.mark.parametrize('kind', ['vibration', 'ringing', 'cyclic_error'])
 def test_noise_of_any_colour_makes_a_line_no_more_often_than_the_score_says(kind, tau, white):
     """A score of -log(a) comes up in a share a of all runs at most; band of 99.9 % of a draw."""
     rng = np.random.default_rng([5, int(100 * tau)])
@@ -70,6 +76,8 @@ def test_noise_of_any_colour_makes_a_line_no_more_often_than_the_score_says(kind
     for _ in range(DRAWS):
         if kind == 'vibration':
             _, score = line_in_time(driven(rng, legs=10, tau=tau, white=white))
+        elif kind == 'ringing':
+            _, score = line_since_stop(driven(rng, legs=10, tau=tau, white=white))
         else:
             run = driven(rng, legs=12, oblique=True, tau=tau, white=white)
             _, score = line_along_axis(run, 'X')
@@ -97,6 +105,23 @@ def test_vibration_is_found_at_its_frequency(frequency):
         assert line.place == pytest.approx(frequency, abs=0.01)
 
 
+@pytest.mark.parametrize('frequency', [8.3, 11.0, 19.0])
+def test_ringing_after_every_start_is_found_at_its_frequency(frequency):
+    """Larger than the noise of a single sample at first, gone after a second."""
+
+    def wave(time, q):
+        since = time % ((LEG + STOP) / RATE)
+        swing = np.exp(-since / 0.4) * np.sin(2 * np.pi * frequency * since + 0.7)
+        return 1.5 * np.outer(swing, [0.0, 0.6, 0.8])
+
+    found = driven(np.random.default_rng(16), oblique=True, tau=0.3, white=0.5, wave=wave)
+    place, score = line_since_stop(found)
+    assert score > 8.0
+    assert place == pytest.approx(frequency, rel=0.03)
+    asked = [x.place for x in strongest_lines(found, EFFECTS) if x.effect == 'vibration']
+    assert place in asked and len(asked) == 4
+
+
 @pytest.mark.parametrize(('axis', 'period'), [('X', 0.02), ('Y', 0.005), ('Z', 0.03)])
 def test_cyclic_error_is_found_on_its_axis_at_its_period(axis, period):
     """Half as large as the noise; the axes move one after the other and together."""
@@ -116,7 +141,7 @@ def test_cyclic_error_is_found_on_its_axis_at_its_period(axis, period):
 
 def test_strongest_line_comes_first():
     lines = strongest_lines(driven(np.random.default_rng(8), oblique=True), EFFECTS)
-    assert sorted(x.effect for x in lines) == ['cyclic_error'] * 3 + ['vibration']
+    assert sorted(x.effect for x in lines) == ['cyclic_error'] * 3 + ['vibration'] * 4
     scores = [x.score for x in lines]
     assert scores == sorted(scores, reverse=True)
 
@@ -133,7 +158,8 @@ def test_few_samples_show_no_line():
     found = driven(np.random.default_rng(10))
     short = {n: getattr(found.state, n)[:99] for n in ('time', 'q', 'direction')}
     few = SimpleNamespace(
-        state=SimpleNamespace(**short, machine=some_machine()), residual=found.residual[:99]
+        state=SimpleNamespace(**short, machine=some_machine(), more={}),
+        residual=found.residual[:99],
     )
     assert strongest_lines(few, EFFECTS) == []
 

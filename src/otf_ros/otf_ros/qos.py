@@ -54,3 +54,7 @@ SCALAR = _profile(10, DurabilityPolicy.VOLATILE)
 
 COMMAND = _profile(1000, DurabilityPolicy.VOLATILE)
 """Positions that are asked about and the answers: as many as come in a second, no news later."""
+
+SIGNAL = _profile(1000, DurabilityPolicy.VOLATILE, ReliabilityPolicy.BEST_EFFORT)
+"""For subscriptions only: temperatures and states of the machine, which sensors publish reliably
+or not; a value that is missed is bridged by its neighbours."""

@@ -12,7 +12,7 @@ import fcntl
 import os
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -60,6 +60,8 @@ class Journal:
         Made if it is not there.
     texts : mapping of str to str
         Message definitions of types that are not part of ROS 2 itself.
+    beside : sequence of Topic
+        Further topics.
 
     Attributes
     ----------
@@ -73,10 +75,12 @@ class Journal:
         If the directory cannot be written, or another journal is kept there.
     """
 
-    def __init__(self, directory: Path, texts: Mapping[str, str]) -> None:
+    def __init__(
+        self, directory: Path, texts: Mapping[str, str], beside: Sequence[Topic] = ()
+    ) -> None:
         self.directory = directory
         self._lock = _locked(directory)
-        self._definitions = Definitions(texts)
+        self._definitions = Definitions(texts, tuple(beside))
         self._run: JournalRun | None = None
         self._latched: dict[Topic, bytes] = {}
         self._items: list[tuple[JournalRun, Rows] | _End] = []

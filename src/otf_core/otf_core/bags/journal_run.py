@@ -37,9 +37,18 @@ UPDATE = 1.0
 
 @dataclass(frozen=True)
 class Definitions:
-    """Message definitions of the topics of a journal; ``texts`` of types that rosbags lacks."""
+    """Message definitions of the topics of a journal; ``texts`` of types that rosbags lacks.
+
+    ``beside`` are further topics than ``TOPICS``.
+    """
 
     texts: Mapping[str, str]
+    beside: tuple[Topic, ...] = ()
+
+    @property
+    def all(self) -> tuple[Topic, ...]:
+        """Topics of a journal."""
+        return (*TOPICS, *self.beside)
 
     @cached_property
     def both(self) -> tuple[dict[Topic, str], dict[Topic, str]]:
@@ -49,7 +58,7 @@ class Definitions:
         store = get_typestore(Stores.ROS2_JAZZY)
         for name, text in self.texts.items():
             store.register(get_types_from_msg(text, name))
-        topics = [t for t in TOPICS if t.type in store.fielddefs]
+        topics = [t for t in self.all if t.type in store.fielddefs]
         texts = {t: store.generate_msgdef(t.type, ros_version=2)[0] for t in topics}
         return texts, {t: store.hash_rihs01(t.type) for t in topics}
 
@@ -145,7 +154,7 @@ class Recorded:
     end_ns : int
         When the last message was received.
     arrived : tuple
-        Points, and messages of other topics as they were received, in their order.
+        Points, and messages of ``TOPICS`` as they were received, in their order.
     """
 
     run: JournalRun
@@ -169,22 +178,24 @@ def take_up(folder: Path, definitions: Definitions) -> Recorded:
     parts: list[Part] = []
     blocks: list[MessageBlock] = []
     for file in files:
-        found = list(locate(file).messages({t.name: (t.type,) for t in TOPICS}, {}))
+        found = list(locate(file).messages({t.name: (t.type,) for t in definitions.all}, {}))
         blocks += found
         if found:
             times = np.concatenate([b.log_time for b in found])
             counts: Counter[Topic] = Counter()
             for block in found:
-                counts[_topic(block)] += block.start.size
+                counts[_topic(block, definitions.all)] += block.start.size
             parts.append(Part(file.name, int(times.min()), int(times.max()), counts))
         else:
             parts.append(Part(file.name, 0, 0, {}))
     end = max((part.end for part in parts), default=0)
-    return Recorded(JournalRun(folder, definitions, parts), end, tuple(_in_order(blocks)))
+    own = {t.name for t in TOPICS}
+    arrived = tuple(_in_order([b for b in blocks if b.topic in own]))
+    return Recorded(JournalRun(folder, definitions, parts), end, arrived)
 
 
-def _topic(block: MessageBlock) -> Topic:
-    return next(t for t in TOPICS if t.name == block.topic)
+def _topic(block: MessageBlock, topics: Sequence[Topic] = TOPICS) -> Topic:
+    return next(t for t in topics if t.name == block.topic)
 
 
 def _in_order(blocks: Sequence[MessageBlock]) -> Iterator[tuple[Topic, DecodedPoints | bytes]]:

@@ -75,6 +75,9 @@ class Outcome:
         where the answer is not 'unknown'. None where the truth has a name or no such inputs.
     follows : bool, optional
         Whether the signal that the truth follows is named; None where it follows none.
+    simulated_off : float, optional
+        Residual of the simulation as the answer has it less that of the truth without causes,
+        over its stated standard uncertainty.
     """
 
     cell: str
@@ -95,6 +98,7 @@ class Outcome:
     inputs_right: bool | None = None
     inputs_among: bool | None = None
     follows: bool | None = None
+    simulated_off: float | None = None
 
     @property
     def is_right(self) -> bool:
@@ -201,6 +205,14 @@ def _follows(parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> b
     return signals <= {n.partition('@')[0] for n in said}
 
 
+def _simulated_off(entry: Mapping[str, Any], answer: Mapping[str, Any]) -> float | None:
+    """How far the simulated residual is from that of the truth, in standard uncertainties."""
+    gap = answer.get('gap') or {}
+    if not gap.get('simulated_u_um'):
+        return None
+    return float((gap['simulated_um'] - entry['simulated_um']) / gap['simulated_u_um'])
+
+
 def outcome(
     entry: Mapping[str, Any],
     answer: Mapping[str, Any],
@@ -248,5 +260,6 @@ def outcome(
         noise_as_specified=not entry['heavy_tails'] and not NOISE & set(truth),
         gap_left=_gap_left(answer),
         follows=_follows(parts, answer),
+        simulated_off=None if first_place else _simulated_off(entry, answer),
         **_inputs(parts, answer, exclude),
     )

@@ -179,8 +179,9 @@ def stated(outcomes: Sequence[Outcome]) -> list[tuple[float, bool]]:
     ]
 
 
-def sizes(recovered: Sequence[Recovery]) -> list[Row]:
-    """How well gaps, parameters and intervals hold."""
+def sizes(recovered: Sequence[Recovery], outcomes: Sequence[Outcome]) -> list[Row]:
+    """How well gaps, parameters, intervals and simulated residuals hold."""
+    off = np.abs([o.simulated_off for o in outcomes if o.simulated_off is not None])
     deviations = np.abs([d for r in recovered for d in r.deviations])
     large = [r for r in recovered if r.true_gap_um > SMALL_GAP_UM]
     near = sum(abs(r.gap_um / r.true_gap_um - 1.0) <= GAP_TOLERANCE for r in large)
@@ -191,6 +192,7 @@ def sizes(recovered: Sequence[Recovery]) -> list[Row]:
           for k in CLOSE),
         Row('95 % interval of the shrink holds the truth',
             sum(r.covered for r in named), len(named)),
+        Row('simulated residual within 2 u of the truth', int(np.sum(off < CLOSE[0])), len(off)),
     ]  # fmt: skip
 
 

@@ -198,7 +198,7 @@ def _or_something_else(
     if explained.causes:
         tried = try_structures(rows, AS_RIVALS if verdict == 'explained' else SCREENED)
         rival = rival_of(explained.causes, tried)
-    elif matters(explained.before_um, explained.simulated_um):
+    elif verdict == 'unknown':
         tried, rival = try_structures(rows, SCREENED), Rival()
     else:
         return explained, None

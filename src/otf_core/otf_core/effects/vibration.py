@@ -11,12 +11,26 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Effect, Shape, State, Terms, Wave
+from otf_core.effects.base import Array, Effect, Shape, State, Terms, Wave
 from otf_core.effects.drawing import Axes, LogUniform, Number, Trial
+from otf_core.effects.free import Free
 from otf_core.model.frames import XYZ
 
 SECONDS = 2.0
 """Stretch over which the shapes to try keep their phase; a search refines them from there."""
+
+
+def woken(state: State, shape: Shape) -> Terms:
+    """Sine and cosine along X, Y, Z of the time since the start of a leg."""
+    since = state.more.get('since_stop', state.time)
+    return _swing(shape['frequency'], since)
+
+
+def _swing(frequency: float, time: Array) -> Terms:
+    phase = 2.0 * np.pi * frequency * time
+    columns = [wave[:, None, None] * np.eye(3) for wave in (np.sin(phase), np.cos(phase))]
+    names = tuple(f'{part}_{a}' for part in 'SC' for a in XYZ)
+    return Terms(names, ('m',) * 6, XYZ * 2, np.concatenate(columns, axis=2))
 
 
 class Vibration(Effect):
@@ -46,6 +60,18 @@ class Vibration(Effect):
         (Number('frequency', LogUniform(1.5, 45.0)), Axes('S'), Axes('C'))
     )
 
+    free: ClassVar[tuple[Free, ...]] = (
+        Free(
+            ('since_stop',),
+            (6,),
+            'it is woken by every start and dies out',
+            (1,),
+            woken,
+            of_shape=True,
+            zero_at=1.0,
+        ),
+    )
+
     def shapes(self, state: State) -> Sequence[Shape]:
         """Frequencies up to half the sample rate, 1 / (2 * SECONDS) apart."""
         step = np.diff(state.time)
@@ -55,7 +81,4 @@ class Vibration(Effect):
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return S_X, S_Y, S_Z, C_X, C_Y, C_Z; directions of the swing, no moving axis."""
-        phase = 2.0 * np.pi * shape['frequency'] * state.time
-        columns = [wave[:, None, None] * np.eye(3) for wave in (np.sin(phase), np.cos(phase))]
-        names = tuple(f'{part}_{a}' for part in 'SC' for a in XYZ)
-        return Terms(names, ('m',) * 6, XYZ * 2, np.concatenate(columns, axis=2))
+        return _swing(shape['frequency'], state.time)

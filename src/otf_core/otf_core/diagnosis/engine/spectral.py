@@ -33,6 +33,10 @@ NO_POWER = 1e-12
 """Share of the largest power that stands for none where logarithms are taken."""
 LOWEST_FREQUENCY = 1.0
 """Hz; legs last seconds and lose their slow part."""
+WOKEN = 2.0
+"""s after the start of a leg in which what it wakes is looked for."""
+BESIDE = 0.03
+"""Relative distance of further frequencies that are tried for it."""
 PERIODS = (0.0015, 0.06)
 """m; longer ones are followed by the tables, shorter ones by no tracker."""
 BIN = 2.5e-4
@@ -106,6 +110,37 @@ def line_in_time(residuals: SampleResiduals) -> Peak | None:
     return float(frequency[use][best]), score
 
 
+def line_since_stop(residuals: SampleResiduals) -> Peak | None:
+    """Find the strongest line of what every leg does alike after its start.
+
+    Means over the legs leave what is woken by every start; None for too few samples.
+    """
+    since = residuals.state.more.get('since_stop')
+    time = residuals.state.time
+    if since is None or len(time) < 100:
+        return None
+    step = float(np.median(np.diff(time)))
+    near = since < WOKEN
+    place = np.rint(since[near] / step).astype(np.int64)
+    count = np.bincount(place)
+    if len(count) * step < 0.5 * WOKEN:
+        return None
+    series = np.stack([
+        np.bincount(place, residuals.residual[near, k]) / np.maximum(count, 1) for k in range(3)
+    ], axis=1)  # fmt: skip
+    series -= sum(series) / len(series)
+    length = 1 << int(np.ceil(np.log2(8 * len(series))))
+    frequency = np.asarray(np.fft.rfftfreq(length, step), np.float64)
+    use = (frequency >= 2.0 / WOKEN) & (frequency < 0.45 / step)
+    if not use.any():
+        return None
+    power = np.abs(np.fft.rfft(series * np.sqrt(count)[:, None], length, axis=0)[use]) ** 2
+    total = sum(_over_level(power[:, k], frequency[use]) for k in range(3))
+    best = int(np.argmax(total))
+    score = _improbability(float(np.asarray(total)[best]), 3, len(power))
+    return float(frequency[use][best]), score
+
+
 def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     """Find the strongest line over the position of one axis."""
     k = residuals.state.machine.axis_names.index(axis)
@@ -127,6 +162,11 @@ def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
     return float(1.0 / number[use][best]), score
 
 
+def _around(peak: Peak | None) -> list[Peak]:
+    """A broad peak, as of what dies out, and places beside it."""
+    return [] if peak is None else [(peak[0] * (1.0 + k * BESIDE), peak[1]) for k in (0, -1, 1)]
+
+
 def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> list[SpectralLine]:
     """Lines that effects make, strongest first.
 
@@ -136,7 +176,7 @@ def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> li
     effects : sequence of Effect
         Those that make no lines are passed over.
     """
-    in_time = [line_in_time(residuals)]
+    in_time = [line_in_time(residuals), *_around(line_since_stop(residuals))]
     along_axes = [line_along_axis(residuals, a) for a in residuals.state.machine.axis_names]
     lines = [
         SpectralLine(effect.name, effect.wave, *peak)

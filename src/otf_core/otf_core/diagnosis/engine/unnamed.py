@@ -33,6 +33,7 @@ from otf_core.effects.inputs import (
     scaled_input,
     span_of,
 )
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -122,7 +123,7 @@ def try_structures(rows: Rows, pairs_tried: int = SCREENED) -> Structures:
     best = np.argsort(_screened(rows, scores, pairs, spans))[::-1][:pairs_tried]
     found = Structures(rows, (), float(np.log(len(alone) + len(pairs))))
     forms = (*alone, *(pairs[k] for k in best))
-    return replace(found, ranked=tuple(found.tried(form) for form in forms))
+    return replace(found, ranked=tuple(side_by_side(found.tried, forms)))
 
 
 def find_structure(tried: Structures) -> Structure | None:
