@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf plan`` writes: path.csv, plan.json, forecast.txt and the NC program.
+"""What ``otf plan`` writes: path.csv, plan.json, plan.svg, forecast.txt and the NC program.
 
 plan.json (``otf-plan/1``), SI units: machine, path, feed, dwell, what the forecast assumed, the
 forecast with its grid, findings in words, places of the tracker, and effects beyond the rigid
@@ -26,6 +26,7 @@ from otf_core.planning.forecast import Forecast
 from otf_core.planning.judged import PlanReport
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import program
+from otf_core.reports.plots.plan import write_plan_picture
 
 
 def _margin(report: PlanReport) -> float:
@@ -199,6 +200,7 @@ def write_report(
     write_csv(files[-1], 'x,y,z', np.vectorize(tidy)(report.plan.path.points))
     files.append(folder / 'forecast.txt')
     write_text(files[-1], format_report(report))
+    files.append(write_plan_picture(report, folder))
     files.append(folder / 'plan.json')
     block = about or provenance('plan', machines=[report.setup.machine])
     content = report_to_dict(report) | {'provenance': block}

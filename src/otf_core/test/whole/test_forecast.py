@@ -2,6 +2,7 @@
 """Forecast: what a calibration will show equals what it does show; said in words."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -302,7 +303,7 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
                  '--levels', '2', '--grid', '2', '--tracker-place', '-0.3,0.1,-0.1']  # fmt: skip
     assert main(arguments) == 0
     said, hints = capsys.readouterr()
-    names = ['forecast.txt', 'manifest.json', 'path.csv', 'plan.json']
+    names = ['forecast.txt', 'manifest.json', 'path.csv', 'plan.json', 'plan.svg']
     assert sorted(f.name for f in out.iterdir()) == names
     assert 'no NC program: give --dialect' in hints.splitlines()[-1]
     text = (out / 'forecast.txt').read_text()
@@ -317,6 +318,12 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
     assert {f['error'] for f in data['not_shown']} == {
         n for n, e in data['forecast']['errors'].items() if not e['identifiable']
     }
+    picture = (out / 'plan.svg').read_text(encoding='utf-8')
+    for name, entry in data['forecast']['errors'].items():
+        mean, unit = 1e6 * np.mean(entry['u']), 'µm' if entry['unit'] == 'm' else 'µrad'
+        said = f'{mean:.2f} {unit}' if entry['identifiable'] else 'not seen by this path'
+        row = re.search(rf'>{name}</text>.*?<text x="[^>]*>([^<]+)<', picture)
+        assert row[1] == said, name
     sight = {name: entry['visible'] for name, entry in data['effects'].items()}
     assert sight['backlash']
     assert not sight['tracker_scale']  # an equal slope of all axes

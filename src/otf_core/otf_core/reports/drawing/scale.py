@@ -62,7 +62,8 @@ class Scale:
             few = len(inside) <= MOST or self.high < 10.0 * self.low
             return [(v, f'{v:g}') for m, v in inside if few or m == 1.0]
         step = round_step((self.high - self.low) / self.marks)
-        if math.floor(self.high / step + 1e-9) - math.ceil(self.low / step - 1e-9) < FEWEST:
+        few = math.floor(self.high / step + 1e-9) - math.ceil(self.low / step - 1e-9) < FEWEST
+        if few and self.marks > FEWEST:
             step = round_step(0.4 * step)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         digits = max(0, -math.floor(math.log10(step) + 1e-9))
