@@ -44,7 +44,7 @@ def test_folder_without_a_question_is_refused(tmp_path, rivals, hidden, words):
 def test_faint_lag_is_told_from_play_by_a_second_feed():
     setup = Setup.of(MACHINE)
     asked = [Question('servo_mismatch', 'backlash', LAG)]
-    plan, (answer,) = plan_after(asked, setup, PlannerConfig(levels=2), None)
+    plan, (answer,), _ = plan_after(asked, setup, PlannerConfig(levels=2), None)
     assert answer.sure and len(set(plan.feed.tolist())) >= 2
     assert answer.to_dict()['probability'] > 0.99
 
