@@ -13,7 +13,7 @@ taken out of both sides.
 ratio of the standard deviation of the results to the mean standard uncertainty stated.
 
 Usage: PYTHONPATH=src/otf_core python bench/coverage.py [--machines N] [--seed S] [--smooth]
-                                                        [--same-machine]
+           [--same-machine] [--workers N | --scheduler ADDRESS] [--out DIR]
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from spread import add_options, spread
 
 from otf_core.calibration.calibrate import calibrate
 from otf_core.calibration.result import CalibrationResult
@@ -41,6 +42,7 @@ from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.reports.budget import budget_lines, expanded
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.tracker import measure, specified_noise
+from otf_core.solving.basis import linear
 from otf_core.solving.unknowns import layout
 
 Array = NDArray[np.float64]
@@ -108,7 +110,7 @@ def truth_in_gauge(case: Case) -> dict[str, Array]:
     nodes = {a: tables.motions[f'EX{a}'].position for a in machine.axis_names}
     points = np.stack(np.meshgrid(*nodes.values(), indexing='ij'), axis=-1)
     q = points.reshape(-1, 3)
-    unknowns = layout(nodes)
+    unknowns = layout({a: linear(nodes[a]) for a in machine.axes})
     rows = np.zeros((3 * len(q), unknowns.full))
     model = prediction_rows(machine, {m: nodes[m.axis] for m in MOTIONS}, q).reshape(
         3 * len(q), -1
@@ -164,21 +166,28 @@ def deviations(case: Case) -> dict[str, tuple[Array, Array, Array]]:
     return found
 
 
-def many_machines(machines: int, seed: int, smooth: bool) -> None:
+def judged(seed: int, smooth: bool) -> dict[str, tuple[float, list[float]]]:
+    """Share within U, and deviations over u, of every motion, squareness error and the grid."""
+    return {
+        name: (float(np.mean(np.abs(d) <= wide)), (np.abs(d) / u).tolist())
+        for name, (d, u, wide) in deviations(some_case(seed, smooth)).items()
+    }
+
+
+def many_machines(machines: int, seed: int, smooth: bool, given: argparse.Namespace) -> None:
     """Print the coverage per motion over many machines."""
-    inside, ratio = defaultdict(list), defaultdict(list)
     start = time.perf_counter()
-    for k in range(seed, seed + machines):
-        for name, (deviation, u, wide) in deviations(some_case(k, smooth)).items():
-            inside[name].append(np.mean(np.abs(deviation) <= wide))
-            ratio[name].append(np.abs(deviation) / u)
-    print(f'{machines} machines from seed {seed}, {"smooth" if smooth else "linear"} between '
-          f'nodes, {time.perf_counter() - start:.0f} s')  # fmt: skip
+    kind = 'smooth' if smooth else 'linear'
+    cells = {f'{kind}-{k}': {'seed': k, 'smooth': smooth} for k in range(seed, seed + machines)}
+    found = spread('coverage:judged', cells, given)
+    print(f'{len(found)} machines from seed {seed}, {kind} between nodes, '
+          f'{time.perf_counter() - start:.0f} s')  # fmt: skip
     print('            within U   +/-   |error|/u: median   rms   within 2u')
     for name in (*NAMES, 'grid'):
-        if name not in inside:
+        own = [cell[name] for cell in found.values() if name in cell]
+        if not own:
             continue
-        share, values = np.array(inside[name]), np.concatenate(ratio[name])
+        share, values = np.array([s for s, _ in own]), np.concatenate([v for _, v in own])
         scatter = share.std() / np.sqrt(len(share))
         print(f'{name:10}{100 * share.mean():9.1f} %{100 * scatter:6.1f}{np.median(values):16.2f}'
               f'{np.sqrt(np.mean(values**2)):9.2f}{100 * np.mean(values < 2):9.1f} %')  # fmt: skip
@@ -222,8 +231,9 @@ if __name__ == '__main__':
     parser.add_argument('--seed', type=int, default=50_001)
     parser.add_argument('--smooth', action='store_true')
     parser.add_argument('--same-machine', action='store_true')
+    add_options(parser)
     given = parser.parse_args()
     if given.same_machine:
         same_machine(given.machines, given.seed)
     else:
-        many_machines(given.machines, given.seed, given.smooth)
+        many_machines(given.machines, given.seed, given.smooth, given)

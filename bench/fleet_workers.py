@@ -97,10 +97,16 @@ def main() -> None:
     options.add_argument('--broken', type=int, default=5)
     options.add_argument('--bags', type=int, default=10)
     options.add_argument('--workers', default='1,2,4')
+    options.add_argument('--first', type=int, help='only so many lines of the list')
     options.add_argument('--kill', type=int, default=2, help='fleet whose run is killed once')
     given = options.parse_args()
     runs = make(given.folder.absolute(), given.runs, given.broken, given.bags)
-    print(f'{given.runs} runs, {given.broken} of them broken; {circumstances()}\n')
+    if given.first:
+        lines = runs.read_text().splitlines()[: 1 + given.first]
+        runs = runs.with_name(f'runs-{given.first}.csv')
+        runs.write_text('\n'.join(lines) + '\n')
+    broken = f'{given.broken} of {given.runs} broken'
+    print(f'{given.first or given.runs} runs, {broken}; {circumstances()}\n')
     titles = ('workers', 'done', 'failed', 'processor time per run (s)', 'wall (s)',
               'largest process (MB)', 'fleet.json')  # fmt: skip
     print(heading(titles), flush=True)
@@ -109,7 +115,7 @@ def main() -> None:
         seconds, used, memory, file = measured(runs, workers, kill=kill)
         data, digest = json.loads(file.read_text()), hashlib.sha256(file.read_bytes()).hexdigest()
         print(row((f'{workers}{", a run killed" if kill else ""}', data['done'], data['failed'],
-                   f'{used / given.runs:.2f}', f'{seconds:.0f}', f'{memory:.0f}',
+                   f'{used / (given.first or given.runs):.2f}', f'{seconds:.0f}', f'{memory:.0f}',
                    f'`{digest[:12]}`')), flush=True)  # fmt: skip
     for name, run in data['runs'].items():
         if run['exit']:

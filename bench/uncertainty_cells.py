@@ -13,6 +13,7 @@ are marked with *.
 
 Usage: PYTHONPATH=src/otf_core python bench/uncertainty_cells.py [--seeds N] [--first-seed S]
            [--forms A,B] [--only WORD,WORD] [--chains C,D] [--path NAME]
+           [--workers N | --scheduler ADDRESS] [--out DIR]
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 import argparse
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'src/otf_core/test'))
@@ -33,6 +34,7 @@ import numpy as np
 from markdown import heading, row, texts
 from nature import Cell, Extra, Judgement, judge
 from nature_tracker import Noise
+from spread import add_options, spread
 
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.errors import OtfError
@@ -91,8 +93,9 @@ def conditions():
     return found
 
 
-def run(condition, form, chain, seed, path):
-    """Calibrate one cell and judge it; None where it is refused."""
+def judged(row, form, chain, seed, path):
+    """Calibrate one cell and judge it, as plain data; None where it is refused."""
+    condition = conditions()[row]
     cell = Cell(
         seed,
         chain,
@@ -109,7 +112,7 @@ def run(condition, form, chain, seed, path):
     except OtfError as error:
         print(f'{condition.name}, {form}, {chain}, seed {seed}: {error}', file=sys.stderr)
         return None
-    return judge(cell, result.tables, result.covariance)
+    return {k: float(v) for k, v in asdict(judge(cell, result.tables, result.covariance)).items()}
 
 
 def cells_of(judged: list[Judgement | None]):
@@ -138,17 +141,26 @@ def main(given):
     )
     print(heading(TITLES))
     begin, total, off = time.perf_counter(), 0, 0
-    for form in given.forms:
-        for condition in conditions():
-            if given.only and not any(word in condition.name for word in given.only):
-                continue
-            judged = []
-            for seed in range(given.first_seed, given.first_seed + given.seeds):
-                chain = given.chains[seed % len(given.chains)]
-                judged.append(run(condition, form, chain, seed, given.path))
-            cells = cells_of(judged)
-            total, off = total + 1, off + ('*' in cells[-1])
-            print(row([f'{form}, {condition.name}', *cells]), flush=True)
+    rows = [
+        (form, k, condition)
+        for form in given.forms
+        for k, condition in enumerate(conditions())
+        if not given.only or any(word in condition.name for word in given.only)
+    ]
+    seeds = range(given.first_seed, given.first_seed + given.seeds)
+    cells = {
+        f'{form}-{k}-{seed}': {
+            'row': k, 'form': form, 'chain': given.chains[seed % len(given.chains)],
+            'seed': seed, 'path': given.path,
+        }
+        for form, k, _ in rows for seed in seeds
+    }  # fmt: skip
+    found = spread('uncertainty_cells:judged', cells, given)
+    for form, k, condition in rows:
+        own = (found.get(f'{form}-{k}-{seed}') for seed in seeds)
+        columns = cells_of([None if v is None else Judgement(**v) for v in own])
+        total, off = total + 1, off + ('*' in columns[-1])
+        print(row([f'{form}, {condition.name}', *columns]), flush=True)
     seconds = time.perf_counter() - begin
     print(f'\n{total - off} of {total} rows within what is asked for; {seconds:.0f} s')
 
@@ -161,4 +173,5 @@ if __name__ == '__main__':
     parser.add_argument('--chains', type=texts, default=CHAINS)
     parser.add_argument('--only', type=texts, default=(), help='rows whose name holds a word')
     parser.add_argument('--path', choices=('default', 'short', 'tour'), default='default')
+    add_options(parser)
     main(parser.parse_args())

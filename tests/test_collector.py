@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a run begins and ends, whatever order samples and status arrive in."""
 
+import time
+
 import numpy as np
 import pytest
 
 from otf_calibrator.collector import LATE, Collector
 from otf_calibrator.losses import SequenceWatch
+from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.session import Session
 from otf_core.config import CalibrationConfig
 from otf_core.model.path import NominalPath
 
@@ -50,6 +54,43 @@ def test_missing_samples_are_waited_for_and_then_counted_as_lost(collector):
     assert not complete(collector, now=5.0 + 0.9 * LATE)
     assert complete(collector, now=5.0 + 1.1 * LATE)
     assert collector.lost == 10
+
+
+def test_samples_on_their_way_are_waited_for_when_a_calibration_is_asked_for(collector):
+    announce(collector, 'a', 0, 'STREAMING')
+    add(collector, 90)
+    assert collector.on_the_way(0.01, 0.01)  # of a stream: as long as transport takes
+    assert not collector.on_the_way(0.2, 0.01)
+    announce(collector, 'a', 100, 'FINISHED', now=0.02)
+    assert collector.on_the_way(0.9 * LATE, 0.03)
+    assert not collector.on_the_way(1.1 * LATE, 0.03)
+    add(collector, 10, start=90)
+    assert not collector.on_the_way(0.04, 0.03)
+
+
+def test_calibration_that_is_asked_for_has_the_last_samples():
+    config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
+    session = Session(lambda: config, lambda text: None)
+    session.collector.set_path(PATH)
+    now = time.monotonic()
+    announce(session.collector, 'a', 0, 'STREAMING', now)
+    add(session.collector, 90, now=now)
+    announce(session.collector, 'a', 100, 'FINISHED', now)
+    assert session.calibrate()[0] and session.busy
+    assert session.due() == '' and not session.calibrate()[0]
+    add(session.collector, 10, start=90, now=now)
+    assert session.due() == 'calibration of 100 samples started: requested'
+    session.close()
+
+
+def test_samples_of_another_machines_run_are_set_aside_and_no_others(collector):
+    add(collector, 100)
+    assert collector.of_another(-1, 'before') is None and len(collector.buffer) == 100
+    rest = collector.of_another(69 * 2_000_000, 'of the run along /left/planner/path')
+    assert len(rest) == len(collector.buffer) == 30 and rest.stamp_ns[0] == 70 * 2_000_000
+    assert collector.travelled == pytest.approx(0.029) and not collector.remarks
+    collector.taken = True
+    assert collector.of_another(10**12, 'ours is calibrated') is None
 
 
 @pytest.mark.parametrize('status_first', [True, False])

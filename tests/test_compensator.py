@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import policies
 import pytest
 from cells import ERROR_SIZE
 from geometry_msgs.msg import Point, PointStamped
@@ -50,6 +51,7 @@ def test_service_answers_what_to_command(graph, truth, tmp_path):
     request = Compensate.Request(wanted=[Point(x=x, y=y, z=z) for x, y, z in wanted.tolist()])
     answer = graph.call(Compensate, 'compensator/compensate', request)
     assert answer.success and not answer.message
+    policies.check(graph.ear(), 'compensator')
     found = answer.compensations
     np.testing.assert_array_equal(array(c.wanted for c in found), wanted)
     reached = exact_position(truth, array(c.corrected for c in found))

@@ -20,6 +20,53 @@ from otf_core.model.volume import VolumeErrors
 from otf_msgs.msg import CalibrationResult, CalibratorState
 
 MARKERS = 'visualization_msgs/msg/MarkerArray'
+VECTOR = {'X', 'Y', 'Z'}
+RVIZ = {
+    'Displays': {'Class', 'Name', 'Property Tree Widget'},
+    'Views': {'Class', 'Current', 'Name', 'Saved'},
+    'Grid': {'Alpha', 'Cell Size', 'Color', 'Line Style', 'Normal Cell Count', 'Offset', 'Plane',
+             'Plane Cell Count', 'Reference Frame'},
+    'Axes': {'Length', 'Radius', 'Reference Frame'},
+    'TF': {'All Enabled', 'Frame Timeout', 'Frames', 'Marker Scale', 'Show Arrows', 'Show Axes',
+           'Show Names', 'Tree', 'Update Interval'},
+    'MarkerArray': {'Namespaces', 'Topic'},
+    'Orbit': {'Distance', 'Enable Stereo Rendering', 'Focal Point', 'Focal Shape Fixed Size',
+              'Focal Shape Size', 'Invert Z Axis', 'Name', 'Near Clip Distance', 'Pitch',
+              'Target Frame', 'Value', 'Yaw'},
+    'Measure': {'Line color'},
+    'Line Style': {'Line Width', 'Value'},
+    'Topic': {'Depth', 'Durability Policy', 'Filter size', 'History Policy',
+              'Reliability Policy', 'Value'},
+    'Global Options': {'Background Color', 'Fixed Frame', 'Frame Rate'},
+    'Offset': VECTOR,
+    'Focal Point': VECTOR,
+}  # fmt: skip
+"""Names of properties in rviz_common and rviz_default_plugins, branch jazzy of ros2/rviz."""
+FOXGLOVE = {
+    '3D': {'cameraState', 'followMode', 'followTf', 'layers', 'scene', 'topics', 'transforms'},
+    'Indicator': {'fallbackColor', 'fallbackLabel', 'path', 'rules', 'style'},
+    'Gauge': {'colorMap', 'colorMode', 'gradient', 'maxValue', 'minValue', 'path', 'reverse'},
+    'Plot': {'isSynced', 'legendDisplay', 'minYValue', 'paths', 'showLegend',
+             'showPlotValuesInLegend', 'showXAxisLabels', 'showYAxisLabels', 'sidebarDimension',
+             'xAxisVal'},
+    'RawMessages': {'diffEnabled', 'diffMethod', 'diffTopicPath', 'showFullMessageForDiff',
+                    'topicPath'},
+}  # fmt: skip
+"""Keys of panels in foxglove.layouts of foxglove-sdk (August 2026), those used here."""
+SERIES = {'value', 'enabled', 'timestampMethod', 'label', 'color', 'showLine'}
+OPTIONS = ('use_header_stamp', 'discard_large_arrays', 'max_array_size',
+           'boolean_strings_to_number', 'remove_suffix_from_strings',
+           'selected_topics')  # fmt: skip
+PLOTJUGGLER = {
+    'root': set(), 'tabbed_widget': {'name', 'parent'}, 'Tab': {'tab_name', 'containers'},
+    'Container': set(), 'DockSplitter': {'orientation', 'count', 'sizes'}, 'DockArea': {'name'},
+    'plot': {'style', 'mode', 'flip_x', 'flip_y'}, 'range': {'left', 'right', 'top', 'bottom'},
+    'limitY': {'min', 'max'}, 'curve': {'name', 'color'}, 'currentTabIndex': {'index'},
+    'use_relative_time_offset': {'enabled'}, 'Plugins': set(), 'plugin': {'ID'},
+    'previouslyLoaded_Streamer': {'name'}, 'customMathEquations': set(), 'snippets': set(),
+    **{name: {'value'} for name in OPTIONS},
+}  # fmt: skip
+"""Elements and attributes that PlotJuggler 3.17 and its ROS plugins read."""
 
 
 @pytest.fixture(scope='module')
@@ -84,6 +131,34 @@ def plotjuggler_topics(layouts):
     areas = splitter.findall('DockArea')
     assert int(splitter.get('count')) == len(areas) == len(splitter.get('sizes').split(';'))
     return topics
+
+
+def classes(node):
+    """Parts of an RViz configuration that name their class, with the keys that it may have."""
+    for name, value in node.items():
+        if isinstance(value, dict) and name in RVIZ:
+            yield name, set(value), RVIZ[name]
+    if node.get('Class'):
+        kind = node['Class'].rpartition('/')[2]
+        common = {'Class', 'Name', 'Enabled', 'Value'}
+        yield kind, set(node), RVIZ.get(kind, set()) | common
+    for value in node.values():
+        for child in value if isinstance(value, list) else [value]:
+            if isinstance(child, dict):
+                yield from classes(child)
+
+
+def test_layouts_hold_only_keys_that_their_programs_read(layouts):
+    content = yaml.safe_load((layouts / 'otf.rviz').read_text())
+    found = [(name, used - known) for name, used, known in classes(content)]
+    assert {'Grid', 'Axes', 'MarkerArray', 'TF', 'Orbit', 'Topic'} <= {name for name, _ in found}
+    assert [entry for entry in found if entry[1]] == []
+    for name, config in json.loads((layouts / 'foxglove.json').read_text())['configById'].items():
+        kind = name.partition('!')[0]
+        assert set(config) - {'foxglovePanelTitle'} <= FOXGLOVE[kind], name
+        assert all(set(series) <= SERIES for series in config.get('paths', ()))
+    for element in ET.parse(layouts / 'plotjuggler.xml').getroot().iter():
+        assert set(element.attrib) <= PLOTJUGGLER[element.tag], element.tag
 
 
 def test_every_topic_of_the_layouts_is_there_with_its_type(graph, machine_file, layouts):

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planner, simulated tracker and calibrator together, against the known errors of the machine."""
 
-from pathlib import Path
+from pathlib import Path as FilePath
 
 from cells import FAST, SHORT, share_left, write_truth
 from geometry_msgs.msg import TransformStamped
 from graph import offline, without_date
+from nav_msgs.msg import Path
 
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import load_tables
-from otf_msgs.msg import ErrorTable
+from otf_msgs.msg import ErrorTable, TrackerStatus
 from otf_ros import qos
 
 
@@ -28,7 +29,7 @@ def test_finds_the_true_errors_and_every_reader_gets_the_tables(graph, machine_f
     status = graph.wait_for_status('FINISHED')
     assert status.samples_published == status.samples_expected > 10_000
     assert result.samples_lost == 0
-    folder = Path(result.output_directory)
+    folder = FilePath(result.output_directory)
     assert share_left(folder / 'error_tables.json', truth) < 0.03
     assert (tmp_path / 'out' / 'latest').resolve() == folder
 
@@ -76,7 +77,7 @@ def test_calibrates_again_without_restart(graph, machine_file, tmp_path):
     assert second.run_id != first.run_id
     for result, truth in zip((first, second), truths, strict=True):
         assert result.samples_lost == 0
-        assert share_left(Path(result.output_directory) / 'error_tables.json', truth) < 0.03
+        assert share_left(FilePath(result.output_directory) / 'error_tables.json', truth) < 0.03
 
 
 def test_standstill_at_the_end_point_ends_a_run_whose_stream_goes_on(
@@ -88,23 +89,32 @@ def test_standstill_at_the_end_point_ends_a_run_whose_stream_goes_on(
     graph.start('tracker_driver', machine_file=machine_file, **FAST)
     result, state = graph.wait_for_result()
     assert result.status == result.OK, state.message
-    folder = Path(result.output_directory)
+    folder = FilePath(result.output_directory)
     graph.wait((folder / 'samples').exists, 'the bag of the samples')
     again = offline(folder / 'samples', machine_file, tmp_path / 'offline')
     assert again == without_date((folder / 'error_tables.json').read_bytes())
 
 
-def test_standstill_method_uses_the_stops(graph, machine_file, tmp_path):
+def test_standstill_method_uses_the_stops_and_frames_are_called_as_the_graph_wants(
+    graph, machine_file, tmp_path
+):
+    frames = {'machine_frame': 'left/machine', 'tracker_frame': 'leica'}
     truth = write_truth(tmp_path, machine_file)
     stops = {'corner_dwell': 2.0, 'feed': 1.0}
-    graph.start('path_planner', machine_file=machine_file, **SHORT, **stops)
-    given = {'machine_file': machine_file, 'output_directory': tmp_path / 'out'}
-    graph.start('calibrator', **given, method='standstill')
-    simulated = {'simulated.truth_tables': truth, **FAST}
-    graph.start('tracker_driver', machine_file=machine_file, **simulated)
+    given = {'machine_file': machine_file, **frames}
+    alignment = graph.listen(TransformStamped, 'calibrator/alignment', qos.RESULT)
+    paths = graph.listen(Path, 'planner/path', qos.PATH)
+    statuses = graph.listen(TrackerStatus, 'tracker/status')
+    graph.start('path_planner', **given, **SHORT, **stops)
+    graph.start('calibrator', **given, output_directory=tmp_path / 'out', method='standstill')
+    graph.start('tracker_driver', **given, **{'simulated.truth_tables': truth, **FAST})
     result, state = graph.wait_for_result()
+    graph.wait(lambda: alignment and paths, 'alignment and path')
+    names = alignment[-1].header.frame_id, alignment[-1].child_frame_id
+    assert names == ('left/machine', 'leica') and paths[-1].header.frame_id == 'left/machine'
+    assert statuses[-1].header.frame_id == 'leica'
     assert (result.method, state.name) == ('standstill', 'DONE'), state.message
-    folder = Path(result.output_directory)
+    folder = FilePath(result.output_directory)
     graph.wait((folder / 'samples').exists, 'the bag of the samples')
     again = offline(folder / 'samples', machine_file, tmp_path / 'offline', '--method=standstill')
     assert again == without_date((folder / 'error_tables.json').read_bytes())

@@ -9,6 +9,7 @@ import urllib.request
 from pathlib import Path as FilePath
 
 import numpy as np
+import policies
 from action_msgs.msg import GoalStatus
 from caller import Caller
 from cells import ERROR_SIZE, FAST, write_truth
@@ -129,6 +130,8 @@ def test_run_is_shown_while_it_is_driven_and_afterwards(graph, machine_file, tmp
     halfway = reader.latest()
     published = graph.wait_for_status('FINISHED').samples_published
     graph.wait(lambda: states[-1].samples == published, 'the last samples')
+    for node in ('path_planner', 'tracker_driver', 'calibrator', 'viewer', 'page'):
+        policies.check(graph.ear(), node)
     caller = Caller(graph)
     ended = caller.outcome(caller.send())
     caller.close()

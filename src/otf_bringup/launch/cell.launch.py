@@ -40,6 +40,8 @@ ARGUMENTS = [
     ('diagnose', 'false', 'diagnose every run after its calibration'),
     ('view', 'false', 'show the run: markers, numbers for plots, a page for the browser'),
     ('use_sim_time', 'false', 'stamps of states and results by /clock'),
+    ('machine_frame', 'machine', 'frame_id of path, tables and positions'),
+    ('tracker_frame', 'tracker', 'frame_id of the samples'),
     ('respawn', 'false', 'start a node again that has died; else its end is the end of all'),
     ('nodes', 'path_planner,calibrator,tracker_driver', 'which nodes to start'),
     ('tracker', '', 'namespace of the tracker, if not that of the cell'),
@@ -129,7 +131,7 @@ def rate(given):
 
 def elsewhere(given):
     """Return remappings of what comes from other namespaces; tf stays within the cell."""
-    names = {'tracker': ('point', 'status', 'gap'), 'planner': ('path', 'plan')}
+    names = {'tracker': ('point', 'status', 'gap', 'calibrated'), 'planner': ('path', 'plan')}
     return [
         *([('/tf_static', 'tf_static')] if given['namespace'] else []),
         *(
@@ -151,7 +153,7 @@ def parameter(text, kind):
 
 def node(name, given, taken, own):
     """Return a node that takes parameters from the launch arguments of the same names."""
-    taken = [*taken, 'use_sim_time']
+    taken = [*taken, 'use_sim_time', 'machine_frame', 'tracker_frame']
     parameters = {key: parameter(given[key], KINDS.get(key, str)) for key in taken}
     respawn = given['respawn'].lower() == 'true'
     return Node(
@@ -161,6 +163,7 @@ def node(name, given, taken, own):
         namespace=LaunchConfiguration('namespace'),
         parameters=[LaunchConfiguration('params_file'), {**parameters, **own}],
         remappings=elsewhere(given),
+        ros_arguments=['--enclave', f'/otf/{name}'],
         output='screen',
         emulate_tty=True,
         respawn=respawn,

@@ -21,5 +21,6 @@ def generate_launch_description():
             name='compensator',
             namespace=LaunchConfiguration('namespace'),
             parameters=[{'tables_file': LaunchConfiguration('tables_file')}],
+            ros_arguments=['--enclave', '/otf/compensator'],
         ),
     ])  # fmt: skip

@@ -16,17 +16,18 @@ from otf_calibrator.params import CalibratorConfig
 from otf_compensator.params import CompensatorConfig
 from otf_core.config import CalibrationConfig, ParameterInfo, Parameters, PlannerConfig
 from otf_path_planner.params import PlannerFiles
+from otf_ros.frames import FramesConfig
 from otf_tracker_driver.backends import BACKENDS, CommonConfig
 from otf_tracker_driver.params import DriverConfig
 from otf_view.params import PageConfig, ViewerConfig
 
 NODES: dict[str, tuple[type[Parameters], ...]] = {
-    'path_planner': (PlannerFiles, PlannerConfig),
-    'tracker_driver': (DriverConfig, CommonConfig),
-    'calibrator': (CalibratorConfig, CalibrationConfig),
-    'viewer': (ViewerConfig,),
-    'page': (PageConfig,),
-    'compensator': (CompensatorConfig,),
+    'path_planner': (PlannerFiles, PlannerConfig, FramesConfig),
+    'tracker_driver': (DriverConfig, CommonConfig, FramesConfig),
+    'calibrator': (CalibratorConfig, CalibrationConfig, FramesConfig),
+    'viewer': (ViewerConfig, FramesConfig),
+    'page': (PageConfig, FramesConfig),
+    'compensator': (CompensatorConfig, FramesConfig),
 }
 NAMED: dict[str, dict[str, type[Parameters]]] = {
     'tracker_driver': {name: backend.parameters for name, backend in BACKENDS.items()},

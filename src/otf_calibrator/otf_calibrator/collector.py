@@ -27,6 +27,8 @@ SAME_RUN_NS = 600_000_000_000
 """ns; a driver that was started again so much later does not go on with the run."""
 LATE = 2.0
 """s; samples that have not arrived so long after the end of their stream are lost."""
+UNDER_WAY = 0.1
+"""s; what was published before a request has arrived so long after it."""
 MOTION = 0.01
 """m; travelled by less, the target has not been driven yet."""
 MOVED = 5
@@ -147,6 +149,14 @@ class Collector:
         """Tell whether more samples of the run are on their way."""
         return not self.taken and not self._stream.ended and now - self._heard < LATE
 
+    def on_the_way(self, now: float, since: float) -> bool:
+        """Tell whether samples that were measured until ``since`` may still arrive."""
+        if self.taken:
+            return False
+        if self._stream.ended:
+            return not self._stream.over(now)
+        return self._heard > since - UNDER_WAY and now - since < UNDER_WAY
+
     def set_path(self, path: NominalPath) -> bool:
         """Take a path; samples that came before the first are kept. False if it is the same."""
         if self.path is not None and _same(path, self.path):
@@ -156,6 +166,21 @@ class Collector:
         self.path = path
         self._watch()
         return True
+
+    def of_another(self, until_ns: int, why: str) -> Samples | None:
+        """Set samples up to a stamp aside; return those that stay, None if nothing is changed."""
+        samples = self.buffer.snapshot()
+        if self.taken or not len(samples) or samples.stamp_ns[0] > until_ns:
+            return None
+        rest = samples.part(
+            int(np.searchsorted(samples.stamp_ns, until_ns, 'right')), len(samples)
+        )
+        self._next_run(why)
+        self.remarks.clear()  # nothing of this machine's was set aside
+        for stamp_ns, (x, y, z) in zip(rest.stamp_ns.tolist(), rest.xyz.tolist(), strict=True):
+            self.buffer.append(stamp_ns, x, y, z)
+        self._watch()
+        return rest
 
     def reset(self) -> None:
         """Forget the samples; a stream that the driver has told of goes on."""

@@ -123,6 +123,14 @@ class Intake:
             place = f'; they are in {folder}' if folder else ''
             self._warn(f'{len(collector.buffer)} samples set aside, {why}{place}')
 
+    def of_another(self, until_ns: int, why: str) -> None:
+        """Set samples up to a stamp aside: they were of another machine's run."""
+        rest = self._collector.of_another(until_ns, why)
+        if rest is not None and len(rest):
+            self._collector.screening.good(rest.stamp_ns, rest.xyz)
+            if self.journal:
+                self.journal.points(rest.stamp_ns, rest.xyz, POINT.frame)
+
     def settle(self, request: Request, results: Path | None) -> None:
         """Say in the journal that a run was calibrated; one that goes on stays as it is."""
         if self.journal and request.journal and request.final:

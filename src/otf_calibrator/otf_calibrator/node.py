@@ -59,7 +59,7 @@ class Calibrator(Node):
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
-        self._results = ResultPublishers(self)
+        self._results = ResultPublishers(self, self._session.intake)
         self.create_subscription(Path, PATH, self._on_path, qos.PATH)
         self.create_subscription(TrackerStatus, STATUS, self._on_status, qos.STATUS)
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
@@ -85,7 +85,7 @@ class Calibrator(Node):
         except OtfError as error:
             self.get_logger().error(f'planner/path ignored: {error}')
             return
-        if self._session.intake.path(path, serialize_message(message)):
+        if self._session.intake.path(path, serialize_message(convert.path_for_journal(message))):
             kept, points = len(self._session.collector.buffer), len(message.poses)
             self.get_logger().info(f'new path of {points} points, for {kept} samples so far')
 
@@ -102,8 +102,8 @@ class Calibrator(Node):
             self._finish(job)
         if outcome := self._session.saved():
             self._done(outcome)
-        if reason := self._session.complete():
-            self.get_logger().info(self._session.start(reason))
+        if started := self._session.due():
+            self.get_logger().info(started)
         if early := self._session.look_ahead():
             method = self._read_settings()[0].method
             self.get_logger().info(self._results.publish_provisional(early, method))

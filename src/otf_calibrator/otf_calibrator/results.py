@@ -11,8 +11,10 @@ from rclpy.node import Node
 
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
+from otf_calibrator.intake import Intake
 from otf_calibrator.job import Calibrated
 from otf_calibrator.session import Ahead
+from otf_calibrator.shared_tracker import SharedTracker
 from otf_core.calibration.first_sight import FirstSight
 from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.volume import volume_errors
@@ -38,8 +40,9 @@ class ResultPublishers:
         The result that was published last.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, intake: Intake) -> None:
         self._clock = node.get_clock()
+        self._shared = SharedTracker(node, intake)
         self.latest: ResultMessage | None = None
         self._tables = {
             name: node.create_publisher(ErrorTable, f'calibrator/error_table/{name}', qos.RESULT)
@@ -72,6 +75,7 @@ class ResultPublishers:
         warnings.append(f'{lost} samples were lost on the way' if lost else '')
         message.warnings = [text for text in warnings if text]
         self._tell(message)
+        self._shared.tell(outcome)
         return list(message.warnings)
 
     def publish_provisional(self, job: Future[Ahead], method: str) -> str:

@@ -60,11 +60,12 @@ class Session:
         self.diagnosis: DiagnosisJob | None = None
         self._last: Calibrated | None = None
         self._asked = (-1, 0)
+        self._waits_since: float | None = None
 
     @property
     def busy(self) -> bool:
-        """True while a calibration is under way or its samples are saved."""
-        return self._job is not None or self._saving is not None
+        """True from when a calibration is asked for until its samples are saved."""
+        return bool(self._job or self._saving) or self._waits_since is not None
 
     @property
     def answered(self) -> bool:
@@ -78,7 +79,8 @@ class Session:
     def calibrate(self) -> tuple[bool, str]:
         """Calibrate the samples so far; tell whether that has started, or what to do first.
 
-        The run goes on with what comes after, unless it was over.
+        The run goes on with what comes after, unless it was over. Samples on their way are waited
+        for.
         """
         if self.busy:
             return False, 'a calibration is under way; wait for DONE or FAILED on calibrator/state'
@@ -86,12 +88,31 @@ class Session:
             return False, 'no path yet: start the path planner or publish planner/path'
         if not len(self.collector.buffer):
             return False, 'no samples yet: activate the tracker driver and drive the path'
+        if self.collector.on_the_way(now := time.monotonic(), now):
+            self._waits_since = now
+            return (
+                True,
+                'calibration starts at once; follow calibrator/state',
+            )
+        return True, self._start_asked() + '; follow calibrator/state'
+
+    def due(self) -> str:
+        """Start what was asked for, or a run that is complete; say what, empty if nothing."""
+        since = self._waits_since
+        if since is None:
+            reason = self.complete()
+            return self.start(reason) if reason else ''
+        if self.collector.on_the_way(time.monotonic(), since):
+            return ''
+        self._waits_since = None
+        return self._start_asked()
+
+    def _start_asked(self) -> str:
         self._asked = self._present
         if self.collector.ended:
-            return True, self.start('requested') + '; follow calibrator/state'
+            return self.start('requested')
         goes_on = self.collector.goes_on(time.monotonic())
-        started = self._start('requested', final=False, remarks=(INTERIM,) if goes_on else ())
-        return True, started + '; follow calibrator/state'
+        return self._start('requested', final=False, remarks=(INTERIM,) if goes_on else ())
 
     def start(self, reason: str) -> str:
         """Calibrate the samples of a complete run; return what was started."""

@@ -13,8 +13,7 @@ from otf_core.errors import OtfError
 from otf_core.threads import one_thread
 from otf_msgs.msg import Compensation
 from otf_msgs.srv import Compensate
-from otf_ros import app, qos, services
-from otf_ros.convert import MACHINE_FRAME
+from otf_ros import app, frames, qos, services
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
 
@@ -58,11 +57,11 @@ class Compensator(Node):
         return True, self._tables.words
 
     def _on_wanted(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
-        own = [m for m in messages if m.header.frame_id == MACHINE_FRAME]
+        own = [m for m in messages if m.header.frame_id == frames.machine()]
         if len(own) < len(messages):
-            frames = {m.header.frame_id for m in messages} - {MACHINE_FRAME}
-            named = ', '.join(map(repr, sorted(frames)))
-            self._refused(f'frame_id is {named}, expected {MACHINE_FRAME!r}')
+            others = {m.header.frame_id for m in messages} - {frames.machine()}
+            named = ', '.join(map(repr, sorted(others)))
+            self._refused(f'frame_id is {named}, expected {frames.machine()!r}')
         if not own:
             return
         try:
@@ -81,7 +80,7 @@ class Compensator(Node):
     def _on_request(
         self, request: Compensate.Request, response: Compensate.Response
     ) -> Compensate.Response:
-        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=MACHINE_FRAME)
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=frames.machine())
         points = [_tuple(p) for p in request.wanted]
         try:
             response.message = '; '.join(self._tables.notes(points))

@@ -11,7 +11,7 @@ from otf_core.blind.natures import OUTSIDE
 from otf_core.blind.outcome import outcome
 from otf_core.blind.publish import Measured, fragment
 from otf_core.blind.recovery import parameter_deviations
-from otf_core.blind.score import stated, summary
+from otf_core.blind.score import sizes, stated, summary
 from otf_core.blind.seal import KEY, SEAL, open_key
 from otf_core.blind.table import criteria
 from otf_core.errors import InputError
@@ -219,3 +219,11 @@ def test_a_cause_that_follows_a_signal_is_judged_by_the_signal_too():
     scored = outcome(entry(hidden, kind='signal'), said)
     assert (scored.follows, scored.result) == (True, 'right')
     assert outcome(entry(part('backlash')), said).follows is None
+
+
+def test_simulated_residual_is_compared_with_that_of_the_truth():
+    said = {**answer(verdict='none'), 'gap': {'simulated_um': 1.1, 'simulated_u_um': 0.04}}
+    scored = outcome({**entry(), 'simulated_um': 1.0}, said)
+    assert scored.simulated_off == pytest.approx(2.5)
+    rows = {r.name: r for r in sizes([], [scored])}
+    assert rows['simulated residual within 2 u of the truth'][1:] == (0, 1)

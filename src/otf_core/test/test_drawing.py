@@ -13,7 +13,7 @@ from otf_core.reports.drawing.panel import Panel, arrow_path
 from otf_core.reports.drawing.scale import Scale, around, decades
 from otf_core.reports.drawing.scene import Label, Strokes, box, scene
 from otf_core.reports.drawing.sheet import write_sheet
-from otf_core.reports.drawing.style import STYLE
+from otf_core.reports.drawing.style import MARKS, STYLE
 from otf_core.reports.drawing.typography import text, typeset
 
 
@@ -119,3 +119,33 @@ def test_text_is_set_as_metrologists_write_it():
         '2026-11-22, --method otf, w-Y-b-X-Z-t, 1e-05, aluminum'
     )
     assert text('<b>"&') == '&lt;b&gt;&quot;&amp;'
+
+
+def luminance(colour):
+    """Relative luminance after WCAG 2.2."""
+    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize('dark', [False, True])
+def test_words_and_marks_stand_out_from_the_paper(dark):
+    begin = MARKS.index('@media')
+    base = re.sub(r'@media[^{]*\{(?:[^{}]*\{[^{}]*\})+ *\}', '', MARKS)
+    theme = ' '.join(re.findall(r'@media[^{]*\{((?:[^{}]*\{[^{}]*\})+) *\}', MARKS))
+    assert begin and theme and '@media' not in base
+    colours = {}
+    for css in (base, theme) if dark else (base,):
+        colours |= dict(re.findall(r'--([a-z]+\d?): (#\w{6})', css))
+        colours |= dict(re.findall(r'\.([sh]\d) \{ --s: (#\w{6})', css))
+
+    def contrast(name):
+        pair = sorted((luminance(colours[name]), luminance(colours['paper'])))
+        return (pair[1] + 0.05) / (pair[0] + 0.05)
+
+    marks = ['before', 'after', 'noise', 'x', 'y', 'z', *(f's{k}' for k in range(10))]
+    marks += [f'h{k}' for k in range(6)] if dark else ['h3', 'h4', 'h5']  # small errors are faint
+    assert {
+        n: contrast(n) for n in ('ink', 'soft', 'good', 'bad', 'open') if contrast(n) < 4.5
+    } == {}
+    assert {n: contrast(n) for n in marks if contrast(n) < 3} == {}

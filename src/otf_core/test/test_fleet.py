@@ -57,7 +57,8 @@ else:
     if cell == '003':
         sys.exit('no such chain')
     (pathlib.Path(order['folder']) / 'cells' / cell / 'bag').mkdir(parents=True, exist_ok=True)
-    noise = {'effect': 'tracker_noise', 'size_um': 1.0, 'raw_um': 1.0, 'snr': 9.0}
+    noise = {'effect': 'tracker_noise', 'names': ['tracker_noise'], 'size_um': 1.0, 'raw_um': 1.0,
+             'snr': 9.0, 'depends': {'groups': [], 'besides': []}, 'parameters': {}}
     found = {'cell': cell, 'seed': order['seed'], 'kind': order['kind'], 'bends_um': 0.0,
              'parts': [] if order['kind'] == 'none' else [noise], 'heavy_tails': False}
 pathlib.Path(out).mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,7 @@ from otf_core.files.writing import write_text
 
 ROOT = Path(otf_core.__file__).parent
 POSIX_ONLY = {'fcntl', 'pwd', 'grp', 'resource', 'termios', 'tty', 'pty', 'syslog'}
-LINUX = ('bags/journal.py', 'loop/control.py')
+LINUX = ('bags/journal.py', 'loop/control.py', 'loop/offsets.py', 'loop/operate.py')
 """Of the nodes, and of a control that runs on Linux only."""
 POSIX_CALLS = {'fork', 'getuid', 'geteuid', 'getgid', 'killpg', 'chown', 'mkfifo', 'madvise'}
 GUARDED = {'madvise', 'geteuid'}
@@ -53,6 +53,36 @@ def test_no_function_is_called_that_other_systems_lack():
         for _, name in calls(tree):
             guarded = name in GUARDED and 'hasattr(' in TEXTS[file]
             assert name not in POSIX_CALLS or guarded, file
+
+
+ELSEWHERE = """
+import importlib, os, signal, sys
+import numpy, scipy.linalg, scipy.special, scipy.sparse.linalg, scipy.optimize, scipy.signal
+import scipy.stats, subprocess, tempfile, multiprocessing, asyncio, mcap.reader, rosbags.highlevel
+sys.modules.update(dict.fromkeys(sys.argv[1].split()))
+for name in 'fork getuid geteuid killpg wait4 chown mkfifo nice uname sysconf statvfs'.split():
+    delattr(os, name)
+for name in 'SIGKILL SIGHUP SIGALRM SIGQUIT pause alarm'.split():
+    delattr(signal, name)
+for module in sys.argv[2].split():
+    importlib.import_module(module)
+from otf_core.cli import main
+sys.exit(main(sys.argv[3:]))
+"""
+"""Imports modules and runs a command where the packages are there and POSIX is not."""
+
+
+def test_all_but_journal_and_linuxcnc_is_imported_without_posix(tmp_path):
+    parts = [f.relative_to(ROOT.parent).with_suffix('').parts for f in TREES]
+    modules = ['.'.join(p).removesuffix('.__init__') for p in parts if p[-1] != '__main__']
+    assert len(modules) > 400
+    machine = ROOT.parents[2] / 'bags/y-carries-the-table/machine.yaml'
+    command = [sys.executable, '-c', ELSEWHERE, ' '.join(POSIX_ONLY), ' '.join(modules)]
+    command += ['loop', '--machine', str(machine), '--out', str(tmp_path / 'out')]
+    env = {**os.environ, 'PATH': ''}  # no LinuxCNC either
+    done = subprocess.run(command, capture_output=True, text=True, env=env, check=False)
+    assert (done.returncode, done.stdout) == (2, '') and 'Traceback' not in done.stderr
+    assert 'LinuxCNC is not installed' in done.stderr
 
 
 def test_every_text_is_opened_with_its_encoding():

@@ -96,6 +96,8 @@ def spin(factory: Callable[[], Node], args: list[str] | None = None) -> None:
             if end.came:  # that is why
                 return
             raise
+        except rclpy_implementation.RCLError as error:  # such as of security
+            raise ConfigError(str(error).split(', at /')[0]) from None
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         try:

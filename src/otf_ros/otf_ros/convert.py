@@ -21,9 +21,8 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_msgs.msg import Plan as PlanMessage
+from otf_ros import frames
 
-MACHINE_FRAME = 'machine'
-TRACKER_FRAME = 'tracker'
 NS = 1_000_000_000
 
 
@@ -38,15 +37,15 @@ def ns_from_time(time: Time) -> int:
     return int(time.sec) * NS + int(time.nanosec)
 
 
-def header(stamp: Time, frame: str = MACHINE_FRAME) -> Header:
-    """Return a header."""
-    return Header(stamp=stamp, frame_id=frame)
+def header(stamp: Time, frame: str = '') -> Header:
+    """Return a header; of the frame of the machine, if no other is named."""
+    return Header(stamp=stamp, frame_id=frame or frames.machine())
 
 
 def points_to_messages(samples: Samples) -> Iterator[PointStamped]:
     """Yield one message per sample, always the same object: publish it before the next one."""
     message = PointStamped()
-    message.header.frame_id = TRACKER_FRAME
+    message.header.frame_id = frames.tracker()
     stamp, point = message.header.stamp, message.point
     seconds, nanoseconds = np.divmod(samples.stamp_ns, NS)
     rows = zip(seconds.tolist(), nanoseconds.tolist(), samples.xyz.tolist(), strict=True)
@@ -59,19 +58,28 @@ def points_to_messages(samples: Samples) -> Iterator[PointStamped]:
 def points_from_messages(
     messages: Iterable[PointStamped],
 ) -> dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Return stamps (n,) in ns and points (n, 3) in m by the frames of the messages."""
+    """Return stamps (n,) in ns and points (n, 3) in m by the frames of the messages.
+
+    That of the samples is called ``tracker`` here, whatever the graph calls it.
+    """
     rows: dict[str, list[tuple[int, float, float, float]]] = {}
     for message in messages:
         head, point = message.header, message.point
         stamp_ns = head.stamp.sec * NS + head.stamp.nanosec
         rows.setdefault(head.frame_id, []).append((stamp_ns, point.x, point.y, point.z))
     return {
-        frame: (
+        _contract_name(frame): (
             np.array([row[0] for row in found], np.int64),
             np.array([row[1:] for row in found], float),
         )
         for frame, found in rows.items()
     }
+
+
+def _contract_name(frame: str) -> str:
+    if frame == frames.tracker():
+        return frames.TRACKER
+    return f'{frame} (not {frames.tracker()})' if frame == frames.TRACKER else frame
 
 
 def path_to_message(path: NominalPath, stamp: Time) -> Path:
@@ -87,11 +95,18 @@ def path_to_message(path: NominalPath, stamp: Time) -> Path:
 def path_from_message(message: Path) -> NominalPath:
     """Return the path of a message; InputError if it is none, or in another frame."""
     for what, head in [('path', message.header), *(('a pose', p.header) for p in message.poses)]:
-        if head.frame_id != MACHINE_FRAME and (what == 'path' or head.frame_id):
-            raise InputError(frame_text(what, head.frame_id, MACHINE_FRAME))
+        if head.frame_id != frames.machine() and (what == 'path' or head.frame_id):
+            raise InputError(frame_text(what, head.frame_id, frames.machine()))
     positions = [pose.pose.position for pose in message.poses]
     points = np.array([(p.x, p.y, p.z) for p in positions], float).reshape(-1, 3)
     return usable_path('planner/path', points)
+
+
+def path_for_journal(message: Path) -> Path:
+    """Return the message with the name of the frame that journals and bags have."""
+    for head in (message.header, *(pose.header for pose in message.poses)):
+        head.frame_id = frames.MACHINE
+    return message
 
 
 def plan_to_message(plan: Plan, machine: str, passes: int, stamp: Time) -> PlanMessage:

@@ -16,7 +16,8 @@ from otf_core.model.volume import VolumeErrors
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable
 from otf_msgs.msg import VolumeErrors as VolumeMessage
-from otf_ros.convert import TRACKER_FRAME, header, transform_to_message
+from otf_ros import frames
+from otf_ros.convert import header, transform_to_message
 
 ZERO_GAUGE = 'zero at axis position 0, else at the minimum'
 STRAIGHTNESS_GAUGE = 'zero at both ends; its slope lies in squareness and alignment'
@@ -50,7 +51,7 @@ def alignment_to_message(T_machine_tracker: RigidTransform, stamp: Time) -> Tran
     """Return the place of the tracker: takes tracker coordinates to machine coordinates."""
     return TransformStamped(
         header=header(stamp),
-        child_frame_id=TRACKER_FRAME,
+        child_frame_id=frames.tracker(),
         transform=transform_to_message(T_machine_tracker),
     )
 

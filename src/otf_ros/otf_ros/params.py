@@ -23,6 +23,7 @@ from rclpy.parameter import Parameter
 
 from otf_core.config import ParameterInfo, Parameters
 from otf_core.errors import ConfigError
+from otf_ros import frames
 
 P = TypeVar('P', bound=Parameters)
 
@@ -64,7 +65,8 @@ class NodeParameters:
     ----------
     node : rclpy.node.Node
     *groups : subclasses of otf_core.config.Parameters
-        Names must differ between the groups.
+        Names must differ between the groups. Those of the frames, which every node has, come by
+        themselves.
     named : mapping of str to subclasses of otf_core.config.Parameters, optional
         Groups whose parameters are declared as NAME.parameter.
     read_only : iterable of str
@@ -84,12 +86,14 @@ class NodeParameters:
         read_only: Iterable[str] = (),
     ) -> None:
         self._node = node
+        groups = (*groups, frames.FramesConfig)
         self._groups = [*(('', group) for group in groups), *(named or {}).items()]
         self._infos = {i.name: i for group in self._groups for i in _infos(*group)}
         for info in self._infos.values():
-            self._declare(info, info.name in read_only)
+            self._declare(info, info.name in (*read_only, 'machine_frame', 'tracker_frame'))
         for name, group in self._groups:
             self.read(group, name)
+        frames.use(self.read(frames.FramesConfig))
         self._warn_of_unknown()
         node.add_pre_set_parameters_callback(self._as_declared_type)
         node.add_on_set_parameters_callback(self._check)

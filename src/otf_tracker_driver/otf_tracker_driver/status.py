@@ -11,8 +11,8 @@ from std_msgs.msg import Header
 
 from otf_core.model.observation import Samples
 from otf_msgs.msg import TrackerGap, TrackerStatus
-from otf_ros import qos
-from otf_ros.convert import NS, TRACKER_FRAME, header, time_from_ns
+from otf_ros import frames, qos
+from otf_ros.convert import NS, header, time_from_ns
 from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
 from otf_tracker_driver.clock.device_clock import ClockState
@@ -123,4 +123,4 @@ class Status:
         self._publisher.publish(message)
 
     def _header(self) -> Header:
-        return header(self._node.get_clock().now().to_msg(), TRACKER_FRAME)
+        return header(self._node.get_clock().now().to_msg(), frames.tracker())

@@ -80,6 +80,8 @@ ACTS = 0.02
 """Share of the largest displacement from which an effect counts as acting."""
 MOST = 25e-6
 """m; root mean square of a displacement itself is not drawn larger, but where it is the size."""
+PEAK = 25e-6
+"""m; nor does it displace any sample by more: dents and tolerances of corners are not larger."""
 
 
 @dataclass(frozen=True)
@@ -175,13 +177,18 @@ def sized(ruler: Ruler, applied: AppliedEffect, kind: Kind, rng: Rng) -> Part:
     blurred = effect.wave is not None and part.size < 0.3 * part.raw
     if effect.trial.hard_to_see or blurred:
         wanted, have = 1.5 * wanted, part.raw
-    factor = min(wanted / max(have, 1e-12), MOST / part.raw)
+    factor = min(wanted / max(have, 1e-12), MOST / part.raw, PEAK / _lengths(ruler, applied).max())
     return weigh(ruler, scaled(applied, factor))
+
+
+def _lengths(ruler: Ruler, applied: AppliedEffect) -> Array:
+    """Size of a displacement at every sample, shape (n,), m."""
+    return np.asarray(np.linalg.norm(np.concatenate(ruler.displacement([applied])), axis=1))
 
 
 def _where_it_acts(ruler: Ruler, applied: AppliedEffect) -> float:
     """Root mean square of a displacement at the samples that it moves, m."""
-    length = np.linalg.norm(np.concatenate(ruler.displacement([applied])), axis=1)
+    length = _lengths(ruler, applied)
     return float(np.sqrt(np.mean(length[length > ACTS * length.max()] ** 2)))
 
 

@@ -100,13 +100,14 @@ _STATIC = frozenset({
     'tracker_range_offset', 'tracker_scale',
 })  # fmt: skip
 KIN = (
-    frozenset({'backlash', 'direction_dependent_tables'}),
+    frozenset({'backlash', 'direction_dependent_tables', 'servo_mismatch'}),
     frozenset({'thermal_structure_drift', 'tracker_pose_drift'}),
     _STATIC,
 )
 """Effects of which one can be the other: play that changes along an axis is a direction-dependent
-table; a drift of the structure is one of the tracker; all that depends on the place alone is, from
-one place of the tracker, some function of two positions."""
+table, and play that grows with the feed is a lag; a drift of the structure is one of the tracker;
+all that depends on the place alone is, from one place of the tracker, some function of two
+positions."""
 WITHOUT = (
     'backlash', 'direction_dependent_tables', 'thermal_axis_expansion', 'thermal_structure_drift',
     'cross_coupling', 'servo_mismatch', 'corner_rounding', 'tracker_pose_drift', 'cyclic_error',

@@ -71,10 +71,13 @@ class Outcome:
     inputs : tuple of str
         That the answer names for a cause without a name.
     inputs_right, inputs_among : bool, optional
-        Whether these are those of the truth; whether those of the truth are among them. None
-        where the answer is not 'unknown' or the truth has no such inputs.
+        Whether these are those of the truth; whether those of the truth are among them; not
+        where the answer is not 'unknown'. None where the truth has a name or no such inputs.
     follows : bool, optional
         Whether the signal that the truth follows is named; None where it follows none.
+    simulated_off : float, optional
+        Residual of the simulation as the answer has it less that of the truth without causes,
+        over its stated standard uncertainty.
     """
 
     cell: str
@@ -95,6 +98,7 @@ class Outcome:
     inputs_right: bool | None = None
     inputs_among: bool | None = None
     follows: bool | None = None
+    simulated_off: float | None = None
 
     @property
     def is_right(self) -> bool:
@@ -172,12 +176,15 @@ def _gap_left(answer: Mapping[str, Any]) -> float | None:
     return float(gap['after_um']) / before if before > 0.0 else None
 
 
-def _inputs(parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> dict[str, Any]:
-    """Inputs that an answer of 'unknown' names, and whether they are those of the truth."""
+def _inputs(
+    parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any], exclude: Sequence[str]
+) -> dict[str, Any]:
+    """Inputs that an answer names for a truth without a name, and whether they are its own."""
     groups = [g for p in parts for g in p['depends']['groups']]
-    if answer.get('verdict') != 'unknown' or not groups:
+    if not groups or not (exclude or all(not p['names'] for p in parts)):
         return {}
-    named = tuple((answer.get('unnamed') or {}).get('depends_on', ()))
+    unnamed = answer.get('unnamed') if answer.get('verdict') == 'unknown' else None
+    named = tuple((unnamed or {}).get('depends_on', ()))
     besides = [n for p in parts for n in p['depends']['besides']]
     return {
         'inputs': named,
@@ -196,6 +203,14 @@ def _follows(parts: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]) -> b
     for cause in answer.get('causes', ()):
         said |= {n for c in cause.get('curves', ()) for n in (c['input'], *c['held'])}
     return signals <= {n.partition('@')[0] for n in said}
+
+
+def _simulated_off(entry: Mapping[str, Any], answer: Mapping[str, Any]) -> float | None:
+    """How far the simulated residual is from that of the truth, in standard uncertainties."""
+    gap = answer.get('gap') or {}
+    if not gap.get('simulated_u_um'):
+        return None
+    return float((gap['simulated_um'] - entry['simulated_um']) / gap['simulated_u_um'])
 
 
 def outcome(
@@ -245,5 +260,6 @@ def outcome(
         noise_as_specified=not entry['heavy_tails'] and not NOISE & set(truth),
         gap_left=_gap_left(answer),
         follows=_follows(parts, answer),
-        **_inputs(parts, answer),
+        simulated_off=None if first_place else _simulated_off(entry, answer),
+        **_inputs(parts, answer, exclude),
     )

@@ -38,17 +38,18 @@ def _needless(outcomes: Sequence[Outcome]) -> Row:
 
 
 def _left(name: str, outcomes: Sequence[Outcome], share: float) -> Row:
-    left = [o.gap_left for o in outcomes]
-    return Row(name, sum(g is not None and g < share for g in left), len(left))
+    """Right answers that leave less than a share of the gap."""
+    left = [o.gap_left for o in outcomes if o.is_right]
+    return Row(name, sum(g is not None and g < share for g in left), len(outcomes))
 
 
 def _inputs(outcomes: Sequence[Outcome]) -> list[Row]:
-    """Inputs named where the answer is 'unknown' and the truth is a function of inputs."""
+    """Inputs named where the truth has no name and is a function of inputs."""
     judged = [o for o in outcomes if o.inputs_right is not None]
     return [
-        Row(', of these with the right inputs', sum(bool(o.inputs_right) for o in judged),
+        Row(', with the right inputs', sum(bool(o.inputs_right) for o in judged),
             len(judged)),
-        Row(', with the right inputs and others', sum(bool(o.inputs_among) for o in judged),
+        Row(', with these and others', sum(bool(o.inputs_among) for o in judged),
             len(judged)),
     ]  # fmt: skip
 
@@ -112,8 +113,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[Row]:
         *_unknown('no catalogue, no decoy', [o for o in unknown if not o.has_decoy]),
         _results('no catalogue: called unknown', unknown, 'unknown'),
         *_inputs(unknown),
-        _left(', less than half of the gap left',
-              [o for o in unknown if o.result == 'unknown'], HALF),
+        _left(', less than half of the gap left', unknown, HALF),
         Row('no catalogue, no trace: given a name',
             sum(bool(o.named) for o in traceless), len(traceless)),
         _results('no trace: listed as not visible', hidden, 'not_visible', 'right', 'listed'),
@@ -179,8 +179,9 @@ def stated(outcomes: Sequence[Outcome]) -> list[tuple[float, bool]]:
     ]
 
 
-def sizes(recovered: Sequence[Recovery]) -> list[Row]:
-    """How well gaps, parameters and intervals hold."""
+def sizes(recovered: Sequence[Recovery], outcomes: Sequence[Outcome]) -> list[Row]:
+    """How well gaps, parameters, intervals and simulated residuals hold."""
+    off = np.abs([o.simulated_off for o in outcomes if o.simulated_off is not None])
     deviations = np.abs([d for r in recovered for d in r.deviations])
     large = [r for r in recovered if r.true_gap_um > SMALL_GAP_UM]
     near = sum(abs(r.gap_um / r.true_gap_um - 1.0) <= GAP_TOLERANCE for r in large)
@@ -191,6 +192,7 @@ def sizes(recovered: Sequence[Recovery]) -> list[Row]:
           for k in CLOSE),
         Row('95 % interval of the shrink holds the truth',
             sum(r.covered for r in named), len(named)),
+        Row('simulated residual within 2 u of the truth', int(np.sum(off < CLOSE[0])), len(off)),
     ]  # fmt: skip
 
 
@@ -206,9 +208,7 @@ def leave_one_out(outcomes: Sequence[Outcome], recovered: Mapping[str, Recovery]
     return [
         _results('called unknown', seen, 'unknown'),
         *_inputs(seen),
-        _left(
-            ', less than half of the gap left', [o for o in seen if o.result == 'unknown'], HALF
-        ),
+        _left(', less than half of the gap left', seen, HALF),
         Row('blamed with confidence on another that can be told apart', apart, len(seen)),
         Row(', on one of the same trace', len(sure) - apart, len(seen)),
         _results('nothing said', seen, 'unseen'),

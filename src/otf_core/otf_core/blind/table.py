@@ -70,7 +70,7 @@ def criteria(
     """What a trial comes to: names, sizes, what one of two tracker places says."""
     tables = [
         of_rows(('what is hidden', 'cells or causes'), score.summary(outcomes)),
-        of_rows(('sizes', ''), score.sizes(recovered)),
+        of_rows(('sizes', ''), score.sizes(recovered, outcomes)),
     ]
     if alone:
         head = ('two tracker places, the first alone', 'cells')

@@ -35,7 +35,7 @@ def add_plant_verbs(verb: AddVerb) -> None:
         help='calibrate, diagnose: CSV with the header name,bag,machine; relative paths are '
         'looked for beside it',
     )  # fmt: skip
-    sub.add_argument('--trials', type=int, metavar='N', help='blind: cells to draw')
+    sub.add_argument('--trials', type=int, metavar='N', help='blind, validate: cells')
     sub.add_argument(
         '--seed', type=int, metavar='N',
         help='blind: all random numbers hang on it; validate: that of the first cell',

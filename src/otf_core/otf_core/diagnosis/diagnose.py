@@ -9,6 +9,7 @@ not fitted on; where the gap lies; the calibration with the causes taken off.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,11 @@ from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows, build_rows
-from otf_core.diagnosis.engine.unnamed import try_structures
+from otf_core.diagnosis.engine.unnamed import (
+    AS_RIVALS,
+    SCREENED,
+    try_structures,
+)
 from otf_core.diagnosis.explanation import Explanation, explain
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.place.views import RunView
@@ -32,7 +37,7 @@ from otf_core.diagnosis.place.where import describe_structure, where_and_shape
 from otf_core.diagnosis.place.where_words import EVERYWHERE, NO_STRUCTURE
 from otf_core.diagnosis.result import Diagnosis, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
-from otf_core.diagnosis.unnamed import find_unnamed
+from otf_core.diagnosis.unnamed import Nameless, find_unnamed
 from otf_core.diagnosis.verdict import Case, matters, verdict_of
 from otf_core.effects import REGISTRY, Effect
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
@@ -87,36 +92,27 @@ def diagnose(
     progress('diagnosing', 0.0)
     found = search_catalogue(rows, exclude, own)
     progress('diagnosing', 0.5)
-    explained = explain(rows, found.causes, simulated_um)
-    noise = None
-    if matters(explained.after_um, explained.simulated_um):
-        noise = check_noise(rows, config.standstill_speed, exclude)
-    left, has_place = _what_is_left(rows, explained)
-    tried = try_structures(rows) if _to_explain(explained) else None
-    rival = rival_of(explained.causes, tried) if tried and explained.causes else Rival()
-    verdict = verdict_of(_case(explained, noise, has_place=has_place))
-    nameless = find_unnamed(rows, explained, verdict, tried)
-    verdict = 'unknown' if nameless else verdict
-    explained = explained.doubted(rival)
-    if verdict == 'unknown':
-        explained, noise_cause = explained.without_causes(), None
-    else:
-        noise_cause = noise
-        verdict = 'explained' if noise and verdict == 'none' else verdict
+    judged = _judged(rows, explain(rows, found.causes, simulated_um), config, exclude)
+    explained, noise, nameless = judged.explained, judged.noise, judged.nameless
     fitted = fitted_causes(explained.causes, rows)
     applied = tuple(tuple(part.applied(k) for part in fitted) for k in range(len(rows.runs)))
     gap = gap_of(explained, noise)
-    causes = named_causes(explained, fitted, noise_cause, gap, rows.states)
-    sentence = sentence_of(verdict, gap, causes, noise, nameless.said if nameless else None)
+    causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)
+    said = nameless.said if nameless else None
+    sentence = sentence_of(judged.verdict, gap, causes, noise, said)
     views = run_views(rows, explained)
-    known = known_words(causes, nameless.said if nameless else None)
+    known = known_words(causes, said)
     where, shape = where_and_shape(
         views, project=rows.project, known=known, certain=nameless is None
     )
-    del rows, seen  # their memory is needed now
+    told = [(c.confidence, c.indistinguishable) for c in explained.causes]
+    verdict, left = judged.verdict, judged.left if told else shape
+    visible, considered = found.visible, found.considered
+    views = tuple(replace(v) for v in views)  # without what they have worked out
+    del rows, seen, found, judged, explained, fitted  # their memory is needed now
     progress('correcting', 0.0)
     taken = [applied[k] for k in solved.source]
-    calibration = with_causes(solved, plain, explained.causes, taken, config, sentence)
+    calibration = with_causes(solved, plain, told, taken, config, sentence)
     return Diagnosis(
         runs=tuple(r.name or f'run {k}' for k, r in enumerate(recordings, start=1)),
         verdict=verdict,
@@ -124,21 +120,66 @@ def diagnose(
         gap=gap,
         causes=causes,
         unexplained_um=gap.after_um,
-        unexplained_where=left if explained.causes else shape,
-        not_visible=_not_visible(found.visible, causes),
+        unexplained_where=left,
+        not_visible=_not_visible(visible, causes),
         where=where,
-        considered=found.considered,
+        considered=considered,
         smallest_found_um={
-            n: 1e6 * v.smallest for n, v in found.visible.items() if np.isfinite(v.smallest)
+            n: 1e6 * v.smallest for n, v in visible.items() if np.isfinite(v.smallest)
         },
         contradictions=solved.runs[0].remarks,
         table_change_um=_table_change_um(calibration),
-        unnamed=nameless.said if nameless else None,
+        unnamed=said,
         applied=tuple((e,) for e in nameless.applied) if nameless else applied,
         calibration=calibration,
         origin=plain.origin,
         shown=Shown(views, _conditions(solved, plain)),
     )
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What a search gave, after what else could be.
+
+    Attributes
+    ----------
+    verdict : str
+    explained : Explanation
+        Without causes where they are not enough.
+    noise : NoiseFinding or None
+    left : str
+        Where what the causes leave lies.
+    nameless : Nameless or None
+    """
+
+    verdict: str
+    explained: Explanation
+    noise: NoiseFinding | None
+    left: str
+    nameless: Nameless | None
+
+    @property
+    def noise_cause(self) -> NoiseFinding | None:
+        """Noise as a cause: not where something is there that nobody knows."""
+        return None if self.verdict == 'unknown' else self.noise
+
+
+def _judged(
+    rows: Rows, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
+) -> _Judged:
+    """Weigh the causes found against noise, and against what has no name."""
+    noise = None
+    if matters(explained.after_um, explained.simulated_um):
+        noise = check_noise(rows, config.standstill_speed, exclude)
+    left, has_place = _what_is_left(rows, explained)
+    verdict = verdict_of(_case(explained, noise, has_place=has_place))
+    explained, nameless = _or_something_else(rows, explained, verdict)
+    verdict = 'unknown' if nameless else verdict
+    if verdict == 'unknown':
+        explained = explained.without_causes()
+    elif noise and verdict == 'none':
+        verdict = 'explained'
+    return _Judged(verdict, explained, noise, left, nameless)
 
 
 def _as_recorded(
@@ -150,9 +191,18 @@ def _as_recorded(
     return solve_recordings(recordings, config, mend=False)
 
 
-def _to_explain(explained: Explanation) -> bool:
-    """Tell whether there are causes, or a gap without."""
-    return bool(explained.causes) or matters(explained.before_um, explained.simulated_um)
+def _or_something_else(
+    rows: Rows, explained: Explanation, verdict: str
+) -> tuple[Explanation, Nameless | None]:
+    """Doubt the names for what else may explain the gap; that, where it is to be said instead."""
+    if explained.causes:
+        tried = try_structures(rows, AS_RIVALS if verdict == 'explained' else SCREENED)
+        rival = rival_of(explained.causes, tried)
+    elif verdict == 'unknown':
+        tried, rival = try_structures(rows, SCREENED), Rival()
+    else:
+        return explained, None
+    return explained.doubted(rival), find_unnamed(rows, explained, verdict, tried, rival)
 
 
 def _what_is_left(rows: Rows, explained: Explanation) -> tuple[str, bool]:

@@ -14,6 +14,7 @@ from otf_core.diagnosis.engine.assess import (
     shrink_interval,
     shrink_percent,
 )
+from otf_core.diagnosis.engine.rival import Rival
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.unnamed import Structure, Structures, find_structure
 from otf_core.diagnosis.explanation import Explanation
@@ -102,7 +103,7 @@ class Nameless:
 
 
 def find_unnamed(
-    rows: Rows, explained: Explanation, verdict: str, tried: Structures | None
+    rows: Rows, explained: Explanation, verdict: str, tried: Structures, rival: Rival
 ) -> Nameless | None:
     """Look for a cause without a name where the named ones leave a gap.
 
@@ -112,8 +113,10 @@ def find_unnamed(
     explained : Explanation
     verdict : str
         By the effects of the catalogue.
-    tried : Structures, optional
-        What may explain the gap; None where there is nothing to explain.
+    tried : Structures
+        What may explain the gap.
+    rival : Rival
+        Of the named causes.
 
     Returns
     -------
@@ -121,7 +124,7 @@ def find_unnamed(
         None if nothing is left to explain, if no structure explains it, or if the named causes
         are about as good.
     """
-    if tried is None or verdict not in ('unknown', 'partly_explained'):
+    if verdict not in ('unknown', 'partly_explained') and not rival.wins:
         return None
     structure = find_structure(tried)
     if structure is None:
@@ -129,7 +132,8 @@ def find_unnamed(
     found = _said(rows, explained, structure)
     if found.said.shrink_percent < LEAST_SHRINK:
         return None
-    if verdict == 'partly_explained' and found.said.after_um > FAR_BETTER * explained.after_um:
+    enough = (1.0 if rival.wins else FAR_BETTER) * explained.after_um
+    if verdict != 'unknown' and found.said.after_um > enough:
         return None
     return found
 

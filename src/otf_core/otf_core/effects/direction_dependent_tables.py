@@ -101,17 +101,16 @@ class DirectionDependentTables(Effect):
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return EXX_1 ... ECZ_3: motion and order of its polynomial."""
-        sign, place = travel_sign(state, shape), scaled_position(state)
-        names, moved, columns = [], [], []
+        half, place = 0.5 * travel_sign(state, shape), scaled_position(state)
+        along = [polynomials(values, round(shape['order'])) for values in place.T]
+        named = [(m, k) for m in MOTIONS for k in range(m.is_positioning, along[0].shape[1])]
+        columns, start = np.empty((*place.shape, len(named))), 0
         for motion in MOTIONS:
-            axis = motion.place
-            influence = (
-                0.5 * sign[:, axis, None] * motion_influence(state.machine, motion, state.q)
-            )
-            along = polynomials(place[:, axis], round(shape['order']))
-            for k in range(int(motion.is_positioning), along.shape[1]):
-                names.append(f'{motion}_{k}')
-                moved.append(motion)
-                columns.append(influence * along[:, k, None])
-        units, axes = tuple(m.unit for m in moved), tuple(m.axis for m in moved)
-        return Terms(tuple(names), units, axes, np.stack(columns, axis=2))
+            axis, own = motion.place, along[motion.place][:, None, int(motion.is_positioning) :]
+            influence = half[:, axis, None] * motion_influence(state.machine, motion, state.q)
+            end = start + own.shape[2]
+            np.multiply(influence[:, :, None], own, out=columns[:, :, start:end])
+            start = end
+        names = tuple(f'{motion}_{k}' for motion, k in named)
+        units, axes = tuple(m.unit for m, _ in named), tuple(m.axis for m, _ in named)
+        return Terms(names, units, axes, columns)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import pwd
 import shutil
 import signal
 import subprocess
@@ -18,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,13 @@ class Driven:
     lost: int
 
 
+def _account(name: str) -> Any:
+    """Entry of a user in the password database."""
+    import pwd  # no other system has it, and find_control refuses there
+
+    return pwd.getpwnam(name)
+
+
 def find_control() -> str:
     """Return the path of LinuxCNC.
 
@@ -113,7 +120,7 @@ def _workplace() -> Iterator[tuple[Path, str | None]]:
     with tempfile.TemporaryDirectory(prefix='otf-loop-') as name:
         folder = Path(name)
         if other is not None:
-            user = pwd.getpwnam(other)
+            user = _account(other)
             os.chown(folder, user.pw_uid, user.pw_gid)
         yield folder, other
 
@@ -126,7 +133,7 @@ def _place_files(folder: Path, files: Mapping[str, bytes], user: str | None) -> 
         path.write_bytes(content)
         path.chmod(0o755 if name in scripts else 0o644)
         if user is not None:
-            entry = pwd.getpwnam(user)
+            entry = _account(user)
             os.chown(path, entry.pw_uid, entry.pw_gid)
 
 
@@ -174,7 +181,7 @@ def _run(command: list[str], folder: Path, user: str | None, limit: float) -> st
         process = subprocess.Popen(
             command, cwd=folder, stdin=subprocess.DEVNULL, stdout=out, stderr=out,
             env={**kept, 'HOME': str(folder)}, user=user,
-            group=None if user is None else pwd.getpwnam(user).pw_gid,
+            group=None if user is None else _account(user).pw_gid,
             extra_groups=None if user is None else [], start_new_session=True,
         )  # fmt: skip
         try:

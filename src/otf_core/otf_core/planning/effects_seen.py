@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -23,7 +22,7 @@ from otf_core.diagnosis.engine.rows import Rows, rows_of
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects import REGISTRY, Effect
 from otf_core.planning.planned_budget import Planned
-from otf_core.solving.normal import WORKERS
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -113,8 +112,7 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
     visible, traces = {}, {}
     rows.factor, rows.residual  # noqa: B018  made once, before threads need them
     effects = effects_without(())
-    with ThreadPoolExecutor(WORKERS) as pool:
-        judged = list(pool.map(partial(_seen, rows), effects))
+    judged = side_by_side(partial(_seen, rows), effects)
     for effect, (sight, trace) in zip(effects, judged, strict=True):
         visible[effect.name] = sight
         if sight.visible and trace is not None:

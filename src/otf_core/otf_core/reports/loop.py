@@ -111,7 +111,9 @@ def write_loop(circle: Circle, folder: str | Path) -> list[Path]:
     write_text(folder / 'truth_tables.json', truth + '\n')
     write_text(folder / 'summary.txt', format_loop(circle) + '\n')
     data = loop_to_dict(circle)
-    write_text(folder / 'loop.html', loop_page(circle, data, failed_gates(circle)))
+    path, gates = circle.recordings['fit'].path, failed_gates(circle)
+    page = loop_page(data, circle.result, path, circle.files, gates)
+    write_text(folder / 'loop.html', page)
     write_text(folder / 'loop.json', json.dumps(data, indent=1) + '\n')
     names = [
         folder / name for name in ('loop.json', 'loop.html', 'summary.txt', 'truth_tables.json')

@@ -8,28 +8,28 @@ is simulated, without load and without change of temperature.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from otf_core.loop.circle import AXES_WAY, PROGRAM, VOLUME, Circle
-from otf_core.model.machine import AXES
+from otf_core.calibration.result import CalibrationResult
+from otf_core.model.path import NominalPath
 from otf_core.reports.page import Heading, page_html
 from otf_core.reports.section import Section, Table
 
 STANDARD = 'ISO/TR 16907:2015'
 REPRESENTED = {
-    AXES_WAY: (
+    'axes': (
         'a table of actual positions per axis: positioning along the middle lines of the volume',
         'LinuxCNC .comp files, COMP_FILE_TYPE 0, one per joint, read at its start',
         'actual positions: the control moves the motors by nominal minus actual',
     ),
-    VOLUME: (
+    'volume': (
         'errors on a lattice over the volume, trilinear between its points, at the measured '
         'target offset',
         'external offsets of LinuxCNC, set about every millisecond for the present position',
         'errors (actual minus nominal): the component sets the offsets to minus their values',
     ),
-    PROGRAM: (
+    'program': (
         'errors at the ends of the parts into which the lines of the program are cut',
         'an NC program whose points are moved; nothing is set in the control',
         'errors (actual minus nominal): the points are moved by minus their values',
@@ -43,11 +43,11 @@ def _facts(rows: Sequence[Row]) -> tuple[Table, ...]:
     return (Table(('', ''), tuple(rows)),)
 
 
-def _determination(circle: Circle) -> Section:
-    result, machine = circle.result, circle.truth.machine
-    fit, path = result.fit, circle.recordings['fit'].path
+def _determination(result: CalibrationResult, path: NominalPath) -> Section:
+    machine, fit = result.tables.machine, result.fit
     ranges = ', '.join(
-        f'{a} {1e3 * machine.axes[a].min:g} to {1e3 * machine.axes[a].max:g} mm' for a in AXES
+        f'{name} {1e3 * axis.min:g} to {1e3 * axis.max:g} mm'
+        for name, axis in machine.axes.items()
     )
     offset = ', '.join(f'{1e3 * v:g}' for v in machine.target_offset)
     return Section(
@@ -68,9 +68,8 @@ def _determination(circle: Circle) -> Section:
     )
 
 
-def _compensation(circle: Circle) -> tuple[Section, Section]:
-    represented, applied, sign = REPRESENTED[circle.way]
-    files = ', '.join(sorted(circle.files))
+def _compensation(way: str, files: Iterable[str]) -> tuple[Section, Section]:
+    represented, applied, sign = REPRESENTED[way]
     return (
         Section(
             'representation',
@@ -84,14 +83,14 @@ def _compensation(circle: Circle) -> tuple[Section, Section]:
                 (
                     ('control', 'LinuxCNC, servo period 1 ms'),
                     ('applied as', applied),
-                    ('files (control/)', files),
+                    ('files (control/)', ', '.join(sorted(files))),
                 )
             ),
         ),
     )
 
 
-def _validation(circle: Circle, data: Mapping[str, Any]) -> Section:
+def _validation(data: Mapping[str, Any]) -> Section:
     rows = [
         (
             f'{number}',
@@ -103,7 +102,7 @@ def _validation(circle: Circle, data: Mapping[str, Any]) -> Section:
     ]
     head = ('line', 'from (mm)', 'to (mm)', 'mean before (um)', 'after', 'largest before (um)',
             'after')  # fmt: skip
-    left, proof = data['left_um'], circle.proof
+    left, seen = data['left_um'], data['seen_by_tracker']
     return Section(
         'validation',
         f'Validation of the compensation ({STANDARD}, 11)',
@@ -118,7 +117,7 @@ def _validation(circle: Circle, data: Mapping[str, Any]) -> Section:
             f'cannot hold {left["of_export"]:.2f} um, and the control does not bring '
             f'{left["of_control"]:.2f} um to the motors.',
             f'As a tracker sees it, across the lines, its noise in both: '
-            f'{1e6 * proof.seen_before:.2f} um before, {1e6 * proof.seen_after:.2f} um after.',
+            f'{seen["before_um"]:.2f} um before, {seen["after_um"]:.2f} um after.',
         ),
         tables=(Table(head, tuple(rows), (3, 4, 5, 6)),),
     )
@@ -144,31 +143,40 @@ def _documentation(data: Mapping[str, Any], gates: Sequence[str]) -> Section:
     )
 
 
-def loop_page(circle: Circle, data: Mapping[str, Any], gates: Sequence[str]) -> str:
+def loop_page(
+    data: Mapping[str, Any],
+    result: CalibrationResult,
+    path: NominalPath,
+    files: Iterable[str],
+    gates: Sequence[str],
+) -> str:
     """Return the page: self-contained HTML.
 
     Parameters
     ----------
-    circle : Circle
     data : mapping
         loop.json.
+    result : CalibrationResult
+    path : NominalPath
+        That was fitted.
+    files : iterable of str
+        Names of what the control was given.
     gates : sequence of str
         Quality gates that failed.
     """
-    fall = f'{data["fall_percent"]:.1f} % less'
+    way, fall = str(data['compensate']), f'{data["fall_percent"]:.1f} % less'
     tiles = (
         ('before', f'{data["before_um"]:.2f} um', 'mean volumetric error'),
         ('after', f'{data["after_um"]:.2f} um', fall),
         ('forecast', f'{data["forecast_um"]:.2f} um', 'of the export, u of the tables in it'),
     )
     heading = Heading(
-        f'Compensation of {circle.truth.machine.name} by {circle.way}',
+        f'Compensation of {result.tables.machine.name} by {way}',
         'quality gate failed' if gates else fall,
         '; '.join(gates)
         or 'Volumetric error on lines that were not fitted, before and after the compensation.',
         'bad' if gates else 'good',
         tiles,
     )
-    first = Section('loop', '')
-    sections = [first, _determination(circle), *_compensation(circle)]
-    return page_html(heading, [*sections, _validation(circle, data), _documentation(data, gates)])
+    sections = [Section('loop', ''), _determination(result, path), *_compensation(way, files)]
+    return page_html(heading, [*sections, _validation(data), _documentation(data, gates)])

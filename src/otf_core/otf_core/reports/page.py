@@ -100,12 +100,12 @@ def page_html(heading: Heading, sections: Sequence[Section]) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<title>{text(heading.title)}</title><style>{STYLE}</style></head><body>\n'
+        f'<title>{text(heading.title)}</title><style>{STYLE}</style></head><body><main>\n'
         f'<h1>{text(heading.title)}<span class="badge{mood}">{text(heading.badge)}</span></h1>'
         f'<p class="verdict">{text(heading.sentence)}</p>\n'
         f'<div class="tiles">{tiles}</div>\n'
         + '\n'.join(map(_section, first))
-        + f'\n<nav>{named}</nav>\n'
+        + f'\n<nav aria-label="sections">{named}</nav>\n'
         + '\n'.join(map(_section, rest))
-        + f'\n{scripts}</body></html>\n'
+        + f'\n</main>{scripts}</body></html>\n'
     )

@@ -157,8 +157,9 @@ class Design:
         at = [q + (s if s.ndim == 1 else s[pieces]) for s in self.shifts]
         travel, side = (np.concatenate([values] * len(at)) for values in fixed)
         places = np.concatenate(at)
-        for name, columns in reversal_columns(self.machine, places, travel, side, self.unknowns):
-            np.mean(columns.reshape(len(at), *q.shape), axis=0, out=found[:, :, place[name]])
+        names, columns = reversal_columns(self.machine, places, travel, side, self.unknowns)
+        mean = columns.reshape(len(at), *q.shape, len(names)).mean(axis=0)
+        found[:, :, [place[name] for name in names]] = mean
         return found
 
     def _blocks(self) -> Iterator[slice]:

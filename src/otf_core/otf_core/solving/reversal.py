@@ -12,7 +12,7 @@ The reversal value of a motion is its error in forward travel less that in backw
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,7 +86,7 @@ class Reversal:
 
 def reversal_columns(
     machine: Machine, q: Array, direction: Array, side: Array, unknowns: Unknowns
-) -> Iterator[tuple[str, Array]]:
+) -> tuple[tuple[str, ...], Array]:
     """Displacement of the target per unit of every reversal coefficient.
 
     Parameters
@@ -99,22 +99,18 @@ def reversal_columns(
     unknowns : Unknowns
         With the number of polynomials per motion, and ``held``.
 
-    Yields
-    ------
-    block : str
-        Name of the block of unknowns.
-    columns : ndarray, shape (n, 3)
+    Returns
+    -------
+    blocks : tuple of str
+        Names of the blocks of unknowns, k of them.
+    columns : ndarray, shape (n, 3, k)
     """
-    if not unknowns.reversal:
-        return
     state = replace(state_of_travel(machine, q, direction), side=side)
     shape = {HELD: float(unknowns.held)}
     backlash = Backlash().terms(state, shape).columns
-    for k, axis in enumerate(machine.axis_names):
-        yield reversal_block(f'E{axis}{axis}', 0), backlash[:, :, k]
+    constant = (reversal_block(f'E{axis}{axis}', 0) for axis in machine.axis_names)
     tables = DirectionDependentTables().terms(state, {**shape, 'order': unknowns.reversal - 1.0})
-    for k, name in enumerate(tables.names):
-        yield name, tables.columns[:, :, k]
+    return (*constant, *tables.names), np.concatenate([backlash, tables.columns], axis=2)
 
 
 def reversal_tables(

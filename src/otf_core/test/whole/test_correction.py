@@ -260,7 +260,7 @@ def test_stops_have_neither_feed_nor_direction(tmp_path):
 
 
 def cause(confidence=1.0, *others):
-    return SimpleNamespace(confidence=confidence, indistinguishable=others)
+    return confidence, others
 
 
 def test_reversal_is_left_to_its_own_choice_unless_that_is_off():

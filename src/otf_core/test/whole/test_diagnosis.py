@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from core_cells import some_machine
 
-from otf_core.blind.unknown_effects import UNKNOWN_EFFECTS
+from otf_core.blind.natures import UNKNOWN_EFFECTS
 from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.diagnosis.diagnose import diagnose

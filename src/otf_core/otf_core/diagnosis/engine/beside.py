@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.evidence import Option
-from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.rows import Pulled, Rows
 from otf_core.diagnosis.engine.tried import Tried
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Candidates = Mapping[str, Sequence[Tried]]
@@ -80,7 +81,7 @@ class Pool:
         amount, pulled = taken.T @ self.rows.residual, self.rows.pulled(taken)
         return Pool(
             self.rows,
-            {n: [t.without(pulled, amount) for t in g] for n, g in self.groups.items()},
+            _without(self.groups, pulled, amount),
             np.concatenate([self.basis, taken], axis=1),
             np.concatenate([self.amount, amount]),
         )
@@ -102,6 +103,14 @@ class Pool:
             left = {n: [t.beside(back, again) for t in g] for n, g in left.items()}
         basis = self.basis @ kept
         return Beside(self.rows, left, basis, self.rows.residual - basis @ (kept.T @ self.amount))
+
+
+def _without(groups: Candidates, pulled: Pulled, amount: Array) -> Candidates:
+    one = side_by_side(
+        lambda tried: tried.without(pulled, amount), [t for g in groups.values() for t in g]
+    )
+    left = iter(one)
+    return {name: [next(left) for _ in group] for name, group in groups.items()}
 
 
 def _other_axes(tried: Tried, axes: Sequence[str]) -> Tried:

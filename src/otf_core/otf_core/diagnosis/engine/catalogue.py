@@ -16,6 +16,7 @@ from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
 from otf_core.effects.free import free_forms
 from otf_core.solving.sample_states import sample_residuals
+from otf_core.threads import side_by_side
 
 DETECTABLE = 25.0
 """Rise of the sum of squares at which an effect is found."""
@@ -130,17 +131,19 @@ def tried_effects(
     tried : mapping of effect name to list of Tried
     visible : mapping of effect name to Visibility
     """
-    tried: dict[str, list[Tried]] = {}
-    visible: dict[str, Visibility] = {}
-    for effect in effects:
+
+    def one(effect: Effect) -> tuple[list[Tried], Visibility]:
         chosen, stand_in = shapes_of(rows, effect, shapes)
         found = tried_shapes(rows, effect, chosen or stand_in)
-        tried[effect.name] = found if chosen else []
+        tried = found if chosen else []
         for form in free_forms(effect, rows.states):
             own = (chosen or ()) if form.form.shaped else ({},)
-            tried[effect.name] += tried_shapes(rows, form, own)
-        visible[effect.name] = best_sight([sight_of(t) for t in found])
-    return tried, visible
+            tried += tried_shapes(rows, form, own)
+        return tried, best_sight([sight_of(t) for t in found])
+
+    rows.prepare()
+    found = dict(zip((e.name for e in effects), side_by_side(one, effects), strict=True))
+    return {n: tried for n, (tried, _) in found.items()}, {n: s for n, (_, s) in found.items()}
 
 
 def best_sight(seen: Sequence[Visibility]) -> Visibility:

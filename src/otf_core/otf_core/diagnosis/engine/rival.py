@@ -26,7 +26,6 @@ from otf_core.diagnosis.engine.evidence import estimate, log_evidence
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import (
     NEEDED_EVIDENCE,
-    SAME_TRACE,
     Cause,
     fit_jointly,
     noise_variance,
@@ -38,6 +37,9 @@ Array = NDArray[np.float64]
 
 NEXT_TO_NOTHING = 1e-4
 """Share of the largest singular value."""
+THE_SAME = 0.1
+"""Share of the squared trace of the causes up to which a structure may leave another one and is
+no rival: a rougher or smoother form of what they do."""
 RIVALS = 3
 """Structures, the likeliest first, whose traces are looked at."""
 
@@ -55,6 +57,11 @@ class Rival:
 
     odds: float = -np.inf
     inputs: tuple[str, ...] = ()
+
+    @property
+    def wins(self) -> bool:
+        """Whether it has the odds against the causes that a name needs."""
+        return self.odds > NEEDED_EVIDENCE
 
     def confidence(self, cause: Cause) -> float:
         """Probability of a cause among the effects, something else, and nothing."""
@@ -117,4 +124,4 @@ def _trace(tried: Tried, rows: Rows, variance: float) -> Array:
 def _same(trace: Array, other: Array) -> bool:
     """Tell whether two explanations take away the same."""
     rest = trace - other
-    return float(rest @ rest) < SAME_TRACE * float(trace @ trace)
+    return float(rest @ rest) < THE_SAME * float(trace @ trace)

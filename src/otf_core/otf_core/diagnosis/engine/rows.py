@@ -183,6 +183,17 @@ class Rows:
         inner = linalg.cho_solve((self.factor, True), self.base.T @ white)
         return Pulled(white, plain, inner)
 
+    @cached_property
+    def pulled_residual(self) -> Pulled:
+        """The residual, set up for such products."""
+        return self.pulled(self.residual[:, None])
+
+    def prepare(self) -> None:
+        """Make what columns are compared with; afterwards several threads may do so."""
+        self.pulled_residual, self.slack  # noqa: B018
+        if self.runs:
+            self.sample_states  # noqa: B018
+
     def left(self, plain: Array) -> Array:
         """Deviations (r,) less tables and poses as the calibration fits them, m."""
         return np.concatenate([p.reshape(-1) for p in left_by(self.done, self.by_run(plain))])

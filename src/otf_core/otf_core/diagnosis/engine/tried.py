@@ -42,7 +42,7 @@ FAINT = 1e-6
 projected themselves."""
 NARROW = 32
 """Columns whose sizes are found at once."""
-MEMORY = 32e6
+MEMORY = 16e6
 """Bytes of columns that are whitened at once; more if one shape alone needs it."""
 
 
@@ -174,7 +174,7 @@ class Made:
 
 def tried_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[Tried]:
     """Reduce the columns of shapes of an effect to their products."""
-    pulled = rows.pulled(rows.residual[:, None])
+    pulled = rows.pulled_residual
     return [t for some in _batches(rows, effect, shapes) for t in _reduced(rows, some, pulled)]
 
 

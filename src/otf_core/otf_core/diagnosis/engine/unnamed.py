@@ -33,6 +33,7 @@ from otf_core.effects.inputs import (
     scaled_input,
     span_of,
 )
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -49,6 +50,8 @@ ORDERS = {'time': 20, 'feed': 2, 'acceleration': 3, 'sense_x': 2, 'sense_y': 2, 
 """Highest orders of functions of one input, where they differ."""
 SCREENED = 14
 """Pairs of inputs that are fitted exactly; single inputs all are."""
+AS_RIVALS = 5
+"""The same where named causes explain the gap."""
 ENOUGH = 0.95
 """Share of the evidence for two inputs that one of them must reach to be enough."""
 ONE_DIRECTION = 0.9
@@ -107,7 +110,7 @@ class Structures:
         return tried.odds(np.arange(len(tried.size)), variance) - self.looked
 
 
-def try_structures(rows: Rows) -> Structures:
+def try_structures(rows: Rows, pairs_tried: int = SCREENED) -> Structures:
     """Fit every structure of one input, and those of two that a score test prefers."""
     scores = Scores.of(rows)
     inputs = _inputs(rows)
@@ -117,10 +120,10 @@ def try_structures(rows: Rows) -> Structures:
     alone.append(Free(('time',), (LONG,), acts=vector))
     pairs = [_form(names) for names in combinations(inputs, 2)]
     spans = {name: span_of(rows.states, name) for name in inputs}
-    best = np.argsort(_screened(rows, scores, pairs, spans))[::-1][:SCREENED]
+    best = np.argsort(_screened(rows, scores, pairs, spans))[::-1][:pairs_tried]
     found = Structures(rows, (), float(np.log(len(alone) + len(pairs))))
     forms = (*alone, *(pairs[k] for k in best))
-    return replace(found, ranked=tuple(found.tried(form) for form in forms))
+    return replace(found, ranked=tuple(side_by_side(found.tried, forms)))
 
 
 def find_structure(tried: Structures) -> Structure | None:

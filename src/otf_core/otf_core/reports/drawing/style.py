@@ -31,11 +31,13 @@ svg text.middle { text-anchor: middle; } svg text.strong { font-weight: 600; fon
 .dots.big { stroke-width: 8; } .line.open { stroke: var(--open); }
 .line.dot { stroke-dasharray: 1.5 3; } .line.thick { stroke-width: 2.4; }
 .s0 { --s: #2c5fa8; } .s1 { --s: #d55e00; } .s2 { --s: #009e73; } .s3 { --s: #cc79a7; }
-.s4 { --s: #e69f00; } .s5 { --s: #56b4e9; } .s6 { --s: #8a6d3b; } .s7 { --s: #7a7f87; }
-.s8 { --s: #a05195; } .s9 { --s: #b5bd4c; } .area.share { fill: var(--s); }
+.s4 { --s: #b97f00; } .s5 { --s: #2f94d1; } .s6 { --s: #8a6d3b; } .s7 { --s: #7a7f87; }
+.s8 { --s: #a05195; } .s9 { --s: #8a9130; } .area.share { fill: var(--s); }
 .h0 { --s: #fbe3c4; } .h1 { --s: #f9c78a; } .h2 { --s: #f4a14f; } .h3 { --s: #e5702c; }
 .h4 { --s: #c9421a; } .h5 { --s: #941f10; } .line.heat { stroke: var(--s); } .area.heat {
   fill: var(--s); } .dots.heat { stroke: var(--s); } .line.arrow { stroke-width: 1.8; }
+@media screen and (prefers-color-scheme: dark) { .s0 { --s: #5f8fdc; } .s3 { --s: #dd9abc; }
+  .s6 { --s: #b08e52; } .s8 { --s: #c07ab0; } .h4 { --s: #de5830; } .h5 { --s: #d8364a; } }
 .turn { touch-action: pan-y; cursor: grab; } .turn:active { cursor: grabbing; }
 """
 """Colours, and the marks of pictures."""
