@@ -10,8 +10,11 @@ from otf_core.config import PlannerConfig
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.errors import ConfigError
-from otf_core.planning.after import Question, open_questions, plan_after
-from otf_core.planning.forecast import Setup
+from otf_core.planning.after import Question, answered, open_questions, plan_after
+from otf_core.planning.creator import plan_path
+from otf_core.planning.forecast import Setup, forecast
+from otf_core.planning.measured import MeasuredRun, joint_rows
+from otf_core.planning.planned_budget import planned_solution
 
 MACHINE = some_machine(pitch=0.1)
 LAG = AppliedEffect(REGISTRY['servo_mismatch'], {'T_X': 1.6e-5, 'T_Y': -8e-6})
@@ -44,7 +47,7 @@ def test_folder_without_a_question_is_refused(tmp_path, rivals, hidden, words):
 def test_faint_lag_is_told_from_play_by_a_second_feed():
     setup = Setup.of(MACHINE)
     asked = [Question('servo_mismatch', 'backlash', LAG)]
-    plan, (answer,) = plan_after(asked, setup, PlannerConfig(levels=2), None)
+    plan, (answer,), _ = plan_after(asked, setup, PlannerConfig(levels=2), None)
     assert answer.sure and len(set(plan.feed.tolist())) >= 2
     assert answer.to_dict()['probability'] > 0.99
 
@@ -52,3 +55,30 @@ def test_faint_lag_is_told_from_play_by_a_second_feed():
 def test_time_that_no_path_keeps_is_refused_with_the_shortest():
     with pytest.raises(ConfigError, match=r'the shortest takes \d+ s'):
         plan_after([Question('tracker_scale')], Setup.of(MACHINE), PlannerConfig(), 1.0)
+
+
+def as_measured(plan, place):
+    """Entry of gap.json for a run."""
+    path, feed = plan.path.points.tolist(), plan.feed.tolist()
+    return {'path': path, 'feed': feed, 'tracker_place': list(place)}
+
+
+def test_a_run_that_was_measured_adds_to_what_a_further_one_says():
+    """Twice the same run: twice the information, and more as both share their tables."""
+    setup = Setup.of(MACHINE)
+    plan = plan_path(MACHINE, PlannerConfig(levels=2))
+    before = MeasuredRun.of(as_measured(plan, setup.place), 'gap.json')
+    planned = planned_solution(plan, setup, forecast(plan, setup))
+    question = Question('servo_mismatch', 'backlash', LAG)
+    alone, both = (
+        answered(joint_rows(planned, known, 1e-4), question).log_odds
+        for known in ([], [before.observed(setup)])
+    )
+    assert both > 1.9 * alone > 0.0
+
+
+@pytest.mark.parametrize('lacking', ['path', 'feed', 'tracker_place'])
+def test_a_measured_run_that_cannot_be_read_is_refused(lacking):
+    entry = as_measured(plan_path(MACHINE, PlannerConfig()), (0.0, -0.5, 0.0))
+    with pytest.raises(ConfigError, match=f'd/gap.json: measured: cannot be read .*{lacking}'):
+        MeasuredRun.of({k: v for k, v in entry.items() if k != lacking}, 'd/gap.json')

@@ -111,7 +111,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
     from otf_core.noise.fields import read_noise
-    from otf_core.planning.after import open_questions
+    from otf_core.planning.after import measured_runs, open_questions
     from otf_core.planning.job import PlanRequest, make_plan, read_place
     from otf_core.planning.nc import DIALECTS
     from otf_core.reports.plan import format_report, write_report
@@ -128,6 +128,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         tracker_place=None if place is None else read_place(place),
         noise=None if arguments.noise is None else read_noise(arguments.noise),
         questions=() if after is None else tuple(open_questions(after, machine)),
+        before=() if after is None or place is not None else tuple(measured_runs(after)),
     )
     dialect = None if arguments.dialect is None else DIALECTS[arguments.dialect]
     about = provenance(

@@ -32,9 +32,10 @@ from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.planning.creator import plan_path
 from otf_core.planning.drive_time import drive_times
-from otf_core.planning.effects_seen import forecast_rows
 from otf_core.planning.forecast import Setup, forecast
+from otf_core.planning.measured import MeasuredRun, joint_rows
 from otf_core.planning.planned_budget import planned_solution
+from otf_core.planning.tracker_places import check_place
 
 Array = NDArray[np.float64]
 
@@ -137,13 +138,24 @@ def open_questions(folder: str | Path, machine: Machine) -> list[Question]:
     return found
 
 
+def measured_runs(folder: str | Path) -> list[MeasuredRun]:
+    """Runs that a diagnosis is of; none where it is older than this."""
+    gap: Mapping[str, Any] = read_json(Path(folder) / 'gap.json')
+    return [MeasuredRun.of(entry, f'{folder}/gap.json') for entry in gap.get('measured', ())]
+
+
 def answered(rows: Rows, question: Question) -> Answer:
-    """What the pieces of a path would say to a question."""
+    """What the pieces of a path, and of runs beside it, would say to a question."""
     if question.cause is None:
         return _seen(rows, question)
-    state, axes = rows.states[0], rows.done.runs[0].system.axes
-    moved = question.cause.effect.displacement(state, question.cause.parameters)
-    plain = np.einsum('cpk,pk->cp', axes, moved).reshape(-1, 1)
+    moved = [
+        question.cause.effect.displacement(state, question.cause.parameters)
+        for state in rows.states
+    ]
+    parts = zip(rows.done.runs, moved, strict=True)
+    plain = np.concatenate([
+        np.einsum('cpk,pk->cp', run.system.axes, own).reshape(-1, 1) for run, own in parts
+    ])  # fmt: skip
     trace = rows.project(rows.whiten(plain))[:, 0]
     left = min((_left(own, trace) for own in _rival_columns(rows, question)), default=0.0)
     log_odds = 0.5 * left
@@ -208,9 +220,30 @@ def _candidates(setup: Setup, config: PlannerConfig, budget: float | None) -> li
     return kept[:MOST]
 
 
+def _places(plan: Plan, setup: Setup, before: Sequence[MeasuredRun]) -> list[Setup]:
+    """Where the tracker may stand: where it stood, or on the other side of the volume."""
+    if not before:
+        return [setup]
+    here = setup.at(before[-1].place)
+    across = setup.machine.lower + setup.machine.upper - here.place
+    other = setup.at(np.array([across[0], across[1], here.place[2]]))
+    found = []
+    for one in (here, other):
+        try:
+            check_place(plan, one)
+        except ConfigError:
+            continue
+        found.append(one)
+    return found or [setup]
+
+
 def plan_after(
-    questions: Sequence[Question], setup: Setup, config: PlannerConfig, budget: float | None
-) -> tuple[Plan, list[Answer]]:
+    questions: Sequence[Question],
+    setup: Setup,
+    config: PlannerConfig,
+    budget: float | None,
+    before: Sequence[MeasuredRun] = (),
+) -> tuple[Plan, list[Answer], Setup]:
     """Choose the shortest path that answers all that any of them answers.
 
     Parameters
@@ -221,6 +254,16 @@ def plan_after(
         Feed, dwells and margin are taken as they are.
     budget : float, optional
         s; longest drive.
+    before : sequence of MeasuredRun
+        Runs that will be diagnosed together with the new one; the tracker may stay, or go to the
+        other side.
+
+    Returns
+    -------
+    plan : Plan
+    answers : list of Answer
+    setup : Setup
+        With the place of the tracker that is proposed.
 
     Raises
     ------
@@ -228,14 +271,17 @@ def plan_after(
         If no path fits into the time.
     """
     limit = setup.calibration.unidentifiable_above
-    found: list[tuple[float, Plan, list[Answer]]] = []
+    known = [run.observed(setup) for run in before]
+    found: list[tuple[float, Plan, list[Answer], Setup]] = []
     for plan in _candidates(setup, config, budget):
-        rows = forecast_rows(planned_solution(plan, setup, forecast(plan, setup)), limit)
-        answers = [answered(rows, q) for q in questions]
-        worth = sum(min(a.log_odds, SURE) for a in answers)
-        found.append((worth, plan, answers))
+        for there in _places(plan, setup, before):
+            planned = planned_solution(plan, there, forecast(plan, there))
+            rows = joint_rows(planned, known, limit)
+            answers = [answered(rows, q) for q in questions]
+            worth = sum(min(a.log_odds, SURE) for a in answers)
+            found.append((worth, plan, answers, there))
         if all(a.sure for a in answers):
             break
-    most = max(worth for worth, _, _ in found)
-    _, plan, answers = next(one for one in found if one[0] >= ENOUGH * most)
-    return plan, answers
+    most = max(worth for worth, *_ in found)
+    _, plan, answers, there = next(one for one in found if one[0] >= ENOUGH * most)
+    return plan, answers, there

@@ -18,6 +18,7 @@ from otf_core.planning.creator import plan_path
 from otf_core.planning.effects_seen import forecast_effects, forecast_rows
 from otf_core.planning.forecast import Forecast, Setup, forecast
 from otf_core.planning.judged import EffectForecast, PlanReport
+from otf_core.planning.measured import MeasuredRun
 from otf_core.planning.nc.programs import on_increment
 from otf_core.planning.observability import findings
 from otf_core.planning.optimised import PathOptimiser
@@ -45,6 +46,8 @@ class PlanRequest:
     questions : tuple of Question
         What a diagnosis left open; the shortest path that answers is chosen then, within
         ``time_budget``.
+    before : tuple of MeasuredRun
+        What that diagnosis was of.
     """
 
     given: Plan | None = None
@@ -53,6 +56,7 @@ class PlanRequest:
     tracker_place: tuple[float, float, float] | None = None
     noise: NoiseModel | None = None
     questions: tuple[Question, ...] = ()
+    before: tuple[MeasuredRun, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the wishes go together; ConfigError names those that do not."""
@@ -105,14 +109,21 @@ def _choose(request: PlanRequest, setup: Setup, config: PlannerConfig) -> tuple[
 
 def _chosen(
     request: PlanRequest, setup: Setup, config: PlannerConfig
-) -> tuple[Plan, str, list[Answer]]:
+) -> tuple[Plan, str, list[Answer], Setup]:
     """Plan as requested, after a diagnosis with what it would say to its questions."""
     if not request.questions:
-        return *_choose(request, setup, config), []
-    plan, answers = plan_after(request.questions, setup, config, request.time_budget)
+        return *_choose(request, setup, config), [], setup
+    before = request.before
+    plan, answers, there = plan_after(
+        request.questions, setup, config, request.time_budget, before
+    )
     sure = sum(a.sure for a in answers)
     how = f'after a diagnosis: the shortest path that answers {sure} of {len(answers)} questions'
-    return plan, how, answers
+    if before:
+        stays = np.allclose(there.place, before[-1].place)
+        where = 'stays' if stays else f'moves to ({", ".join(f"{v:.2f}" for v in there.place)}) m'
+        how += f', diagnosed together with the runs before; the tracker {where}'
+    return plan, how, answers, there
 
 
 def _worth(efficiency: float) -> str:
@@ -145,7 +156,7 @@ def make_plan(
     setup = Setup.of(machine, place, request.noise, judged)
     progress('choosing lines', 0.0)
     with one_thread():
-        plan, how, answers = _chosen(request, setup, config)
+        plan, how, answers, setup = _chosen(request, setup, config)
         plan = on_increment(plan, machine.lower, machine.upper)
         check_place(plan, setup)
         progress('forecasting', 0.0)

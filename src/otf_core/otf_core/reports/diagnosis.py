@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from otf_core.diagnosis.measured import measured_run
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
@@ -26,6 +27,7 @@ def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         'schema': SCHEMA,
         'runs': list(diagnosis.runs),
+        'measured': [measured_run(view) for view in diagnosis.shown.views],
         'verdict': diagnosis.verdict,
         'sentence': diagnosis.sentence,
         'gap': asdict(diagnosis.gap),
