@@ -129,6 +129,19 @@ def test_command_to_start_and_its_answer_tell_the_clock_at_once(seed):
     assert stamper.clock.jumps == 0
 
 
+def test_answer_that_was_held_up_counts_as_the_quickest_did():
+    stamper, out = Stamper(), []
+    for epoch, answered in enumerate((4 * 10**5, 4 * 10**6)):
+        shift = epoch * 30 * 10**9
+        stamper.restart()
+        stamper.started(EPOCH + shift - 10**5, EPOCH + shift + answered)
+        source = list(packets(epoch, 5, 18e-6, delays=Delays(3e-3)))
+        moved = [(d, t + shift, arrival + shift) for d, t, arrival in source]
+        out += stamped(moved[:1], stamper)
+    assert all(len(part) for part in out)  # with the first packet of either
+    assert np.abs(out[2] - out[3]).max() < 0.5 * MILLISECOND
+
+
 def test_answer_that_precedes_the_start_by_far_is_not_believed():
     """A tracker that answers at once and starts its clock 30 ms later."""
     stamper = Stamper()

@@ -86,3 +86,8 @@ def test_first_lap_ends_with_the_last_new_leg_or_half_way():
     np.testing.assert_array_equal(several.first_lap.points, lap)
     single = NominalPath(np.array(lap, dtype=float))
     np.testing.assert_array_equal(single.first_lap.points, [*lap[:4]])
+
+
+def test_point_beyond_all_machines_is_refused_before_lengths_overflow():
+    with pytest.raises(InputError, match='point 1 is beyond'):
+        NominalPath(np.array([[0.0, 0.0, 0.0], [0.0, 1e200, 0.0]]))

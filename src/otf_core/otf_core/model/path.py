@@ -14,6 +14,8 @@ from otf_core.errors import InputError, ShapeError
 
 Array = NDArray[np.float64]
 
+FURTHEST = 1e6
+"""m; nothing is measured there, and squares of lengths stay finite."""
 MIN_LEG = 1e-6
 """m; shorter legs are repeated corner points, not motion."""
 SINGLE = 0.75
@@ -57,6 +59,12 @@ class NominalPath:
         if not np.all(np.isfinite(self.points)):
             first = int(np.flatnonzero(~np.isfinite(self.points).all(axis=1))[0])
             raise InputError(f'path: point {first} is not finite')
+        far = np.abs(self.points).max(axis=1, initial=0.0) > FURTHEST
+        if far.any():
+            first = int(np.argmax(far))
+            raise InputError(
+                f'path: point {first} is more than {FURTHEST:g} m away; the unit is m'
+            )
         if len(self.points) < 2 or self.leg_lengths.max() <= MIN_LEG:
             raise InputError(
                 f'path: {len(self.points)} points without any motion between them; '

@@ -103,6 +103,7 @@ class DeviceClock:
         self._suspects: list[tuple[int, int]] = []
         self._began = 0
         self._known = NOTHING
+        self._quickest = 2**62
 
     @property
     def state(self) -> ClockState:
@@ -125,8 +126,15 @@ class DeviceClock:
         self._suspects.clear()
 
     def started(self, ordered_ns: int, answered_ns: int | None = None) -> None:
-        """Take when the clock was ordered to start from zero, and when that was answered."""
-        self._known = replace(self._known, floor=ordered_ns, ceiling=answered_ns)
+        """Take when the clock was ordered to start from zero, and when that was answered.
+
+        The quickest answer so far counts: commands are sent at once, answers wait behind others.
+        """
+        ceiling = None
+        if answered_ns is not None:
+            self._quickest = min(self._quickest, answered_ns - ordered_ns)
+            ceiling = ordered_ns + self._quickest
+        self._known = replace(self._known, floor=ordered_ns, ceiling=ceiling)
 
     def take(self, device_ns: int, arrival_ns: int) -> Verdict:
         """Take the time of a packet's last sample on both clocks."""
