@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from otf_core.calibration.calibrate import SolvedRecordings, assemble
 from otf_core.calibration.result import CalibrationResult
@@ -42,6 +41,7 @@ from otf_core.solving.columns import (
     state_at,
 )
 from otf_core.solving.joint import FINE, JointSolution, Progress, Start, solve_robustly, tables_of
+from otf_core.solving.positive import Positive
 from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.sample_states import sample_state
 from otf_core.solving.system import nominal_positions
@@ -51,6 +51,8 @@ Array = NDArray[np.float64]
 MAX_ROUNDS = 6
 SETTLED = 2e-8
 """m; change of the displacement by an effect below which its coefficients count as settled."""
+ROUNDING = 1e-10
+"""Share of the squares of columns below which what tables leave of them is rounding."""
 ROUGH = 1e-6
 """m; a larger change can alter which functions and which reversal the data call for."""
 
@@ -203,20 +205,21 @@ def estimates(
     cross = projected(done, columns)
     change = done.solution.covariance @ cross
     size = column_size(np.concatenate([c.reshape(-1, c.shape[2]) for c in columns]))
-    matrix, right = -cross.T @ change, np.zeros(len(size))
+    matrix, right, own = -cross.T @ change, np.zeros(len(size)), np.zeros(len(size))
     for part, solved in zip(columns, done.runs, strict=True):
         flat = part.reshape(-1, part.shape[2])
         weighted = solved.whitener.weighted(part).reshape(flat.shape)
-        matrix += flat.T @ weighted
+        product = flat.T @ weighted
+        matrix += product
+        own += np.diag(product)
         right += weighted.T @ solved.residual.ravel()
     bounds = np.cumsum([0, *(e.size for e in effects)])
     prior = np.concatenate([
         e.precision(size[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
     ])  # fmt: skip
     right -= prior * np.concatenate([e.away() for e in effects])
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 0.0) + prior)
-    whole = scale[:, None] * (matrix + np.diag(prior)) * scale
-    covariance = scale[:, None] * linalg.inv(0.5 * (whole + whole.T)) * scale
+    whole = matrix + np.diag(prior + ROUNDING * own)
+    covariance = Positive(0.5 * (whole + whole.T)).inverse
     step = covariance @ right
     moved = tuple(
         e.moved(step[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
