@@ -19,6 +19,7 @@ FOLDERS = (
     'otf_core',
     'otf_bringup',
     'otf_calibrator',
+    'otf_ros',
     'otf_path_planner',
     'otf_compensator',
     'otf_tracker_driver',

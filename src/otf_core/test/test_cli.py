@@ -183,8 +183,7 @@ def test_edited_nodes_beside_an_old_covariance_still_predict(one):
 
 @pytest.mark.parametrize(
     'points',
-    ['', 'x,y\n1,2\n', 'x,y,z\n', 'x,y,z\n1,2\n', 'x,y,z\n1,2,a\n', 'x,y,z\n1,2,nan\n',
-     'x;y;z\n1;2;3\n'],
+    ['', 'x,y\n1,2\n', 'x,y,z\n', 'x,y,z\n1,2\n', 'x,y,z\n1,2,a\n', 'x,y,z\n1,2,nan\n'],
 )  # fmt: skip
 @one_chain
 def test_wrong_points_are_named(one, capsys, points):
