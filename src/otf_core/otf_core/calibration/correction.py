@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from otf_core.calibration.calibrate import SolvedRecordings, assemble
 from otf_core.calibration.result import CalibrationResult
@@ -218,13 +219,33 @@ def estimates(
         e.precision(size[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
     ])  # fmt: skip
     right -= prior * np.concatenate([e.away() for e in effects])
-    whole = matrix + np.diag(prior + ROUNDING * own)
-    covariance = Positive(0.5 * (whole + whole.T)).inverse
+    covariance = _covariance(matrix, own, prior)
     step = covariance @ right
     moved = tuple(
         e.moved(step[a:b]) for e, a, b in zip(effects, bounds[:-1], bounds[1:], strict=True)
     )
     return Estimates(moved, covariance, change), step, size
+
+
+def _covariance(matrix: Array, own: Array, prior: Array) -> Array:
+    """Inverse of what columns are known by, with their prior, shape (k, k).
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (k, k)
+        Products of what tables leave of the columns: a difference of large numbers.
+    own : ndarray, shape (k,)
+        Squares of the whole columns.
+    prior : ndarray, shape (k,)
+        Precision known before.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(own + prior, np.finfo(float).tiny))
+    unit = scale[:, None] * matrix * scale
+    value, vectors = linalg.eigh(0.5 * (unit + unit.T))
+    # none can be negative: the lowest shows how far rounding goes
+    floor = max(ROUNDING, -float(value[0]))
+    known = (vectors * np.maximum(value, 0.0)) @ vectors.T + np.diag(scale**2 * prior + floor)
+    return np.asarray(scale[:, None] * Positive(known).inverse * scale)
 
 
 def solve_with_effects(

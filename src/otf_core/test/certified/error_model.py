@@ -119,7 +119,10 @@ class Motion:
         half = 0.5 * np.diff(ends)[:, None]
         q, root = (ends[:-1, None] + half * (1 + points)).ravel(), np.sqrt(half * weights).ravel()
         own, wanted = hats.at(q) @ hats.gauge, self.at(q)
-        return hats.gauge @ np.linalg.lstsq(root[:, None] * own, root[:, None] * wanted)[0]
+        return (
+            hats.gauge
+            @ np.linalg.lstsq(root[:, None] * own, root[:, None] * wanted, rcond=None)[0]
+        )
 
 
 def block_diagonal(blocks):

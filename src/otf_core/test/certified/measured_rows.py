@@ -101,7 +101,9 @@ def rigid_pose(pieces, pose):
         points = pieces.xyz @ pose[0].T + pose[1]
         distance = np.einsum('nij,nj->ni', across, points - pieces.origin)
         columns = np.einsum('nij,njk->nik', across, pose_columns(points))
-        pose = moved(pose, np.linalg.lstsq(columns.reshape(-1, 6), -distance.ravel())[0])
+        pose = moved(
+            pose, np.linalg.lstsq(columns.reshape(-1, 6), -distance.ravel(), rcond=None)[0]
+        )
     return pose
 
 

@@ -51,4 +51,4 @@ def in_gauge(model, tables, q):
     rows = model.error_rows(q)
     rows[:, :, :6] = pose_columns(q)
     wanted = first_order(tables, q)
-    return np.linalg.lstsq(rows.reshape(-1, rows.shape[2]), wanted.ravel())[0]
+    return np.linalg.lstsq(rows.reshape(-1, rows.shape[2]), wanted.ravel(), rcond=None)[0]
