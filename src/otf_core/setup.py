@@ -21,7 +21,7 @@ setup(
         'numpy>=1.26',  # arrays, linear algebra
         'scipy>=1.11',  # sparse matrices, rotations, distributions
         'PyYAML>=6.0',  # machine.yaml and the other settings
-        'mcap>=1.1',  # MCAP records; brings lz4
+        'mcap>=1.1.1',  # MCAP records; brings lz4
         'zstandard>=0.18',  # unpacks the chunks of MCAP files
         'rosbags>=0.11',  # bags of any storage and version, CDR, message definitions
         'threadpoolctl>=3.1',  # one thread for small matrices: faster, the same result everywhere

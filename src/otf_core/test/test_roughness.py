@@ -159,8 +159,9 @@ def test_solution_is_the_posterior_of_the_gaussian_process(some):
     np.testing.assert_allclose(free[search.use], mean, atol=1e-6 * np.abs(mean).max())
     np.testing.assert_allclose(own[place], cover, atol=1e-6 * np.abs(cover).max())
     assert np.all(np.delete(free, search.use) == 0.0)
+    # the dense way loses digits: 1.3e-8 with SciPy 1.11
     np.testing.assert_allclose(
-        rough_now.square, some.y @ np.linalg.solve(whole, some.y), rtol=1e-8
+        rough_now.square, some.y @ np.linalg.solve(whole, some.y), rtol=1e-7
     )
 
 
