@@ -15,7 +15,7 @@ NEEDED = {
     'numpy': '1.26',
     'scipy': '1.11',
     'PyYAML': '6.0',
-    'mcap': '1.1',
+    'mcap': '1.1.1',
     'zstandard': '0.18',
     'rosbags': '0.11',
     'threadpoolctl': '3.1',
