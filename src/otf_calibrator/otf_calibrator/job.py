@@ -117,23 +117,23 @@ class Worker:
         return self._pool.submit(self._provisional, request)
 
     def save(self, outcome: Calibrated) -> Future[Calibrated]:
-        """Add the report, and path and samples as a bag, to the results as far as wanted."""
-        self.stage, self.fraction = 'saving report and samples', 0.0
+        """Add path and samples as a bag, and the report, to the results as far as wanted."""
+        self.stage, self.fraction = 'saving samples and report', 0.0
         return self._pool.submit(self._save, outcome)
 
     def _save(self, outcome: Calibrated) -> Calibrated:
         files, recording, folder = outcome.request.files, outcome.recording, outcome.folder
         if not folder:
             return outcome
-        what = 'the report was not written'
+        what = 'the samples were not saved'
         try:
-            if files.report:
-                outcome.report(folder)
-            what = 'the samples were not saved'
             if files.save_bag:
                 signals = outcome.request.signals
                 content = BagContent(recording.samples, recording.path, signals=signals)
                 write_bag(folder / BAG, content)
+            what = 'the report was not written'
+            if files.report:
+                outcome.report(folder)
         except OtfError as error:
             problem = f'{what}: {error}'
             self._warn(problem)
