@@ -21,9 +21,10 @@ from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
 from otf_core.effects.free import signal_forms
 from otf_core.errors import ConfigError
+from otf_core.model.courses import Courses
 from otf_core.model.declared_signals import DRIVEN
 from otf_core.model.machine import machine_from_dict
-from otf_core.model.signals import LAGS, Signal, courses
+from otf_core.model.signals import LAGS, Signal
 from otf_core.planning.creator import plan_path
 from otf_core.sim.cell import simulate
 
@@ -42,7 +43,7 @@ def test_a_step_is_followed_as_one_minus_an_exponential():
 
 def test_lags_longer_than_the_signal_are_left_out():
     signal = Signal(START + np.arange(5) * 20_000_000_000, np.arange(5.0))
-    found = courses({'signal:/t': signal}, START, np.arange(3.0))
+    found = Courses({'signal:/t': signal}, START, np.arange(3.0))
     assert max(LAGS) > 80.0 > min(LAGS)
     assert list(found) == ['signal:/t', *(f'signal:/t@{n:g}' for n in LAGS if n < 80.0)]
 

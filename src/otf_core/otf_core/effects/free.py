@@ -151,8 +151,10 @@ class FreeForm(Effect):
     def units(self, state: State, parameters: Shape) -> dict[str, str]:
         """Unit of every given parameter; signals need not be known for that."""
         lacking = {n for n in self.spans if n.startswith(SIGNAL) and n not in state.more}
-        more = {**state.more, **{n: np.zeros(len(state)) for n in lacking}}
-        return super().units(replace(state, more=more), parameters)
+        if lacking:
+            none = {n: np.zeros(len(state)) for n in lacking}
+            state = replace(state, more={**state.more, **none})
+        return super().units(state, parameters)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return A_k: term of what it acts with, and the orders of the polynomials."""

@@ -18,6 +18,7 @@ from otf_core.diagnosis.engine.evidence import (
     estimate,
     log_evidence,
 )
+from otf_core.diagnosis.engine.followers import with_lags
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.tried import Tried
 from otf_core.solving.columns import column_size
@@ -194,7 +195,7 @@ def _found(
     """Find effects beside causes, one after the other."""
     causes, considered = list(causes), []
     while len(causes) < MAX_CAUSES:
-        beside = pool.beside([c.option for c in causes])
+        beside = with_lags(pool.beside([c.option for c in causes]), 1.0)
         first = _ranking(beside.candidates, 1.0)
         if not first:
             break
@@ -219,7 +220,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
     worst, found = 0.0, None
     for cause in causes:
         others = [c for c in causes if c is not cause]
-        beside = pool.beside([c.option for c in others])
+        beside = with_lags(pool.beside([c.option for c in others]), variance)
         ranking = _ranking(beside.candidates, variance)
         (own,) = [e for e in ranking if e[1].effect.name == cause.option.effect.name]
         if own[0] < NEEDED_EVIDENCE and own[0] - NEEDED_EVIDENCE < worst:
