@@ -67,10 +67,10 @@ def across(solved: SolvedRun, columns: Array) -> Array:
 
 def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
-    parts = [
-        solved.system.rows.transposed(solved.whitener.weighted(part))
-        for solved, part in zip(done.runs, columns, strict=True)
-    ]
+    parts = []
+    for solved, part in zip(done.runs, columns, strict=True):
+        each = (solved.whitener.weighted(part[:, :, k]) for k in range(part.shape[2]))
+        parts.append(np.stack([solved.system.rows.transposed(one) for one in each], axis=1))
     return np.asarray(sum(parts))
 
 
