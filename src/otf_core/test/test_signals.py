@@ -17,6 +17,7 @@ from otf_core.bags.signals import read_signals
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.search import search
+from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
 from otf_core.effects.free import signal_forms
@@ -107,6 +108,45 @@ def test_strain_that_follows_a_signal_is_named_with_it():
     given = AppliedEffect(effect, {'S_X_1': 1e-5})
     entry = yaml.safe_load(yaml.safe_dump(effects_to_data([given], some_machine())))
     assert effects_from_data(entry, 'file', some_machine()) == (given,)
+
+
+def test_a_lag_between_the_usual_ones_and_a_fixed_point_anywhere_are_found():
+    """An axis that grows from its far end, 43 s behind a switch; what a table of steps says."""
+    rows = solved_rows()
+    seconds = np.arange(400.0)
+    switch = ((seconds > 8.0) & (seconds % 60.0 < 35.0)).astype(float)
+    warm = np.zeros_like(seconds)
+    for k in range(1, len(warm)):
+        warm[k] = switch[k - 1] + (warm[k - 1] - switch[k - 1]) * np.exp(-1.0 / 43.0)
+    beside = {'signal:/motor': Signal(np.int64(1e9) * seconds.astype(np.int64), switch)}
+    states = tuple(replace(s, more=Courses(beside, 0, s.time, s.more)) for s in rows.states)
+    far = some_machine().upper[0]
+    parts = [
+        np.einsum(
+            'cpk,pk->cp',
+            run.system.axes,
+            (2e-5 * np.interp(s.time, seconds, warm) * (s.q[:, 0] - far) / far)[:, None]
+            * [1, 0, 0],
+        ).ravel()
+        for run, s in zip(rows.done.runs, states, strict=True)
+    ]
+    rows = holding(noise(9) + np.concatenate(parts), replace(rows, states=states))
+    names = ['thermal_axis_expansion', 'thermal_structure_drift']
+    tried, _ = tried_effects(rows, [REGISTRY[n] for n in names], {})
+    causes, _ = search(rows, tried)
+    (cause,), (part,) = causes, fitted_causes(causes, rows)
+    (signal,) = cause.option.effect.spans
+    assert signal.startswith('signal:/motor@') and abs(float(signal.split('@')[1]) - 43.0) < 4.0
+    assert (cause.option.effect.name, cause.option.axes) == ('thermal_axis_expansion', ('X',))
+    strain, shift = (part.value[part.names.index(f'{n}_X_1')] for n in 'SD')
+    assert -shift / strain == pytest.approx(far, rel=0.05)
+    given = [AppliedEffect(cause.option.effect, {'S_X_1': strain, 'D_X_1': shift})]
+    assert (
+        effects_from_data(effects_to_data(given, some_machine()), 'file', some_machine())[0].effect
+        == cause.option.effect
+    )
+    moved = given[0].effect.displacement(states[0], given[0].parameters)
+    assert np.abs(moved[:, 1:]).max() == 0.0 < np.abs(moved[:, 0]).max()
 
 
 # ---------------------------------------------------------------- declared in machine.yaml
