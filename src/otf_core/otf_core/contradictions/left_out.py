@@ -26,7 +26,7 @@ CELL = 0.02
 """m; stretches of a line that are compared between passes."""
 SAME_POINT = 1e-3
 """m; raster by which lines are told apart."""
-CORNER, OF_LEG = 0.1, 0.25
+CORNER, OF_LEG = 0.06, 0.25
 """m, and share of its leg, within which a sample lies near a corner."""
 REGULAR = 0.7
 """Share of what is left out from which a rule holds."""

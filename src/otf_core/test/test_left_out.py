@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was left out as outliers: dents and bursts that are put into samples of a small cell."""
+
+import numpy as np
+import pytest
+from core_cells import record, small_plan, some_machine, some_pose
+
+from otf_core.calibration.calibrate import solve_recordings
+from otf_core.config import CalibrationConfig
+from otf_core.model.observation import Samples
+from otf_core.pieces.runs import Recording
+
+DENT = 0.12
+
+
+def chip_under_the_slide(driven, rng):
+    """80 um over 20 mm of X, whenever it comes by."""
+    bump = np.exp(-0.5 * ((driven.q[:, 0] - DENT) / 0.006) ** 2)
+    return 8e-5 * bump[:, None] * [0.0, 0.7, 1.0]
+
+
+def rounded_corners(driven, rng):
+    """Up to 0.15 mm towards the middle of the volume over 30 mm from every corner."""
+    near = np.min([np.linalg.norm(driven.q - p, axis=1) for p in driven.path.points], axis=0)
+    middle = 0.5 * (driven.machine.lower + driven.machine.upper)
+    return 1.5e-4 * np.clip(1.0 - near / 0.03, 0.0, None)[:, None] * np.sign(middle - driven.q)
+
+
+def bursts(driven, rng):
+    """0.1 mm for a fifth of a second, twelve times."""
+    moved = np.zeros_like(driven.q)
+    for at in rng.uniform(0.05, 0.95, 12) * driven.time[-1]:
+        moved[np.abs(driven.time - at) < 0.1] = 1e-4 * rng.choice([-1.0, 1.0], 3)
+    return moved
+
+
+def recording(spoil):
+    """Two passes with something added."""
+    machine = some_machine(pitch=0.1)
+    driven = record(machine, small_plan(machine, passes=2), rate=40.0)
+    rng = np.random.default_rng([71, 3])
+    pose = some_pose(machine, rng)
+    samples = driven.measured(seed=5, pose=pose)
+    xyz = samples.xyz + spoil(driven, rng) @ pose[0].T
+    return Recording(Samples(samples.stamp_ns, xyz), driven.path, machine)
+
+
+@pytest.mark.parametrize(
+    ('spoil', 'again', 'at_corners'),
+    [(chip_under_the_slide, True, False), (rounded_corners, True, True), (bursts, False, False)],
+)
+def test_what_lies_at_a_place_is_told_from_bad_samples(spoil, again, at_corners):
+    run, coarse = recording(spoil), {'reversal': 'none', 'piece_length': 0.024}
+    solved = solve_recordings([run], CalibrationConfig(**coarse))
+    (left,) = solved.left
+    assert (left.again, left.at_corners) == (again, at_corners)
+    said = [f.words for f in solved.solution.runs[0].remarks if f.check == 'left out']
+    assert len(said) == 1 and f'{left.samples} samples left out' in said[0]
+    assert ('takes them into the gap' in said[0]) == again
+    if spoil is chip_under_the_slide:
+        assert np.allclose([p[0] for p in left.places], DENT, atol=0.04)
+        assert 'all near X 0.1' in said[0] and 'same places in every pass' in said[0]
