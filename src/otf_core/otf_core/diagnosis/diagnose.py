@@ -169,9 +169,8 @@ def _judged(
     rows: Rows, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
 ) -> _Judged:
     """Weigh the causes found against noise, and against what has no name."""
-    noise = None
-    if matters(explained.after_um, explained.simulated_um):
-        noise = check_noise(rows, config.standstill_speed, exclude)
+    gap = matters(explained.after_um, explained.simulated_um)
+    noise = check_noise(rows, config.standstill_speed, exclude, gap=gap)
     left, has_place = _what_is_left(rows, explained)
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
     explained, nameless = _or_something_else(rows, explained, verdict)

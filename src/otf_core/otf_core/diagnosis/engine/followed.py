@@ -29,6 +29,7 @@ from otf_core.diagnosis.engine.catalogue import (
     tried_effects,
 )
 from otf_core.diagnosis.engine.evidence import TOGETHER, Option, likeliest_width, motions_of
+from otf_core.diagnosis.engine.noise_check import heard
 from otf_core.diagnosis.engine.rows import Rows, build_rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, search
 from otf_core.effects import BelongsTo, Effect
@@ -70,14 +71,15 @@ def rows_to_diagnose(
         Effects taken out of the catalogue.
     """
     limit = config.unidentifiable_above
-    rows = build_rows(runs, done, limit)
+    loud = [heard(run, config.standstill_speed) for run in runs]
+    rows = build_rows(loud, done, limit)
     effects = [e for e in effects_without(exclude) if _stays_at_places(e)]
     if not is_finer(done.unknowns.bases) or not effects:
         return rows
     fine = _likelihood(rows)
     best, least = rows, fine + CLEAR
     for bases in (linear_bases(nodes), smooth_bases(nodes)):
-        other = build_rows(runs, _solved(runs, done, bases, config), limit)
+        other = build_rows(loud, _solved(runs, done, bases, config), limit)
         causes = _found(other, effects)
         score = _likelihood(other, causes)
         if _in_few_motions(causes):
