@@ -77,16 +77,17 @@ def rows_to_diagnose(
     if not is_finer(done.unknowns.bases) or not effects:
         return rows
     fine = _likelihood(rows)
-    best, least = rows, fine + CLEAR
-    for bases in (linear_bases(nodes), smooth_bases(nodes)):
-        other = build_rows(loud, _solved(runs, done, bases, config), limit)
-        causes = _found(other, effects)
-        score = _likelihood(other, causes)
-        if _in_few_motions(causes):
-            score += NOT_FOLLOWED * max(fine - _likelihood(other), 0.0)
-        if score > least:
-            best, least = other, score
-    return best
+    others = [
+        build_rows(loud, _solved(runs, done, bases, config), limit)
+        for bases in (linear_bases(nodes), smooth_bases(nodes))
+    ]
+    alone = [_likelihood(other) for other in others]
+    for k in sorted(range(len(alone)), key=lambda k: -alone[k]):
+        causes = _found(others[k], effects)
+        allowed = NOT_FOLLOWED * (fine - alone[k]) if _in_few_motions(causes) else 0.0
+        if _likelihood(others[k], causes) + max(allowed, 0.0) > fine + CLEAR:
+            return others[k]
+    return rows
 
 
 def _stays_at_places(effect: Effect) -> bool:
