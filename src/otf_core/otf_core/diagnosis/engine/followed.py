@@ -126,8 +126,15 @@ def _likelihood(rows: Rows, causes: Sequence[Cause] = ()) -> float:
         systems = [replace(s, deviation=s.deviation - part) for s, part in parts]
         price = _price(causes, fitted, rows.residual)
     normal = summed(systems, done.unknowns, rows.whiteners)
-    found = Search(normal, done.unknowns, done.solution.accepted, rows.limit)
-    return found.run(done.roughness.logs).log_likelihood - price
+    found = Search(normal, done.unknowns, _blocks(rows), rows.limit)
+    return found.run().log_likelihood - price
+
+
+def _blocks(rows: Rows) -> list[str]:
+    """Blocks of ``Rows.use``: what is solved for, and rotations that leave a trace all the same."""
+    blocks = rows.done.unknowns.free_blocks.items()
+    places = {name: np.arange(block.start, block.stop) for name, block in blocks}
+    return [n for n, own in places.items() if own.size and np.isin(own, rows.use).all()]
 
 
 def _price(causes: Sequence[Cause], fitted: Array, residual: Array) -> float:
