@@ -27,6 +27,9 @@ from otf_core.solving.joint import JointSolution, SolvedRun
 
 Array = NDArray[np.float64]
 
+SOME = 8
+"""Columns whose products are made together."""
+
 
 def piece_state(
     run: Observed, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
@@ -67,10 +70,11 @@ def across(solved: SolvedRun, columns: Array) -> Array:
 
 def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
-    parts = [
-        solved.system.rows.transposed(solved.whitener.weighted(part))
-        for solved, part in zip(done.runs, columns, strict=True)
-    ]
+    parts = []
+    for solved, part in zip(done.runs, columns, strict=True):
+        some = (part[:, :, k : k + SOME] for k in range(0, part.shape[2], SOME))
+        each = [solved.system.rows.transposed(solved.whitener.weighted(own)) for own in some]
+        parts.append(np.concatenate(each, axis=1))
     return np.asarray(sum(parts))
 
 

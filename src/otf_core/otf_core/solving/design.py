@@ -57,8 +57,9 @@ class AxisPart:
     def splines(self) -> sparse.csr_array:
         """Values of all splines, shape (p, size)."""
         count, width = self.weight.shape
-        places = (self.first[:, None] + np.arange(width)).ravel()
-        ends = np.arange(0, count * width + 1, width)
+        small = np.int32 if count * width < np.iinfo(np.int32).max else np.int64
+        places = (self.first[:, None] + np.arange(width)).ravel().astype(small)
+        ends = np.arange(0, count * width + 1, width, dtype=small)
         shape = (count, self.size)
         return sparse.csr_array((self.weight.ravel(), places, ends), shape=shape)
 
@@ -262,37 +263,28 @@ class Design:
         ]
         return sparse.csr_array(sparse.vstack(blocks))
 
-    def times(self, value: Array, column: Index | None = None) -> Array:
+    def times(self, value: Array) -> Array:
         """Deviations for values of the unknowns.
 
         Parameters
         ----------
         value : ndarray, shape (full,) or (full, k)
-        column : ndarray of int64, shape (p,), optional
-            Which of the k values counts for each piece.
 
         Returns
         -------
-        ndarray, shape (c, p), or (c, p, k) for k values without ``column``
+        ndarray, shape (c, p) or (c, p, k)
         """
-        if value.ndim > 1 and column is None:
+        if value.ndim > 1:
             return np.stack([self.times(v) for v in value.T], axis=2)
-        own = value[:, None] if column is None else value
-        of = np.zeros(len(self.q), dtype=np.int64) if column is None else column
-        row = np.arange(len(of))
-        moved, angles = own[self._pose][:, of], own[self._angles][:, of]
-        total = -moved[:3].T - crossed(moved[3:].T, self.points)
+        moved, angles, sizes = (value[k] for k in (self._pose, self._angles, self._reversals))
+        total = -moved[:3] - crossed(moved[3:], self.points)
         for angle, name in zip(angles, SQUARENESS, strict=True):
-            total += angle[:, None] * squareness_influence(name, self.q)
-        sizes = own[self._reversals][:, of]
+            total += angle * squareness_influence(name, self.q)
         if np.any(sizes):
             for some in self._blocks():
-                total[some] += np.einsum('pik,kp->pi', self._reversal(some), sizes[:, some])
+                total[some] += self._reversal(some) @ sizes
         for part in (part for parts in self._parts for part in parts):
-            wide = part.splines @ own[part.starts + np.arange(part.size)[:, None]].reshape(
-                part.size, -1
-            )
-            six = wide if column is None else wide.reshape(len(of), 6, -1)[row, :, of]
+            six = part.splines @ value[part.starts + np.arange(part.size)[:, None]]
             total += (six[:, :3] + crossed(six[:, 3:], part.lever)) / len(self.shifts)
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, total))
 

@@ -56,7 +56,7 @@ def sample_state(
 ) -> State:
     """State of the samples in the pieces of a run."""
     samples, legs, index = run.samples, Legs(run.shape.corners), run.pieces.samples
-    leg = run.alignment.leg[index]
+    leg = run.alignment.leg[index].astype(np.int64)
     points = pose.apply(samples.xyz[index])
     q = legs.at(legs.along(points, leg), leg)
     if tables is not None:  # errors along the path would shift the phase of periodic effects
