@@ -131,7 +131,7 @@ def _likelihood(rows: Rows, causes: Sequence[Cause] = ()) -> float:
 
 
 def _blocks(rows: Rows) -> list[str]:
-    """Blocks of ``Rows.use``: what is solved for, and rotations that leave a trace all the same."""
+    """Blocks of ``Rows.use``: what is solved for, and rotations that still leave a trace."""
     blocks = rows.done.unknowns.free_blocks.items()
     places = {name: np.arange(block.start, block.stop) for name, block in blocks}
     return [n for n, own in places.items() if own.size and np.isin(own, rows.use).all()]
