@@ -89,6 +89,11 @@ def smooth_bases(nodes: Mapping[str, Array], parts: int = INTERVALS) -> Bases:
     return {axis: cubic(at, parts) for axis, at in nodes.items()}
 
 
+def is_finer(bases: Bases) -> bool:
+    """Tell whether these are the functions that are tried where others leave steps."""
+    return any(b.degree > 1 and len(b.knots) > INTERVALS + 1 for b in bases.values())
+
+
 def linear_bases(nodes: Mapping[str, Array]) -> Bases:
     """Functions that are linear between the nodes of every axis."""
     return {axis: linear(at) for axis, at in nodes.items()}

@@ -27,6 +27,7 @@ from otf_core.diagnosis.engine.evidence import (
     axis_subsets,
     likeliest_width,
     log_evidence,
+    motion_subsets,
 )
 from otf_core.diagnosis.engine.rows import Pulled, Rows
 from otf_core.effects import Effect, Shape, Terms
@@ -72,7 +73,7 @@ class Tried:
     normal, right : ndarray, shape (k, k) and (k,)
         P'P and P'y, less what the causes found so far can follow.
     takes : tuple of ndarray of int
-        Terms of every option: all that act, and those of each axis.
+        Terms of every option: all that act, those of each axis, of a few motions.
     source : Source
     shared : ndarray, shape (q, k)
         Products with the orthonormal columns that were left out.
@@ -106,8 +107,13 @@ class Tried:
         return orders[take] if len(orders) else orders
 
     def made(self, take: Index, variance: float) -> Option:
-        """Make the columns of some terms, those of a free form with their likeliest width."""
+        """Make the columns of some terms.
+
+        Those of a free form, and of many alike, come with their likeliest width.
+        """
         option, orders, place = self.source.option(take), self.orders(take), np.ix_(take, take)
+        if self.effect.many_alike:
+            orders = np.zeros(len(take))
         if not len(orders):
             return option
         products = self.normal[place], self.right[take], self.size[take]
@@ -275,7 +281,8 @@ def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> 
     if faint.size:
         own = source.option(faint).own
         normal[np.ix_(faint, faint)], right[faint] = own.T @ own, own.T @ rows.residual
-    takes = (s[size[s] > NO_TRACE] for s in axis_subsets(one.terms))
+    subsets = motion_subsets if one.effect.many_alike else axis_subsets
+    takes = (s[size[s] > NO_TRACE] for s in subsets(one.terms))
     return Tried(
         one.effect,
         one.shape,
