@@ -10,7 +10,7 @@ kept: all of them together are many times as large as A.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,7 +22,7 @@ from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.runs import Run
-from otf_core.solving.columns import across, name_in_run, piece_state, sensitivity
+from otf_core.solving.columns import name_in_run, piece_state, sensitivity
 from otf_core.solving.folds import fold_of, leg_numbers
 from otf_core.solving.joint import JointSolution, settled, summed, tables_of
 from otf_core.solving.normal import rows_by_run
@@ -51,12 +51,15 @@ class Pulled:
     ----------
     white, plain : ndarray, shape (r, q)
         Q, and W' Q.
+    turned : tuple of ndarray, shape (p, 3, q)
+        The same of every run along X, Y and Z, for displacements as they are.
     inner : ndarray, shape (b, q)
         N^-1 A' Q.
     """
 
     white: Array
     plain: Array
+    turned: tuple[Array, ...]
     inner: Array
 
 
@@ -112,23 +115,52 @@ class Rows:
 
     def columns_in_run(self, effect: Effect, shape: Shape, run: int) -> Array:
         """Displacements of one run across the path per unit of each term, shape (r of it, k)."""
-        solved, state = self.done.runs[run], self.states[run]
+        axes, count = self.done.runs[run].system.axes, self._count(effect, shape)
+        found = np.empty((*axes.shape[:2], count))
+        for part, columns in self._displacements(effect, shape, run):
+            found[:, part] = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ columns, 0, 1)
+        return found.reshape(-1, count)
+
+    def displacement(self, effect: Effect, shape: Shape, value: Array) -> Array:
+        """Displacements of all runs across the path by all terms with values (k,), shape (r,)."""
+        runs = len(self.states)
+        values = np.split(value, runs) if effect.own_per_run else [value] * runs
+        found = []
+        for run, own in enumerate(values):
+            axes = self.done.runs[run].system.axes
+            moved = [columns @ own for _, columns in self._displacements(effect, shape, run)]
+            found.append(np.einsum('cpi,pi->cp', axes, np.concatenate(moved)).ravel())
+        return np.concatenate(found)
+
+    def products_in_run(self, turned: Array, effect: Effect, shape: Shape, run: int) -> Array:
+        """Products (q, k) of ``Pulled.turned`` of a run with displacements by each term."""
+        found = np.zeros((turned.shape[2], self._count(effect, shape)))
+        for part, columns in self._displacements(effect, shape, run):
+            flat = turned[part].reshape(-1, turned.shape[2])
+            found += flat.T @ columns.reshape(len(flat), -1)
+        return found
+
+    def _count(self, effect: Effect, shape: Shape) -> int:
+        """Number of terms in one run."""
+        return len(effect.terms(self.states[0].part(slice(0, 1)), shape).names)
+
+    def _displacements(
+        self, effect: Effect, shape: Shape, run: int
+    ) -> Iterator[tuple[slice, Array]]:
+        """Displacements (n, 3, k) per unit of each term, of some pieces of a run at a time."""
+        state, count = self.states[run], self._count(effect, shape)
         if effect.wave is not None and self.runs:
-            columns = across(solved, self._means(effect, shape, run))
-            return columns.reshape(-1, columns.shape[2])
-        axes, count = solved.system.axes, len(effect.terms(state.part(slice(0, 1)), shape).names)
-        found = np.empty((len(axes), len(state), count))
+            yield slice(0, len(state)), self._means(effect, shape, run)
+            return
         step = max(1, BLOCK // max(count, 1))
         for start in range(0, len(state), step):
             part = slice(start, start + step)
-            terms = effect.terms(state.part(part), shape)
-            found[:, part] = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ terms.columns, 0, 1)
-        return found.reshape(-1, count)
+            yield part, effect.terms(state.part(part), shape).columns
 
     def _means(self, effect: Effect, shape: Shape, run: int) -> Array:
         """Means over the pieces of a run of columns at its samples, shape (p, 3, k)."""
         state, pieces = self.sample_states[run], self.runs[run].pieces
-        count = len(effect.terms(state.part(slice(0, 1)), shape).names)
+        count = self._count(effect, shape)
         found = np.zeros((len(pieces), 3, count))
         step = max(1, BLOCK // max(count, 1))
         for start in range(0, len(state), step):
@@ -176,12 +208,14 @@ class Rows:
 
     def pulled(self, white: Array) -> Pulled:
         """Set up products of whitened columns (r, q) with what effects add beyond the tables."""
-        parts = zip(self.whiteners, self.by_run(white), strict=True)
-        plain = np.concatenate([
-            w.whiten_transposed(part).reshape(-1, white.shape[1]) for w, part in parts
-        ])  # fmt: skip
+        parts = zip(self.whiteners, self.by_run(white), self.done.runs, strict=True)
+        plain, turned = [], []
+        for whitener, part, solved in parts:
+            pulled = whitener.whiten_transposed(part)
+            plain.append(pulled.reshape(-1, white.shape[1]))
+            turned.append(np.einsum('cpi,cpq->piq', solved.system.axes, pulled))
         inner = linalg.cho_solve((self.factor, True), self.base.T @ white)
-        return Pulled(white, plain, inner)
+        return Pulled(white, np.concatenate(plain), tuple(turned), inner)
 
     @cached_property
     def pulled_residual(self) -> Pulled:

@@ -49,11 +49,8 @@ class Scores:
     @classmethod
     def of(cls, rows: Rows) -> Scores:
         """Of the residual of rows."""
-        pulled = rows.by_run(rows.pulled(rows.residual[:, None]).plain)
+        pull = np.concatenate(rows.pulled_residual.turned)[:, :, 0]
         axes = [s.system.axes for s in rows.done.runs]
-        pull = np.concatenate([
-            np.einsum('cpk,cp->pk', a, part[..., 0]) for a, part in zip(axes, pulled, strict=True)
-        ])  # fmt: skip
         weights = np.concatenate([_weights(w) for w in rows.whiteners], axis=1)
         whole = np.concatenate(axes, axis=1)
         return cls(pull, np.einsum('cpi,cpj,cp->ijp', whole, whole, weights))

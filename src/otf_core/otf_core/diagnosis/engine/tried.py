@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -23,8 +22,10 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from otf_core.diagnosis.engine.evidence import (
+    Estimate,
     Option,
     axis_subsets,
+    estimate_of,
     likeliest_width,
     log_evidence,
 )
@@ -51,6 +52,9 @@ class Source(Protocol):
 
     def option(self, take: Index) -> Option:
         """Make the columns of some terms."""
+
+    def trace(self, take: Index, value: Array) -> Array:
+        """Sum up what some terms with values (k,) add, shape (r,)."""
 
     def shared(self, pulled: Pulled) -> Array:
         """Return the products (q, k) of whitened columns with what the effect adds."""
@@ -95,10 +99,7 @@ class Tried:
 
     def odds(self, take: Index, variance: float) -> float:
         """Evidence of an option, see ``log_evidence``."""
-        place = np.ix_(take, take)
-        return log_evidence(
-            self.normal[place], self.right[take], self.size[take], variance, self.orders(take)
-        )
+        return log_evidence(*self._products(take), variance, self.orders(take))
 
     def orders(self, take: Index) -> Array:
         """Orders of some terms as functions; empty for a formula."""
@@ -107,11 +108,28 @@ class Tried:
 
     def made(self, take: Index, variance: float) -> Option:
         """Make the columns of some terms, those of a free form with their likeliest width."""
-        option, orders, place = self.source.option(take), self.orders(take), np.ix_(take, take)
-        if not len(orders):
-            return option
-        products = self.normal[place], self.right[take], self.size[take]
-        return replace(option, width=likeliest_width(*products, variance, orders))
+        return replace(self.source.option(take), width=self._width(take, variance))
+
+    def estimate(self, take: Index, variance: float) -> Estimate:
+        """Coefficients of some terms, those of a free form with their likeliest width."""
+        width = self._width(take, variance)
+        return estimate_of(*self._products(take), width if len(width) else None)
+
+    def trace(self, take: Index, variance: float) -> Array:
+        """What is left of the best fit of some terms beside tables and poses, shape (r,)."""
+        return self.source.trace(take, self.estimate(take, variance).value)
+
+    def gain(self, take: Index, pulled: Pulled) -> float:
+        """Fall of the sum of squares by some terms of a formula, fitted to one column."""
+        right = self.source.shared(pulled)[0, take]
+        return estimate_of(self.normal[np.ix_(take, take)], right, self.size[take]).gain
+
+    def _products(self, take: Index) -> tuple[Array, Array, Array]:
+        return self.normal[np.ix_(take, take)], self.right[take], self.size[take]
+
+    def _width(self, take: Index, variance: float) -> Array:
+        orders = self.orders(take)
+        return likeliest_width(*self._products(take), variance, orders) if len(orders) else orders
 
     def without(self, pulled: Pulled, amount: Array) -> Tried:
         """Leave out what orthonormal columns can follow, and of y ``amount`` (q,) of them."""
@@ -160,12 +178,18 @@ class Made:
         size = column_size(plain)
         return Option(self.effect, self.shape, self.terms, take, own, size, own, plain)
 
+    def trace(self, take: Index, value: Array) -> Array:
+        """Sum up what some terms with values (k,) add."""
+        whole = np.zeros(len(self.terms.names))
+        whole[take] = value
+        moved = self.rows.displacement(self.effect, self.shape, whole)
+        return self.rows.project(self.rows.whiten(moved)[:, None])[:, 0]
+
     def shared(self, pulled: Pulled) -> Array:
         """Products of whitened columns with what the effect adds."""
-        ends = np.cumsum([0, *(s.system.deviation.size for s in self.rows.done.runs)])
         parts = [
-            pulled.plain[low:high].T @ self.rows.columns_in_run(self.effect, self.shape, k)
-            for k, (low, high) in enumerate(pairwise(ends))
+            self.rows.products_in_run(turned, self.effect, self.shape, k)
+            for k, turned in enumerate(pulled.turned)
         ]
         own = self.effect.own_per_run
         found = np.concatenate(parts, axis=1) if own else np.asarray(sum(parts))
