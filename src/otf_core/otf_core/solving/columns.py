@@ -27,6 +27,9 @@ from otf_core.solving.joint import JointSolution, SolvedRun
 
 Array = NDArray[np.float64]
 
+TOGETHER = 500_000
+"""Values of columns that are weighted at once; bounds the memory."""
+
 
 def piece_state(
     run: Observed, solved: SolvedRun, nodes: dict[str, Array], tables: ErrorTables
@@ -69,8 +72,10 @@ def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
     parts = []
     for solved, part in zip(done.runs, columns, strict=True):
-        each = (solved.whitener.weighted(part[:, :, k]) for k in range(part.shape[2]))
-        parts.append(np.stack([solved.system.rows.transposed(one) for one in each], axis=1))
+        some = max(1, TOGETHER // part[:, :, 0].size)
+        each = (part[:, :, k : k + some] for k in range(0, part.shape[2], some))
+        pulled = [solved.system.rows.transposed(solved.whitener.weighted(one)) for one in each]
+        parts.append(np.concatenate(pulled, axis=1))
     return np.asarray(sum(parts))
 
 
