@@ -27,8 +27,8 @@ from otf_core.solving.joint import JointSolution, SolvedRun
 
 Array = NDArray[np.float64]
 
-TOGETHER = 500_000
-"""Values of columns that are weighted at once; bounds the memory."""
+SOME = 8
+"""Columns whose products are made together."""
 
 
 def piece_state(
@@ -72,10 +72,9 @@ def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
     parts = []
     for solved, part in zip(done.runs, columns, strict=True):
-        some = max(1, TOGETHER // part[:, :, 0].size)
-        each = (part[:, :, k : k + some] for k in range(0, part.shape[2], some))
-        pulled = [solved.system.rows.transposed(solved.whitener.weighted(one)) for one in each]
-        parts.append(np.concatenate(pulled, axis=1))
+        some = (part[:, :, k : k + SOME] for k in range(0, part.shape[2], SOME))
+        each = [solved.system.rows.transposed(solved.whitener.weighted(own)) for own in some]
+        parts.append(np.concatenate(each, axis=1))
     return np.asarray(sum(parts))
 
 

@@ -95,11 +95,6 @@ class Alike:
             return self.held.inverse(self.pieces[k : k + 1])[:, 0]
         return self.held[:, k]
 
-    @property
-    def factor(self) -> Array:
-        """Lower Cholesky factors, shape (c, n, m, m), m."""
-        return _inverse(self.inverse)
-
 
 @dataclass(frozen=True)
 class Whitener:
@@ -202,10 +197,10 @@ class Whitener:
     @cached_property
     def expected(self) -> Array:
         """Standard deviation of the noise of every piece, shape (c, p), m."""
-        components = len(self.alike[0].factor) if self.alike else 2
+        components = len(self.inverses[0]) if self.alike else 2
         found = np.empty((components, self.bounds[-1][1] if self.bounds else 0))
         for alike in self.alike:
-            found[:, alike.pieces] = np.linalg.norm(alike.factor, axis=-1)
+            found[:, alike.pieces] = np.linalg.norm(_inverse(alike.inverse), axis=-1)
         return found
 
     def parts(self) -> Iterator[tuple[int, int, int, Array]]:
@@ -214,34 +209,40 @@ class Whitener:
             for component, inverse in enumerate(leg):
                 yield component, low, high, _inverse(inverse)
 
-    def _applied(self, matrix: Callable[[Alike], Array], values: Array) -> Array:
-        """Matrices of the legs times values (c, p, ...)."""
+    def _applied(self, product: Callable[[Array, Array], Array], values: Array) -> Array:
+        """Products of the inverses (c, n, m, m) of the legs with values (c, p, ...)."""
         wide = values.reshape(*values.shape[:2], -1)
         result = np.empty_like(wide)
         for alike in self.alike:
-            result[:, alike.pieces] = matrix(alike) @ wide[:, alike.pieces]
+            result[:, alike.pieces] = product(alike.inverse, wide[:, alike.pieces])
         return result.reshape(values.shape)
 
     def whiten(self, values: Array) -> Array:
         """Free values (c, p, ...) of the correlation: noise as expected has unit variance."""
-        return self._applied(lambda alike: alike.inverse, values)
+        return self._applied(np.matmul, values)
 
     def whiten_transposed(self, values: Array) -> Array:
         """Apply the transpose of ``whiten``: for products with columns."""
-        return self._applied(lambda alike: np.swapaxes(alike.inverse, -1, -2), values)
+        return self._applied(lambda inverse, own: np.swapaxes(inverse, -1, -2) @ own, values)
 
     def unwhiten(self, values: Array) -> Array:
         """Undo ``whiten``."""
-        return self._applied(lambda alike: alike.factor, values)
+        return self._applied(lambda inverse, own: _inverse(inverse) @ own, values)
 
     def weighted(self, values: Array) -> Array:
         """Multiply values (c, p, ...) by the inverse covariance of the noise."""
-        return self.whiten_transposed(self.whiten(values))
+        return self._applied(
+            lambda inverse, own: np.swapaxes(inverse, -1, -2) @ (inverse @ own), values
+        )
 
     def covaried(self, values: Array) -> Array:
         """Multiply values (c, p, ...) by the covariance of the noise."""
-        turned = self._applied(lambda alike: np.swapaxes(alike.factor, -1, -2), values)
-        return self.unwhiten(turned)
+
+        def product(inverse: Array, own: Array) -> Array:
+            factor = _inverse(inverse)
+            return np.asarray(factor @ (np.swapaxes(factor, -1, -2) @ own))
+
+        return self._applied(product, values)
 
 
 class _Legs(Sequence[Array]):
