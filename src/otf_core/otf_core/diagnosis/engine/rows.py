@@ -13,12 +13,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from otf_core.effects import Effect, Shape, State, Terms
+from otf_core.effects.free import FreeForm
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.runs import Run
@@ -113,12 +115,17 @@ class Rows:
             for r, s in zip(self.runs, self.done.runs, strict=True)
         )
 
-    def columns_in_run(self, effect: Effect, shape: Shape, run: int) -> Array:
-        """Displacements of one run across the path per unit of each term, shape (r of it, k)."""
-        axes, count = self.done.runs[run].system.axes, self._count(effect, shape)
+    def columns_in_run(self, effect: Effect, shape: Shape, run: int, count: int) -> Array:
+        """Displacements of one run across the path per unit of its k terms, shape (r of it, k)."""
+        axes = self.done.runs[run].system.axes
         found = np.empty((*axes.shape[:2], count))
-        for part, columns in self._displacements(effect, shape, run):
-            found[:, part] = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ columns, 0, 1)
+        for part, columns, functions in self._factors(effect, shape, run, count):
+            turned = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ columns, 0, 1)
+            if functions is None:
+                found[:, part] = turned
+                continue
+            for j, (own, place) in enumerate(zip(functions, _places(functions), strict=True)):
+                np.multiply(turned[:, :, j, None], own, out=found[:, part, place])
         return found.reshape(-1, count)
 
     def displacement(self, effect: Effect, shape: Shape, value: Array) -> Array:
@@ -127,40 +134,54 @@ class Rows:
         values = np.split(value, runs) if effect.own_per_run else [value] * runs
         found = []
         for run, own in enumerate(values):
-            axes = self.done.runs[run].system.axes
-            moved = [columns @ own for _, columns in self._displacements(effect, shape, run)]
+            axes, moved = self.done.runs[run].system.axes, []
+            for _, columns, functions in self._factors(effect, shape, run, len(own)):
+                if functions is None:
+                    moved.append(columns @ own)
+                    continue
+                pairs = zip(functions, _places(functions), strict=True)
+                sizes = np.stack([f @ own[place] for f, place in pairs], axis=1)
+                moved.append(np.einsum('pij,pj->pi', columns, sizes))
             found.append(np.einsum('cpi,pi->cp', axes, np.concatenate(moved)).ravel())
         return np.concatenate(found)
 
-    def products_in_run(self, turned: Array, effect: Effect, shape: Shape, run: int) -> Array:
-        """Products (q, k) of ``Pulled.turned`` of a run with displacements by each term."""
-        found = np.zeros((turned.shape[2], self._count(effect, shape)))
-        for part, columns in self._displacements(effect, shape, run):
-            flat = turned[part].reshape(-1, turned.shape[2])
-            found += flat.T @ columns.reshape(len(flat), -1)
+    def products_in_run(
+        self, turned: Array, effect: Effect, shape: Shape, run: int, count: int
+    ) -> Array:
+        """Products (q, k) of ``Pulled.turned`` of a run with displacements by its k terms."""
+        found = np.zeros((turned.shape[2], count))
+        for part, columns, functions in self._factors(effect, shape, run, count):
+            if functions is None:
+                flat = turned[part].reshape(-1, turned.shape[2])
+                found += flat.T @ columns.reshape(len(flat), -1)
+                continue
+            for j, (own, place) in enumerate(zip(functions, _places(functions), strict=True)):
+                found[:, place] += np.einsum('piq,pi->qp', turned[part], columns[:, :, j]) @ own
         return found
 
-    def _count(self, effect: Effect, shape: Shape) -> int:
-        """Number of terms in one run."""
-        return len(effect.terms(self.states[0].part(slice(0, 1)), shape).names)
+    def _factors(
+        self, effect: Effect, shape: Shape, run: int, count: int
+    ) -> Iterator[tuple[slice, Array, list[Array] | None]]:
+        """Displacements (n, 3, k) per unit of each term, of some pieces of a run at a time.
 
-    def _displacements(
-        self, effect: Effect, shape: Shape, run: int
-    ) -> Iterator[tuple[slice, Array]]:
-        """Displacements (n, 3, k) per unit of each term, of some pieces of a run at a time."""
-        state, count = self.states[run], self._count(effect, shape)
+        Of a free form those of what it acts with, and the functions (n, m) that each is times.
+        """
+        state = self.states[run]
         if effect.wave is not None and self.runs:
-            yield slice(0, len(state)), self._means(effect, shape, run)
+            yield slice(0, len(state)), self._means(effect, shape, run, count), None
             return
         step = max(1, BLOCK // max(count, 1))
         for start in range(0, len(state), step):
             part = slice(start, start + step)
-            yield part, effect.terms(state.part(part), shape).columns
+            if isinstance(effect, FreeForm):
+                acts, functions = effect.factors(state.part(part), shape)
+                yield part, acts.columns, functions
+            else:
+                yield part, effect.terms(state.part(part), shape).columns, None
 
-    def _means(self, effect: Effect, shape: Shape, run: int) -> Array:
+    def _means(self, effect: Effect, shape: Shape, run: int, count: int) -> Array:
         """Means over the pieces of a run of columns at its samples, shape (p, 3, k)."""
         state, pieces = self.sample_states[run], self.runs[run].pieces
-        count = self._count(effect, shape)
         found = np.zeros((len(pieces), 3, count))
         step = max(1, BLOCK // max(count, 1))
         for start in range(0, len(state), step):
@@ -172,7 +193,9 @@ class Rows:
 
     def plain_columns(self, effect: Effect, shape: Shape) -> Array:
         """Displacements across the path per unit of each term, shape (r, k)."""
-        parts = [self.columns_in_run(effect, shape, k) for k in range(len(self.done.runs))]
+        count = len(effect.terms(self.states[0].part(slice(0, 1)), shape).names)
+        runs = range(len(self.done.runs))
+        parts = [self.columns_in_run(effect, shape, k, count) for k in runs]
         return linalg.block_diag(*parts) if effect.own_per_run else np.concatenate(parts)
 
     def terms(self, effect: Effect, shape: Shape) -> Terms:
@@ -268,16 +291,25 @@ class Rows:
 
     def project(self, columns: Array) -> Array:
         """Columns (r, k) less what tables and poses can follow of them."""
-        inner = linalg.cho_solve((self.factor, True), self.base.T @ columns)
-        found = np.array(columns)
-        for start in range(0, len(found), ROWS):
-            found[start : start + ROWS] -= self.base[start : start + ROWS] @ inner
-        return found
+        return self.less(np.array(columns), self.base.T @ columns)
+
+    def less(self, columns: Array, cross: Array) -> Array:
+        """Do the same in place, for known products (b, k) of ``base`` with the columns."""
+        inner = linalg.cho_solve((self.factor, True), cross)
+        for start in range(0, len(columns), ROWS):
+            columns[start : start + ROWS] -= self.base[start : start + ROWS] @ inner
+        return columns
 
     @cached_property
     def residual(self) -> Array:
         """Whitened deviations less tables and poses, shape (r,)."""
         return self.project(self.deviation[:, None])[:, 0]
+
+
+def _places(functions: Sequence[Array]) -> list[slice]:
+    """Where the columns of every term of a free form lie."""
+    ends = np.cumsum([0, *(f.shape[1] for f in functions)]).tolist()
+    return [slice(low, high) for low, high in pairwise(ends)]
 
 
 def left_by(done: JointSolution, plain: Sequence[Array]) -> list[Array]:

@@ -174,9 +174,14 @@ class Made:
     def option(self, take: Index) -> Option:
         """Make the columns of some terms."""
         plain = self.rows.plain_columns(self.effect, self.shape)[:, take]
-        own = self.rows.project(self.rows.whiten(plain))
+        own = self.rows.less(self.rows.whiten(plain), self.cross[:, take])
         size = column_size(plain)
         return Option(self.effect, self.shape, self.terms, take, own, size, own, plain)
+
+    def own(self, take: Index) -> Array:
+        """Whitened columns of some terms less what tables and poses can follow, shape (r, k)."""
+        plain = self.rows.plain_columns(self.effect, self.shape)[:, take]
+        return self.rows.less(self.rows.whiten(plain), self.cross[:, take])
 
     def trace(self, take: Index, value: Array) -> Array:
         """Sum up what some terms with values (k,) add."""
@@ -187,8 +192,9 @@ class Made:
 
     def shared(self, pulled: Pulled) -> Array:
         """Products of whitened columns with what the effect adds."""
+        count = self.terms.columns.shape[2]
         parts = [
-            self.rows.products_in_run(turned, self.effect, self.shape, k)
+            self.rows.products_in_run(turned, self.effect, self.shape, k, count)
             for k, turned in enumerate(pulled.turned)
         ]
         own = self.effect.own_per_run
@@ -256,7 +262,7 @@ def _group(
 ) -> list[_Sums]:
     """Sums over runs that share their coefficients."""
     ends = np.cumsum([0, *(s.system.deviation.size for s in rows.done.runs)])
-    plain = [_beside([rows.columns_in_run(s.effect, s.shape, k) for s in batch]) for k in group]
+    plain = [_beside([_columns(rows, one, k) for one in batch]) for k in group]
     size = _sizes(plain)
     cross, right = np.zeros((len(rows.use), len(size))), np.zeros(len(size))
     squares = [np.zeros((s.place.stop - s.place.start,) * 2) for s in batch]
@@ -274,6 +280,10 @@ def _group(
     ]
 
 
+def _columns(rows: Rows, one: _Shape, run: int) -> Array:
+    return rows.columns_in_run(one.effect, one.shape, run, one.terms.columns.shape[2])
+
+
 def _beside(parts: Sequence[Array]) -> Array:
     """Columns side by side; no copy of one part alone."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
@@ -283,7 +293,12 @@ def _sizes(plain: Sequence[Array]) -> Array:
     """``column_size`` of columns (r, k) of several runs, without another copy of all."""
     wide = plain[0].shape[1]
     parts = (slice(k, k + NARROW) for k in range(0, wide, NARROW))
-    return np.concatenate([column_size(np.concatenate([p[:, s] for p in plain])) for s in parts])
+    return np.concatenate([column_size(_under([p[:, s] for p in plain])) for s in parts])
+
+
+def _under(parts: Sequence[Array]) -> Array:
+    """Columns one below the other; no copy of one part alone."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> Tried:
@@ -297,7 +312,7 @@ def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> 
     whole, source = square.diagonal().copy(), Made(rows, one.effect, one.shape, one.terms, cross)
     faint = np.flatnonzero((normal.diagonal() < FAINT * whole) & (size > NO_TRACE))
     if faint.size:
-        own = source.option(faint).own
+        own = source.own(faint)
         normal[np.ix_(faint, faint)], right[faint] = own.T @ own, own.T @ rows.residual
     takes = (s[size[s] > NO_TRACE] for s in axis_subsets(one.terms))
     return Tried(
