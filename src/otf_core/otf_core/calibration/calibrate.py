@@ -22,6 +22,7 @@ from otf_core.contradictions.examine import examine
 from otf_core.contradictions.left_out import LeftOut, findings, left_out
 from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.effects.stated import TakenOff
+from otf_core.memory import give_back
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
@@ -186,7 +187,9 @@ def solve_recordings(
     progress('aligning', 0.0)
     check_recordings(recordings)
     runs, nodes = prepare(recordings, config)
+    give_back()
     runs = _with_remarks(recordings, examine(runs, nodes, config, mend=mend))
+    give_back()
     progress('solving', 0.0)
     solution = solve_with_reversal(runs, nodes, config, progress)
     moved = moved_onto_curves(runs, solution)
@@ -309,6 +312,7 @@ def assemble(
     whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
     covariance = budget.covariance
     tables = with_uncertainty(table.tables, covariance)
+    give_back()
     typical = typical_systematic(runs, done, tables, table.rows, covariance)
     remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
     hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)

@@ -227,6 +227,9 @@ class Effect(ABC):
     stays_in_place: ClassVar[bool] = False
     """True if it displaces the target in the same way whenever it comes by a place, as tables do,
     but no table can hold it."""
+    many_alike: ClassVar[bool] = False
+    """True if it has so many coefficients, named MOTION@..., that the data hardly see some: they
+    are estimated with the size that makes the data most likely."""
     belongs_to: ClassVar[BelongsTo] = BelongsTo.EFFECTS
     """The part of a calibration that takes it up."""
     material_um: ClassVar[float] = 0.2

@@ -158,17 +158,11 @@ class FreeForm(Effect):
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return A_k: term of what it acts with, and the orders of the polynomials."""
-        base = acting(self.parent, self.form)(state, shape)
-        made: dict[tuple[str, ...], Array] = {}
+        base, functions = self.factors(state, shape)
         names, axes, units, columns = [], [], [], []
         numbers = self.form.numbers
         for j, (term, axis) in enumerate(zip(base.names, base.axes, strict=True)):
-            own = self.inputs_of(term, axis)
-            if own not in made:
-                made[own] = self.functions([
-                    scaled_input(n, input_values(state, n), self.spans[n]) for n in own
-                ])  # fmt: skip
-            columns.append(base.columns[:, :, j, None] * made[own][:, None, :])
+            columns.append(base.columns[:, :, j, None] * functions[j][:, None, :])
             names += [coefficient_name(term, number) for number in numbers]
             axes += [axis] * len(numbers)
             units += [base.units[j]] * len(numbers)
@@ -176,6 +170,20 @@ class FreeForm(Effect):
         orders = tuple(float(sum(n) - least) for n in numbers) * len(base.names)
         whole = np.concatenate(columns, axis=2)
         return Terms(tuple(names), tuple(units), tuple(axes), whole, orders)
+
+    def factors(self, state: State, shape: Shape) -> tuple[Terms, list[Array]]:
+        """What it acts with, and the functions (n, k) that each term of that is times."""
+        base = acting(self.parent, self.form)(state, shape)
+        made: dict[tuple[str, ...], Array] = {}
+        found = []
+        for term, axis in zip(base.names, base.axes, strict=True):
+            own = self.inputs_of(term, axis)
+            if own not in made:
+                made[own] = self.functions([
+                    scaled_input(n, input_values(state, n), self.spans[n]) for n in own
+                ])  # fmt: skip
+            found.append(made[own])
+        return base, found
 
     def inputs_of(self, term: str, axis: str) -> tuple[str, ...]:
         """Inputs of one term of what it acts with."""

@@ -122,12 +122,10 @@ def is_free(tried: Tried) -> bool:
     return bool(tried.terms.orders) and not in_proportion(tried)
 
 
-def _same_trace(best: Option, other: Option, residual: Array) -> bool:
-    """Tell whether another effect can leave the trace of the best one."""
-    trace = best.white @ estimate(best.white, best.size, residual, best.widths).value
-    rest = trace - other.white @ estimate(other.white, other.size, trace, other.widths).value
-    power = float(trace @ trace)
-    return float(rest @ rest) < max(SAME_TRACE * power, 4.0)
+def _trace(basis: Array, tried: Tried, take: Index, variance: float) -> Array:
+    """Best fit of one of the candidates beside causes that ``basis`` spans."""
+    trace = tried.trace(take, variance)
+    return np.asarray(trace - basis @ (basis.T @ trace))
 
 
 def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Option:
@@ -210,8 +208,8 @@ def _found(
         if not first:
             break
         # noise is judged on what the best candidate leaves: its own trace must not count as noise
-        best = _free_of(beside.basis, first[0][1].made(first[0][2], 1.0))
-        variance = noise_variance(pool.rows, fit_out(best, beside.residual))
+        best = _trace(beside.basis, *first[0][1:], 1.0)
+        variance = noise_variance(pool.rows, beside.residual - best)
         ranking = _ranking(beside.candidates, variance)
         considered = [(t.effect.name, s) for s, t, _ in ranking]
         if ranking[0][0] < NEEDED_EVIDENCE:
@@ -254,8 +252,12 @@ def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
         gained = _score(option, residual, variance) - _score(plain, residual, variance)
         option = option if gained > FREE_DOUBT else plain
 
+    trace = residual - fit_out(option, residual)
+    power, pulled = float(trace @ trace), rows.pulled(trace[:, None])
+
     def same(other: Tried, take: Index) -> bool:
-        return _same_trace(option, _free_of(basis, other.source.option(take)), residual)
+        rest = power - other.gain(take, pulled)
+        return rest < max(SAME_TRACE * power, 4.0)
 
     close = [
         t.effect.name
