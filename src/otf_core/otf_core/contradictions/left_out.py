@@ -134,6 +134,8 @@ def left_out(run: Run, kept: Run) -> LeftOut:
     """
     lost = np.setdiff1d(run.pieces.samples, kept.pieces.samples)
     lost = np.concatenate([lost, run.pieces.far]).astype(np.int64)
+    if run.pieces.standstill or not len(lost):  # stops lie at points, on no line
+        return LeftOut(run.name, len(lost), run.pieces.used, 0, 0.0, 0.0, 0.0, ())
     index = np.concatenate([kept.pieces.samples.astype(np.int64), lost])
     out = np.arange(len(index)) >= len(kept.pieces.samples)
     lines, leg = Lines.of(run.shape), run.alignment.leg[index].astype(np.int64)
