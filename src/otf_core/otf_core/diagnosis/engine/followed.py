@@ -33,6 +33,7 @@ from otf_core.diagnosis.engine.noise_check import heard
 from otf_core.diagnosis.engine.rows import Rows, build_rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, search
 from otf_core.effects import BelongsTo, Effect
+from otf_core.errors import InputError
 from otf_core.pieces.runs import Run
 from otf_core.solving.basis import Basis
 from otf_core.solving.joint import JointSolution, Start, solve_jointly, summed
@@ -77,10 +78,10 @@ def rows_to_diagnose(
     if not is_finer(done.unknowns.bases) or not effects:
         return rows
     fine = _likelihood(rows)
-    others = [
-        build_rows(loud, _solved(runs, done, bases, config), limit)
-        for bases in (linear_bases(nodes), smooth_bases(nodes))
+    solved = [
+        _solved(runs, done, bases, config) for bases in (linear_bases(nodes), smooth_bases(nodes))
     ]
+    others = [build_rows(loud, one, limit) for one in solved if one is not None]
     alone = [_likelihood(other) for other in others]
     for k in sorted(range(len(alone)), key=lambda k: -alone[k]):
         causes = _found(others[k], effects)
@@ -104,11 +105,14 @@ def _in_few_motions(causes: Sequence[Cause]) -> bool:
 
 def _solved(
     runs: Sequence[Run], done: JointSolution, bases: dict[str, Basis], config: CalibrationConfig
-) -> JointSolution:
-    """Solve the same pieces, with the same noise, for other functions."""
+) -> JointSolution | None:
+    """Solve the same pieces, with the same noise, for other functions; None if none settles."""
     unknowns = layout(bases, len(runs))
     start = Start.after(runs[0].machine, done)
-    return solve_jointly(runs, unknowns, config, lambda stage, fraction: None, start)
+    try:
+        return solve_jointly(runs, unknowns, config, lambda stage, fraction: None, start)
+    except InputError:  # the calibration itself has settled; this is only its rival
+        return None
 
 
 def _likelihood(rows: Rows, causes: Sequence[Cause] = ()) -> float:
