@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 CLEAR = 50.0
 """Logarithm of the odds by which an effect has to be better than fine functions: the roughness of
 18 motions is fitted on both sides, which is worth some ten."""
+HELD = 2.5
+"""Intervals of cubic splines in a wave that they follow nearly whole."""
 NOT_FOLLOWED = 0.05
 """Share of what fine functions gain that waves in a few motions need not explain: they may have
 other forms than the parabolas of the effect. The machine's own waves are in all its motions."""
@@ -95,6 +97,15 @@ def _stays_at_places(effect: Effect) -> bool:
     """Tell whether fine functions of the positions of axes can follow an effect."""
     cyclic = effect.wave is not None and not effect.wave.in_time
     return cyclic or effect.belongs_to is BelongsTo.TABLES
+
+
+def held_by(option: Option, bases: Mapping[str, Basis]) -> bool:
+    """Tell whether the fine functions of a calibration hold a wave that is an effect."""
+    wave = option.effect.wave
+    if wave is None or wave.in_time or not is_finer(bases):
+        return False
+    step = max(float(np.diff(basis.knots).max(initial=0.0)) for basis in bases.values())
+    return option.shape[wave.parameter] > HELD * step
 
 
 def _in_few_motions(causes: Sequence[Cause]) -> bool:
