@@ -99,7 +99,7 @@ def _stays_at_places(effect: Effect) -> bool:
     return cyclic or effect.belongs_to is BelongsTo.TABLES
 
 
-def held_by(option: Option, bases: Mapping[str, Basis]) -> bool:
+def held_by(option: Option, bases: dict[str, Basis]) -> bool:
     """Tell whether the fine functions of a calibration hold a wave that is an effect."""
     wave = option.effect.wave
     if wave is None or wave.in_time or not is_finer(bases):
