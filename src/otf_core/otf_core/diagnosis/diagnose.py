@@ -49,6 +49,9 @@ from otf_core.threads import in_one_thread
 
 Array = NDArray[np.float64]
 
+ALL_SAMPLES = 100.0
+"""Robust deviations: the largest ``outlier_limit``, beyond all but reflections."""
+
 
 @in_one_thread
 def diagnose(
@@ -187,10 +190,15 @@ def _judged(
 def _as_recorded(
     solved: SolvedRecordings, recordings: Sequence[Recording], config: CalibrationConfig
 ) -> SolvedRecordings:
-    """Solve runs uncut where the calibration cut them at a step: the step is in the gap."""
-    if len(solved.runs) == len(recordings):
+    """Solve runs uncut where the calibration cut them at a step: the step is in the gap.
+
+    So is what was left out as outliers, but lies as no bad samples do.
+    """
+    whole, regular = len(solved.runs) == len(recordings), any(r.regular for r in solved.left)
+    if whole and not regular:
         return solved
-    return solve_recordings(recordings, config, mend=False)
+    limit = ALL_SAMPLES if regular else config.outlier_limit
+    return solve_recordings(recordings, replace(config, outlier_limit=limit), mend=whole)
 
 
 def _or_something_else(

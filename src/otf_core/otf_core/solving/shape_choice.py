@@ -233,6 +233,7 @@ def _tried(
     rough = Search(normal, unknowns, start.accepted, limit).run(start.logs)
     solution = solve(normal, unknowns, limit, start.accepted, rough.precision)
     left = left_by(systems, solution)
+    systems = [replace(s, rows=s.rows.released()) for s in systems]  # several are compared
     parts = zip([r.pose for r in runs], systems, whiteners, left, strict=True)
     return JointSolution(unknowns, solution, rough, normal, tuple(SolvedRun(*p) for p in parts), 1)
 

@@ -174,16 +174,20 @@ def estimate(white: Array, size: Array, residual: Array, width: Array | None = N
         Standard deviation of the displacement by each coefficient before the data, infinite where
         nothing is known.
     """
+    return estimate_of(white.T @ white, white.T @ residual, size, width)
+
+
+def estimate_of(normal: Array, right: Array, size: Array, width: Array | None = None) -> Estimate:
+    """``estimate`` by the products E'E, shape (k, k), and E'y, shape (k,), alone."""
     scale = np.maximum(size, 1e-300)
-    scaled = white / scale
+    scaled, pull = normal / np.outer(scale, scale), right / scale
     known = np.zeros(len(scale)) if width is None else width**-2.0
-    values, vectors = linalg.eigh(scaled.T @ scaled + np.diag(known))
+    values, vectors = linalg.eigh(scaled + np.diag(known))
     sure = values > BLIND**-2
     seen = vectors[:, sure]
     inverse = (seen / values[sure]) @ seen.T
-    value = inverse @ (scaled.T @ residual)
-    fitted = scaled @ value
-    gain = float(2 * residual @ fitted - fitted @ fitted)
+    value = inverse @ pull
+    gain = float(2 * pull @ value - value @ scaled @ value)
     unseen = vectors[:, ~sure] / scale[:, None]
     return Estimate(value / scale, inverse / np.outer(scale, scale), unseen, gain)
 
