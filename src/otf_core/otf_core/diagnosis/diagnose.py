@@ -22,7 +22,7 @@ from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentenc
 from otf_core.diagnosis.corrected import with_causes
 from otf_core.diagnosis.engine.assess import Residuals, gap_um
 from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
-from otf_core.diagnosis.engine.followed import rows_to_diagnose
+from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows
@@ -111,12 +111,14 @@ def diagnose(
     )
     told = [(c.confidence, c.indistinguishable) for c in explained.causes]
     verdict, left = judged.verdict, judged.left if told else shape
+    bases = seen.solution.plain[1].unknowns.bases
+    off = [k for k, part in enumerate(fitted) if not held_by(part.cause.option, bases)]
     visible, considered = found.visible, found.considered
     views = tuple(replace(v) for v in views)  # without what they have worked out
     del rows, seen, found, judged, explained, fitted  # their memory is needed now
     progress('correcting', 0.0)
-    taken = [applied[k] for k in solved.source]
-    calibration = with_causes(solved, plain, told, taken, config, sentence)
+    taken = [tuple(applied[k][i] for i in off) for k in solved.source]
+    calibration = with_causes(solved, plain, [told[i] for i in off], taken, config, sentence)
     return Diagnosis(
         runs=tuple(r.name or f'run {k}' for k, r in enumerate(recordings, start=1)),
         verdict=verdict,

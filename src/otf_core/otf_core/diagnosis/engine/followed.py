@@ -33,6 +33,7 @@ from otf_core.diagnosis.engine.noise_check import heard
 from otf_core.diagnosis.engine.rows import Rows, build_rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, search
 from otf_core.effects import BelongsTo, Effect
+from otf_core.errors import InputError
 from otf_core.pieces.runs import Run
 from otf_core.solving.basis import Basis
 from otf_core.solving.joint import JointSolution, Start, solve_jointly, summed
@@ -45,6 +46,8 @@ Array = NDArray[np.float64]
 CLEAR = 50.0
 """Logarithm of the odds by which an effect has to be better than fine functions: the roughness of
 18 motions is fitted on both sides, which is worth some ten."""
+HELD = 2.5
+"""Intervals of cubic splines in a wave that they follow nearly whole."""
 NOT_FOLLOWED = 0.05
 """Share of what fine functions gain that waves in a few motions need not explain: they may have
 other forms than the parabolas of the effect. The machine's own waves are in all its motions."""
@@ -77,10 +80,10 @@ def rows_to_diagnose(
     if not is_finer(done.unknowns.bases) or not effects:
         return rows
     fine = _likelihood(rows)
-    others = [
-        build_rows(loud, _solved(runs, done, bases, config), limit)
-        for bases in (linear_bases(nodes), smooth_bases(nodes))
+    solved = [
+        _solved(runs, done, bases, config) for bases in (linear_bases(nodes), smooth_bases(nodes))
     ]
+    others = [build_rows(loud, one, limit) for one in solved if one is not None]
     alone = [_likelihood(other) for other in others]
     for k in sorted(range(len(alone)), key=lambda k: -alone[k]):
         causes = _found(others[k], effects)
@@ -96,6 +99,15 @@ def _stays_at_places(effect: Effect) -> bool:
     return cyclic or effect.belongs_to is BelongsTo.TABLES
 
 
+def held_by(option: Option, bases: dict[str, Basis]) -> bool:
+    """Tell whether the fine functions of a calibration hold a wave that is an effect."""
+    wave = option.effect.wave
+    if wave is None or wave.in_time or not is_finer(bases):
+        return False
+    step = max(float(np.diff(basis.knots).max(initial=0.0)) for basis in bases.values())
+    return option.shape[wave.parameter] > HELD * step
+
+
 def _in_few_motions(causes: Sequence[Cause]) -> bool:
     """Tell whether something is found, and that in a few motions alone."""
     many = [motions_of(c.option) for c in causes if c.option.effect.many_alike]
@@ -104,11 +116,14 @@ def _in_few_motions(causes: Sequence[Cause]) -> bool:
 
 def _solved(
     runs: Sequence[Run], done: JointSolution, bases: dict[str, Basis], config: CalibrationConfig
-) -> JointSolution:
-    """Solve the same pieces, with the same noise, for other functions."""
+) -> JointSolution | None:
+    """Solve the same pieces, with the same noise, for other functions; None if none settles."""
     unknowns = layout(bases, len(runs))
     start = Start.after(runs[0].machine, done)
-    return solve_jointly(runs, unknowns, config, lambda stage, fraction: None, start)
+    try:
+        return solve_jointly(runs, unknowns, config, lambda stage, fraction: None, start)
+    except InputError:  # the calibration itself has settled; this is only its rival
+        return None
 
 
 def _likelihood(rows: Rows, causes: Sequence[Cause] = ()) -> float:
