@@ -108,6 +108,8 @@ class LeftOut:
         more = ', ...' if len(self.places) > LISTED else ''
         more += ''.join(f', all near {a} {v:.3f}' for a, v in self._shared)
         head = f'{self.name}: ' if self.name else ''
+        if not self.places:
+            return f'{head}{self.samples} samples left out as outliers'
         text = (
             f'{head}{self.samples} samples left out as outliers, on {self.legs} legs, '
             f'{100 * self.near_corners:.0f} % of them near corners; at {where}{more} m'
