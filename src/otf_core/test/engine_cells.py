@@ -86,6 +86,9 @@ class Given:
         assert take.size == self.given.take.size
         return self.given
 
+    def trace(self, take, value):
+        return self.given.own[:, take] @ value
+
     def shared(self, pulled):
         return pulled.white.T @ self.given.own
 

@@ -66,8 +66,6 @@ def test_products_are_those_of_the_dense_rows(case):
     values = rng.standard_normal((unknowns.full, 3))
     close(system.rows.times(values[:, 0]), dense @ values[:, 0])
     close(system.rows.times(values), dense @ values)
-    column = rng.integers(0, 3, len(pieces))
-    close(system.rows.times(values, column), np.einsum('cpf,fp->cp', dense, values[:, column]))
     rows = rng.standard_normal((2, len(pieces), 2))
     close(system.rows.transposed(rows), np.einsum('cpf,cpk->fk', dense, rows))
     close(system.rows.transposed(rows[..., 0]), np.einsum('cpf,cp->f', dense, rows[..., 0]))

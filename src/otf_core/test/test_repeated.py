@@ -16,6 +16,7 @@ from core_cells import (
 
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.model import Misfit
+from otf_core.solving import whitener as whitener_module
 from otf_core.solving.normal import line_equations, normal_equations
 from otf_core.solving.repeated import taken_once
 from otf_core.solving.shape_choice import linear_bases
@@ -97,3 +98,17 @@ def test_whitener_of_lines_has_the_weight_of_all_passes():
     )
     back = once.whitener.covaried(total)
     np.testing.assert_allclose(back, value, rtol=0, atol=1e-9 * np.abs(value).max())
+
+
+def test_matrices_that_are_not_held_are_those_that_are(monkeypatch):
+    system, unknowns, held, _ = laps()
+    monkeypatch.setattr(whitener_module, 'HELD', 0.0)
+    anew = laps()[2]
+    assert all(isinstance(a.held, np.ndarray) for a in held.alike)
+    assert not any(isinstance(a.held, np.ndarray) for a in anew.alike)
+    np.testing.assert_array_equal(anew.weighted(system.deviation), held.weighted(system.deviation))
+    np.testing.assert_array_equal(anew.covaried(system.deviation), held.covaried(system.deviation))
+    np.testing.assert_array_equal(anew.expected, held.expected)
+    for sums in (normal_equations, line_equations):
+        a, b = sums(system, unknowns, anew), sums(system, unknowns, held)
+        np.testing.assert_array_equal(a.matrix, b.matrix)

@@ -6,9 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from engine_cells import LIMIT, coloured, holding, noise, solved_rows
+from numpy.testing import assert_allclose
 from scipy.linalg import block_diag, cholesky
 
+from otf_core.diagnosis.engine.tried import tried_shapes
 from otf_core.effects import REGISTRY
+from otf_core.effects.free import free_forms
 from otf_core.model.motions import MOTIONS
 from otf_core.noise.model import MODEL_FLOOR
 from otf_core.solving.folds import FOLDS
@@ -230,3 +233,27 @@ def test_folds_are_of_like_size(rows):
     assert len(share) == FOLDS
     assert share.min() > 0.5 / FOLDS
     assert share.max() < 1.5 / FOLDS
+
+
+@pytest.mark.parametrize('free', [False, True])
+@pytest.mark.parametrize('name', ['backlash', 'thermal_structure_drift', 'vibration'])
+def test_what_a_candidate_does_needs_none_of_its_columns(rows, name, free):
+    """Traces and products of terms are those of the columns themselves, run by run or shared."""
+    effect = REGISTRY[name]
+    forms = free_forms(effect, rows.states)
+    if free and not forms:
+        return
+    effect = forms[-1] if free else effect
+    wave = REGISTRY[name].wave
+    shape = effect.shapes(rows.states[0])[0] if wave is None else {'frequency': 7.0}
+    shape = effect.complete_shape(shape)
+    (tried,) = tried_shapes(rows, effect, [shape])
+    take = np.arange(len(tried.terms.names))[::2]
+    own = tried.source.option(take).own
+    value = np.linspace(1.0, 2.0, len(take))
+    scale = np.abs(own @ value).max()
+    assert_allclose(tried.source.trace(take, value), own @ value, atol=1e-9 * scale)
+    other = np.random.default_rng(4).standard_normal((len(own), 2))
+    size = np.linalg.norm(own, axis=0).max() * np.linalg.norm(other, axis=0).max()
+    found = tried.source.shared(rows.pulled(other))[:, take]
+    assert_allclose(found, other.T @ own, atol=1e-9 * size)

@@ -32,6 +32,9 @@ from otf_core.solving.normal import side_by_side, white_rows
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+LINES = 256
+"""Lines that are chained at a time."""
+
 
 @dataclass(frozen=True)
 class NoiseParts:
@@ -93,16 +96,18 @@ def _line(rows: Array, use: Index, slow: Array, time: Array, tau: Array) -> _Lin
 
 def _chained(lines: Sequence[_Line], size: int, tau: Array) -> Array:
     """Sum over pairs of lines of tail and head vectors, decaying with the time between."""
-    tail, end = np.zeros((size, 3)), -np.inf
-    tails, heads = (np.zeros((size, 3 * len(lines))) for _ in range(2))
-    for k, line in enumerate(lines):
-        own = slice(3 * k, 3 * k + 3)
-        heads[line.use, own] = line.vectors[:, :3]
-        tails[:, own] = np.exp(np.minimum(0.0, (end - line.begin) / tau)) * tail
-        tail *= np.exp(np.minimum(0.0, (end - line.end) / tau))
-        tail[line.use] += line.vectors[:, 3:]
-        end = line.end
-    half = tails @ heads.T
+    tail, end, half = np.zeros((size, 3)), -np.inf, np.zeros((size, size))
+    for low in range(0, len(lines), LINES):
+        some = lines[low : low + LINES]
+        tails, heads = (np.zeros((size, 3 * len(some))) for _ in range(2))
+        for k, line in enumerate(some):
+            own = slice(3 * k, 3 * k + 3)
+            heads[line.use, own] = line.vectors[:, :3]
+            tails[:, own] = np.exp(np.minimum(0.0, (end - line.begin) / tau)) * tail
+            tail *= np.exp(np.minimum(0.0, (end - line.end) / tau))
+            tail[line.use] += line.vectors[:, 3:]
+            end = line.end
+        half += tails @ heads.T
     return np.asarray(half + half.T)
 
 

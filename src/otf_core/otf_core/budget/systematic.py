@@ -82,5 +82,6 @@ def systematic_sensitivity(
         terms = source.effect.terms(state, source.acts.shape)
         declared = run.machine.uncertainty or DeclaredUncertainty({})
         u = source.uncertainty(terms, state, declared)
-        columns.append(across(solved, terms.columns * u))
+        columns.append(across(solved, terms.columns) * u)
+        del terms, state  # larger than what is made of them
     return sensitivity(done, columns)

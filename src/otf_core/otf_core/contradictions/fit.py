@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from otf_core.contradictions.rows import Rows, scaled_rows
-from otf_core.pieces.pieces import RAYLEIGH_MEDIAN
+from otf_core.pieces.outliers import RAYLEIGH_MEDIAN
 
 Array = NDArray[np.float64]
 

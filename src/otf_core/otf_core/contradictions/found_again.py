@@ -56,7 +56,7 @@ def find_offsets(model: Model, run: int) -> FoundAgain | None:
 
     def of(segments: Index, kind: str) -> Offsets:
         share = np.zeros((len(rows), int(segments.max()) + 1))
-        share[mine] = membership(pieces, segments)
+        share[mine] = membership(pieces, segments)[rows.piece[mine]]
         return fitted_offsets(rows, model.fit, share, kind)
 
     kinds = [k for k, width in KINDS.items() if width * count <= MAX_COLUMNS]

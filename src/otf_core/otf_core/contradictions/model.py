@@ -11,6 +11,7 @@ import numpy as np
 from otf_core.contradictions.fit import Fit, solve
 from otf_core.contradictions.rows import (
     Array,
+    Index,
     Rows,
     build_rows,
     drift_columns,
@@ -21,8 +22,10 @@ from otf_core.contradictions.rows import (
 from otf_core.model.machine import Chain
 from otf_core.pieces.runs import Run
 
+ENOUGH = 10_000
+"""Pieces that are looked at: of more, spread evenly, every second, third, ..."""
 MAX_PIECES = 4000
-"""Pieces that are looked at where many models are compared."""
+"""The same where many models are compared."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class Model:
     @classmethod
     def of(cls, runs: Sequence[Run]) -> Model:
         """Set up and solve."""
-        rows = build_rows(runs)
+        rows = _thinned(build_rows(runs), ENOUGH)
         return cls(tuple(runs), rows, solve(rows, nuisance(rows), table_columns(rows)))
 
     def left_with(self, chains: Sequence[Chain], offsets: Sequence[Array]) -> Array:
@@ -62,8 +65,7 @@ class Model:
         ndarray, shape (k,), m
             Weighted root mean square of the residuals.
         """
-        step = max(1, len(self.rows) // MAX_PIECES)
-        chosen = np.arange(0, len(self.rows), step)
+        chosen = _spread(len(self.rows), MAX_PIECES)
         rows = self.rows.take(chosen)
         weight = self.fit.weight.reshape(len(rows.axes), -1)[:, chosen].ravel()
         usual = nuisance(rows)
@@ -77,6 +79,17 @@ class Model:
     def offsets(self) -> Array:
         """Target offset of every run as stated, shape (runs, 3), m."""
         return np.array([run.machine.target_offset for run in self.runs])
+
+
+def _spread(count: int, enough: int) -> Index:
+    """Places of some of many, spread evenly."""
+    return np.arange(0, count, max(1, count // enough))
+
+
+def _thinned(rows: Rows, enough: int) -> Rows:
+    """Some of the rows; all, unless there are twice as many as are enough."""
+    chosen = _spread(len(rows), enough)
+    return rows if len(chosen) == len(rows) else rows.take(chosen)
 
 
 def nuisance(rows: Rows) -> Array:

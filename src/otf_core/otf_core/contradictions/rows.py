@@ -41,6 +41,8 @@ class Rows:
     machine : Machine
         Of the first run; its chain and axes are those of all.
     run : ndarray of int64, shape (p,)
+    piece : ndarray of int64, shape (p,)
+        Place among the pieces of the run.
     time : ndarray, shape (p,), s
         Since the start of the run.
     q, points : ndarray, shape (p, 3), m
@@ -59,6 +61,7 @@ class Rows:
 
     machine: Machine
     run: Index
+    piece: Index
     time: Array
     q: Array
     points: Array
@@ -127,6 +130,7 @@ def _of_run(run: Run, number: int) -> dict[str, Array]:
         axes = np.stack(path_frame(pieces.direction, beam))
     return {
         'run': np.full(len(pieces), number),
+        'piece': np.arange(len(pieces)),
         'time': pieces.time,
         'q': q,
         'points': points,

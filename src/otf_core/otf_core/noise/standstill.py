@@ -18,6 +18,8 @@ from otf_core.noise.tails import Tails, tails
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+BLOCK = 65536
+"""Samples that are looked at at once."""
 MIN_DURATION = 0.25
 """s; shorter stops are not used."""
 GUARD = 0.05
@@ -66,9 +68,14 @@ def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_D
     half = max(1, round(0.05 / step))
     if len(samples) <= 2 * half + 1:
         return np.zeros((0, 2), dtype=np.int64)
-    span = (samples.stamp_ns[2 * half :] - samples.stamp_ns[: -2 * half]) * 1e-9
-    moved = np.linalg.norm(samples.xyz[2 * half :] - samples.xyz[: -2 * half], axis=1)
-    still = np.concatenate([[False], (moved < speed * span) & (span < 4 * half * step), [False]])
+    count = len(samples) - 2 * half
+    still = np.zeros(count + 2, dtype=bool)
+    for low in range(0, count, BLOCK):
+        early = slice(low, min(low + BLOCK, count))
+        late = slice(early.start + 2 * half, early.stop + 2 * half)
+        span = (samples.stamp_ns[late] - samples.stamp_ns[early]) * 1e-9
+        moved = np.linalg.norm(samples.xyz[late] - samples.xyz[early], axis=1)
+        still[low + 1 : early.stop + 1] = (moved < speed * span) & (span < 4 * half * step)
     edges = np.flatnonzero(np.diff(still.astype(np.int8)))
     runs = edges.reshape(-1, 2) + half
     guard = max(0, round(GUARD / step) - half)

@@ -13,13 +13,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
+from scipy.ndimage import maximum_filter1d
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.pieces.boundaries import all_boundaries
+from otf_core.pieces.outliers import outlying
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.arcs import curvature
 from otf_core.tracking.curve_pieces import near_joints
@@ -28,19 +29,12 @@ from otf_core.tracking.matching import OFF_PATH
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Small = NDArray[np.int32]
 
 BLOCK = 65536
 """samples that are looked at in the machine frame at once: copies of all would be large."""
 SPEED_WINDOW = 0.04
 """s; the speed of a sample is taken over this time."""
-
-MEDIAN_HALF = 5
-"""samples on either side that a sample is compared with to tell an outlier."""
-GROSS = 3e-5
-"""m; smaller deviations are never called outliers: they may be kinks of steep error tables, and
-as bad samples they average out."""
-RAYLEIGH_MEDIAN = 1.1774
-"""Median length of a vector of two independent normal components of unit variance."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +67,9 @@ class Pieces:
         s, since the first sample, of the end of the recording; 0 stands for the last piece.
     standstill : bool
         True if the pieces are standstills at ``origin``, where all three directions count.
-    samples : ndarray of int64, shape (u,)
+    samples : ndarray of int32, shape (u,)
         Places in the recording of the samples averaged; empty if not kept.
-    piece : ndarray of int64, shape (u,)
+    piece : ndarray of int32, shape (u,)
         Piece of each of them.
     chord : ndarray of int64, shape (p,)
         Chord of the path on which the piece begins; empty if that is its leg.
@@ -83,6 +77,9 @@ class Pieces:
         Acceleration towards the inside of curves, machine frame; empty if there are none.
     spread : ndarray, shape (p,), m
         Standard deviation of the samples along the line; empty if pieces are points.
+    far : ndarray of int32, shape (o,)
+        Places in the recording of samples on the lines that are in no piece as they are far from
+        those around them.
     """
 
     xyz: Array
@@ -98,11 +95,12 @@ class Pieces:
     outliers: int
     end: float = 0.0
     standstill: bool = False
-    samples: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    piece: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    samples: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    piece: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     chord: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     bend: Array = field(default_factory=lambda: np.zeros((0, 3)))
     spread: Array = field(default_factory=lambda: np.zeros(0))
+    far: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
 
     @property
     def line(self) -> Index:
@@ -115,6 +113,8 @@ class Pieces:
 
     def without(self, drop: NDArray[np.bool_]) -> Pieces:
         """Return the pieces that are not marked in ``drop``, shape (p,)."""
+        if not drop.any():
+            return self
         arrays = (
             'xyz',
             'leg',
@@ -133,7 +133,7 @@ class Pieces:
             self,
             **kept,
             samples=self.samples[stays],
-            piece=(np.cumsum(~drop) - 1)[self.piece[stays]],
+            piece=(np.cumsum(~drop, dtype=self.piece.dtype) - 1)[self.piece[stays]],
             chord=self.chord[~drop] if len(self.chord) else self.chord,
             bend=self.bend[~drop] if len(self.bend) else self.bend,
             spread=self.spread[~drop] if len(self.spread) else self.spread,
@@ -155,21 +155,20 @@ def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfi
     speed = np.zeros(len(samples))
     if len(samples) <= 2 * half:
         return speed
-    span = (samples.stamp_ns[2 * half :] - samples.stamp_ns[: -2 * half]) * 1e-9
-    same = leg[2 * half :] == leg[: -2 * half]
-    advance = np.where(same, along[2 * half :] - along[: -2 * half], 0.0)
-    speed[half:-half] = np.abs(advance) / np.maximum(span, 1e-9)
-    still = np.flatnonzero(speed < config.standstill_speed)
-    reach = np.zeros(len(samples) + 1)
-    np.add.at(reach, np.maximum(still - half, 0), 1)
-    np.add.at(reach, np.minimum(still + half + 1, len(samples)), -1)
-    return np.where(np.cumsum(reach[:-1]) > 0, 0.0, speed)
+    for part in _blocks(len(samples) - 2 * half):
+        middle, late = (slice(part.start + k, part.stop + k) for k in (half, 2 * half))
+        span = (samples.stamp_ns[late] - samples.stamp_ns[part]) * 1e-9
+        advance = np.where(leg[late] == leg[part], along[late] - along[part], 0.0)
+        speed[middle] = np.abs(advance) / np.maximum(span, 1e-9)
+    still = speed < config.standstill_speed
+    speed[maximum_filter1d(still, 2 * half + 1, mode='constant')] = 0.0
+    return speed
 
 
 class _Means:
     """Sums per piece of quantities of its samples."""
 
-    def __init__(self, piece: Index, total: int) -> None:
+    def __init__(self, piece: Small, total: int) -> None:
         self._piece, self._total = piece, total
         self.count = np.bincount(piece, minlength=total)
 
@@ -179,47 +178,9 @@ class _Means:
         return np.asarray(sums / np.maximum(self.count, 1))
 
 
-def _outliers(offset: Array, leg: Index, limit: float) -> NDArray[np.bool_]:
-    """Samples far from the running median of their leg, by robust standard deviation.
-
-    No sample is further from its median than the samples around it are apart, so where these
-    are all within ``GROSS`` there is nothing to look for. The ends of a leg are continued by
-    point reflection, which keeps the slope; the end sample, about which it is reflected, is
-    compared with the extrapolated median instead.
-    """
-    bounds = leg_bounds(leg)
-    if all(_apart(offset[low:high]) < GROSS for low, high in bounds):
-        return np.zeros(len(offset), dtype=bool)
-    rest = np.zeros_like(offset)
-    for low, high in bounds:
-        if high - low <= MEDIAN_HALF:
-            rest[low:high] = offset[low:high] - np.median(offset[low:high], axis=0)
-            continue
-        part = offset[low:high]
-        reach = ((MEDIAN_HALF, MEDIAN_HALF), (0, 0))
-        padded = np.pad(part, reach, mode='reflect', reflect_type='odd')
-        smooth = median_filter(padded, size=(2 * MEDIAN_HALF + 1, 1))[MEDIAN_HALF:-MEDIAN_HALF]
-        rest[low:high] = part - smooth
-        rest[low] = part[0] - (2 * smooth[1] - smooth[2])
-        rest[high - 1] = part[-1] - (2 * smooth[-2] - smooth[-3])
-    distance = np.linalg.norm(rest, axis=1)
-    sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
-    return np.asarray(distance > max(limit * sigma, GROSS))
-
-
-def _apart(offset: Array) -> float:
-    """Bound on the distance of the samples of a leg (n, 3), m, from their running median."""
-    size = 2 * MEDIAN_HALF + 1
-    if len(offset) <= size:
-        return float(np.linalg.norm(np.ptp(offset, axis=0))) * (3.0 if len(offset) > 1 else 1.0)
-    spread = maximum_filter1d(offset, size, axis=0) - minimum_filter1d(offset, size, axis=0)
-    reach = spread[[MEDIAN_HALF, -MEDIAN_HALF - 1]].max(axis=0)
-    return float(np.linalg.norm(np.maximum(spread.max(axis=0), 3.0 * reach)))
-
-
 def samples_on_lines(
     samples: Samples, alignment: Alignment, config: CalibrationConfig
-) -> tuple[Index, Array, Array, int]:
+) -> tuple[Index, Array, Array, Index]:
     """Samples in steady motion on the lines of the path.
 
     Returns
@@ -229,8 +190,8 @@ def samples_on_lines(
     along : ndarray, shape (n,), m
         From the start of the leg or chord.
     speed : ndarray, shape (n,), m/s
-    outliers : int
-        Samples left out as outliers.
+    far : ndarray of int64, shape (o,)
+        Those left out as outliers.
 
     Raises
     ------
@@ -239,34 +200,41 @@ def samples_on_lines(
     """
     leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
     pose, lines = alignment.T_machine_tracker, Lines.of(alignment.shape)
-    on_chord = np.empty(len(samples))
+    on_chord, along = np.empty((2, len(samples)))
     for part in _blocks(len(samples)):
         on_chord[part] = lines.along(pose.apply(samples.xyz[part]), leg[part])
-    along = lines.start[leg] + on_chord
-    stretch = np.where(alignment.leg == OFF_PATH, OFF_PATH, lines.shape.stretch[leg])
+        along[part] = lines.start[leg[part]] + on_chord[part]
+    stretch = np.where(
+        alignment.leg == OFF_PATH, OFF_PATH, lines.shape.stretch.astype(leg.dtype)[leg]
+    )
     speed = _moving(samples, along, stretch, config)
     low, high = _margins(lines, alignment, config)
     keep = (alignment.leg != OFF_PATH) & (speed > 0)
-    keep &= (along > low[leg]) & (along < lines.total[leg] - high[leg])
-    if not lines.shape.straight:
-        keep &= ~near_joints(lines, leg, on_chord, config.corner_exclusion)
+    for part in _blocks(len(samples)):
+        here, own = leg[part], along[part]
+        keep[part] &= (own > low[here]) & (own < lines.total[here] - high[here])
+        if not lines.shape.straight:
+            keep[part] &= ~near_joints(lines, here, on_chord[part], config.corner_exclusion)
     chosen = np.flatnonzero(keep)
     if not len(chosen):
         raise InputError('no sample is left on the lines of the path away from corners and stops')
-    offset = np.empty((len(chosen), 3))
-    for part in _blocks(len(chosen)):
+    del along, keep
+
+    def offset_of(part: slice) -> Array:
         here = chosen[part]
         line = leg[here]
-        offset[part] = pose.apply(samples.xyz[here]) - on_chord[here, None] * lines.unit[line]
+        offset = pose.apply(samples.xyz[here]) - on_chord[here, None] * lines.unit[line]
         bent = lines.shape.curved[line]
-        offset[part][bent] -= lines.shape.corners[line[bent]]
-    far = _outliers(offset, stretch[chosen], config.outlier_limit)
-    chosen = chosen[~far]
-    return chosen, on_chord[chosen], speed[chosen], int(far.sum())
+        offset[bent] -= lines.shape.corners[line[bent]]
+        return np.asarray(offset)
+
+    out = outlying(offset_of, leg_bounds(stretch[chosen]), config.outlier_limit)
+    far, chosen = chosen[out], chosen[~out]
+    return chosen, on_chord[chosen], speed[chosen], far
 
 
 def _blocks(count: int) -> list[slice]:
-    return [slice(low, low + BLOCK) for low in range(0, count, BLOCK)]
+    return [slice(low, min(low + BLOCK, count)) for low in range(0, count, BLOCK)]
 
 
 def _margins(lines: Lines, alignment: Alignment, config: CalibrationConfig) -> tuple[Array, Array]:
@@ -302,18 +270,22 @@ def reduce_to_pieces(
     InputError
         If nothing is left.
     """
-    chosen, along, speed, outliers = samples_on_lines(samples, alignment, config)
+    chosen, along, speed, far = samples_on_lines(samples, alignment, config)
     lines, leg = Lines.of(alignment.shape), alignment.leg[chosen]
     shape = lines.shape
     first = np.unique(shape.group)
     marks = all_boundaries(lines, first, nodes, config.piece_length)
     shift = np.concatenate([[0.0], np.cumsum([m[-1] + 1.0 for m in marks])])
     bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
-    group = shape.group[leg]
-    place = (lines.start[leg] - lines.start[group]) + along
-    place = np.where(shape.curved[leg], np.maximum(place, 0.0), place)
-    piece = np.searchsorted(bounds, shift[np.searchsorted(first, group)] + place, side='right') - 1
-    pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, place, outliers)
+    place, piece = np.empty(len(leg)), np.empty(len(leg), dtype=np.int32)
+    for part in _blocks(len(leg)):
+        here = leg[part]
+        group = shape.group[here]
+        own = (lines.start[here] - lines.start[group]) + along[part]
+        place[part] = own = np.where(shape.curved[here], np.maximum(own, 0.0), own)
+        beyond = shift[np.searchsorted(first, group)] + own
+        piece[part] = np.searchsorted(bounds, beyond, side='right') - 1
+    pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, place, far)
     return pieces if shape.straight else _on_curves(pieces, lines, alignment, along, speed)
 
 
@@ -321,7 +293,7 @@ def _on_curves(
     pieces: Pieces, lines: Lines, alignment: Alignment, along: Array, speed: Array
 ) -> Pieces:
     """Give pieces of curves the mean foot, direction and acceleration of their samples."""
-    chord = alignment.leg[pieces.samples]
+    chord = alignment.leg[pieces.samples].astype(np.int64)
     foot = lines.at(along, chord)
     direction = pieces.mean_of(lines.unit[chord])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -340,20 +312,22 @@ def _on_curves(
 def _collect(
     samples: Samples,
     chosen: Index,
-    piece: Index,
+    piece: Small,
     alignment: Alignment,
     unit: Array,
     speed: Array,
     place: Array,
-    outliers: int,
+    far: Index,
 ) -> Pieces:
-    names, dense = np.unique(piece, return_inverse=True)
-    means = _Means(dense, len(names))
+    there = np.bincount(piece) > 0
+    count = int(there.sum())
+    dense = (np.cumsum(there, dtype=np.int32) - 1)[piece]
+    means = _Means(dense, count)
     time = samples.time
     rate = 1.0 / max(samples.step, 1e-9)
-    first = np.zeros(len(names), dtype=np.int64)
+    first = np.zeros(count, dtype=np.int64)
     first[dense[::-1]] = chosen[::-1]
-    leg = alignment.leg[first]
+    leg = alignment.leg[first].astype(np.int64)
     return Pieces(
         xyz=np.stack([means.mean(samples.xyz[chosen, k]) for k in range(3)], axis=1),
         leg=leg,
@@ -364,10 +338,11 @@ def _collect(
         time=means.mean(time[chosen]),
         duration=means.count / rate,
         speed=means.mean(speed),
-        samples=chosen,
-        piece=np.asarray(dense, dtype=np.int64),
+        samples=chosen.astype(np.int32),
+        piece=dense,
         used=len(chosen),
-        outliers=outliers,
+        outliers=len(far),
         end=float(time[-1]),
+        far=far.astype(np.int32),
         spread=np.sqrt(np.maximum(means.mean(place**2) - means.mean(place) ** 2, 0.0)),
     )

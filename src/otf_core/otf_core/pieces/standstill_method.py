@@ -174,7 +174,7 @@ def align_stops(
         if use.sum() < MIN_STOPS:
             raise InputError(f'only {use.sum()} stops lie at points of the path')
         pose = rigid_fit(stops.xyz[use], points[found[use]])
-    leg = np.full(len(samples), OFF_PATH, dtype=np.int64)
+    leg = np.full(len(samples), OFF_PATH, dtype=np.int32)
     for (first, last), point in zip(stops.span, found, strict=True):
         leg[first:last] = point
     coverage = len(np.unique(found[use])) / len(points)

@@ -19,13 +19,16 @@ from numpy.typing import NDArray
 
 from otf_core.effects import State
 from otf_core.effects.state import state_on_path
+from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
-from otf_core.model.signals import courses
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 
 Array = NDArray[np.float64]
+
+SOME = 8
+"""Columns whose products are made together."""
 
 
 def piece_state(
@@ -56,7 +59,7 @@ def state_at(
         tables,
         run.late + pieces.end,
         run.shape,
-        courses(run.signals, run.first_ns, pieces.time),
+        Courses(run.signals, run.first_ns, pieces.time),
     )
 
 
@@ -67,10 +70,11 @@ def across(solved: SolvedRun, columns: Array) -> Array:
 
 def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
-    parts = [
-        solved.system.rows.transposed(solved.whitener.weighted(part))
-        for solved, part in zip(done.runs, columns, strict=True)
-    ]
+    parts = []
+    for solved, part in zip(done.runs, columns, strict=True):
+        some = (part[:, :, k : k + SOME] for k in range(0, part.shape[2], SOME))
+        each = [solved.system.rows.transposed(solved.whitener.weighted(own)) for own in some]
+        parts.append(np.concatenate(each, axis=1))
     return np.asarray(sum(parts))
 
 

@@ -25,8 +25,8 @@ from otf_core.solving.unknowns import Unknowns, is_reversal, pose_block
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-SOME = 2048
-"""Pieces whose reversal is looked at together."""
+SOME, MANY = 2048, 8192
+"""Pieces whose reversal, or products with columns, are made together."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,9 @@ class AxisPart:
     def splines(self) -> sparse.csr_array:
         """Values of all splines, shape (p, size)."""
         count, width = self.weight.shape
-        places = (self.first[:, None] + np.arange(width)).ravel()
-        ends = np.arange(0, count * width + 1, width)
+        small = np.int32 if count * width < np.iinfo(np.int32).max else np.int64
+        places = (self.first[:, None] + np.arange(width)).ravel().astype(small)
+        ends = np.arange(0, count * width + 1, width, dtype=small)
         shape = (count, self.size)
         return sparse.csr_array((self.weight.ravel(), places, ends), shape=shape)
 
@@ -178,6 +179,10 @@ class Design:
             rows, axis=2
         )
 
+    def released(self) -> Design:
+        """Return the same without what products keep to be fast."""
+        return replace(self)
+
     def prepare(self) -> None:
         """Make what all rows share; afterwards rows may be made by several threads."""
         self._parts  # noqa: B018
@@ -262,37 +267,28 @@ class Design:
         ]
         return sparse.csr_array(sparse.vstack(blocks))
 
-    def times(self, value: Array, column: Index | None = None) -> Array:
+    def times(self, value: Array) -> Array:
         """Deviations for values of the unknowns.
 
         Parameters
         ----------
         value : ndarray, shape (full,) or (full, k)
-        column : ndarray of int64, shape (p,), optional
-            Which of the k values counts for each piece.
 
         Returns
         -------
-        ndarray, shape (c, p), or (c, p, k) for k values without ``column``
+        ndarray, shape (c, p) or (c, p, k)
         """
-        if value.ndim > 1 and column is None:
+        if value.ndim > 1:
             return np.stack([self.times(v) for v in value.T], axis=2)
-        own = value[:, None] if column is None else value
-        of = np.zeros(len(self.q), dtype=np.int64) if column is None else column
-        row = np.arange(len(of))
-        moved, angles = own[self._pose][:, of], own[self._angles][:, of]
-        total = -moved[:3].T - crossed(moved[3:].T, self.points)
+        moved, angles, sizes = (value[k] for k in (self._pose, self._angles, self._reversals))
+        total = -moved[:3] - crossed(moved[3:], self.points)
         for angle, name in zip(angles, SQUARENESS, strict=True):
-            total += angle[:, None] * squareness_influence(name, self.q)
-        sizes = own[self._reversals][:, of]
+            total += angle * squareness_influence(name, self.q)
         if np.any(sizes):
             for some in self._blocks():
-                total[some] += np.einsum('pik,kp->pi', self._reversal(some), sizes[:, some])
+                total[some] += self._reversal(some) @ sizes
         for part in (part for parts in self._parts for part in parts):
-            wide = part.splines @ own[part.starts + np.arange(part.size)[:, None]].reshape(
-                part.size, -1
-            )
-            six = wide if column is None else wide.reshape(len(of), 6, -1)[row, :, of]
+            six = part.splines @ value[part.starts + np.arange(part.size)[:, None]]
             total += (six[:, :3] + crossed(six[:, 3:], part.lever)) / len(self.shifts)
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, total))
 
@@ -300,20 +296,25 @@ class Design:
         """Transposed design times rows (c, p) or (c, p, k), shape (full,) or (full, k)."""
         wide = rows.reshape(*rows.shape[:2], -1)
         found = np.zeros((self.unknowns.full, wide.shape[2]))
-        pull = np.einsum('cpi,cpk->pki', self.axes, wide)
-        turned = crossed(self.points[:, None, :], pull)
-        found[self._pose] = -np.concatenate([pull.sum(axis=0), turned.sum(axis=0)], axis=1).T
+        for low in range(0, len(self.q), MANY):
+            self._add_transposed(slice(low, low + MANY), wide[:, low : low + MANY], found)
+        return found.reshape(-1, *rows.shape[2:])
+
+    def _add_transposed(self, some: slice, rows: Array, found: Array) -> None:
+        """Add the transposed rows of some pieces times rows (c, m, k) to found (full, k)."""
+        q, pull = self.q[some], np.einsum('cpi,cpk->pki', self.axes[:, some], rows)
+        turned = crossed(self.points[some, None, :], pull)
+        found[self._pose] -= np.concatenate([pull.sum(axis=0), turned.sum(axis=0)], axis=1).T
         for place, name in zip(self._angles.tolist(), SQUARENESS, strict=True):
-            found[place] = np.einsum('pi,pki->k', squareness_influence(name, self.q), pull)
-        for some in self._blocks() if self.unknowns.reversal else ():
+            found[place] += np.einsum('pi,pki->k', squareness_influence(name, q), pull)
+        if self.unknowns.reversal:
             columns = self._reversal(some)
-            found[self._reversals] += np.einsum('pij,pki->jk', columns, pull[some], optimize=True)
+            found[self._reversals] += np.einsum('pij,pki->jk', columns, pull, optimize=True)
         for part in (part for parts in self._parts for part in parts):
-            six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
-            own = part.splines.T @ six.reshape(len(six), -1) / len(self.shifts)
+            six = np.concatenate([pull, crossed(part.lever[some, None, :], pull)], axis=2)
+            own = part.splines[some].T @ six.reshape(len(six), -1) / len(self.shifts)
             place = part.starts + np.arange(part.size)[:, None]
             found[place] += np.swapaxes(own.reshape(part.size, -1, 6), 1, 2)
-        return found.reshape(-1, *rows.shape[2:])
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import leg_bounds
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
 from otf_core.pieces.observed import AnyRun, Observed
-from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
+from otf_core.pieces.outliers import GROSS, RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import blamed
 from otf_core.solving.noise_fit import FittedNoise, fit_noise
 from otf_core.solving.normal import NormalEquations, line_equations, normal_equations
@@ -296,6 +296,7 @@ def solve_jointly(
         motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
         poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
         solution = _without_poses(solution, unknowns, len(runs))
+        del systems  # as large as the next ones
         systems = systems_of(runs, poses, unknowns, tables_of(machine, unknowns, solution))
         solution = _improved(solution, unknowns, rough, systems, whiteners)
         before, left = left, left_by(systems, solution)

@@ -28,7 +28,9 @@ from scipy.linalg import block_diag
 from otf_core.config import CalibrationConfig
 from otf_core.effects.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
+from otf_core.memory import give_back
 from otf_core.pieces.observed import AnyRun, Observed
+from otf_core.solving.design import Design
 from otf_core.solving.folds import FOLDS, fold_of
 from otf_core.solving.joint import JointSolution, Progress, solve_robustly, tables_of
 from otf_core.solving.normal import sum_groups
@@ -103,9 +105,12 @@ def solve_with_reversal(
     progress : callable(stage, fraction)
     """
     shapes = choose_shapes(runs, nodes, config, progress)
+    give_back()
     plain = layout(shapes.bases, len(runs))
     kept, done = solve_robustly(shapes.improved, plain, config, progress, shapes.start)
+    give_back()
     choice = choose(kept, done, config)
+    give_back()
     if choice.model == 'none':
         return ReversalSolution(kept, done, choice, (kept, done))
     unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)
@@ -217,12 +222,13 @@ def _held_out_squares(
     columns[RIVAL.name] = np.append(columns['none'], unknowns.free + np.arange(width))
     loose = unknowns.free - done.unknowns.free + width
     prior = block_diag(done.roughness.precision, TRACE / limit**2 * np.eye(loose))
+    held_out = [_folds(*run) for run in zip(lines, fold, rivals, strict=True)]
     left = {}
     for model, use in columns.items():
         values = [estimated(total.less(part), use, prior) for part in parts]
         squares = [
-            _squares(own, group, rival, unknowns, np.stack(values, axis=1))
-            for own, group, rival in zip(lines, fold, rivals, strict=True)
+            _squares(own, folds, unknowns, values)
+            for own, folds in zip(lines, held_out, strict=True)
         ]
         left[model] = np.concatenate(squares)
     return left
@@ -239,15 +245,45 @@ def _rival_columns(run: Observed, system: System) -> Array:
     return np.asarray(np.einsum('cij,ijk->cik', system.axes, terms.columns))
 
 
-def _squares(own: Once, fold: Index, rival: Array, unknowns: Unknowns, values: Array) -> Array:
-    """Sum of squares of each line of a run with the values (columns, folds) of its fold.
+@dataclass(frozen=True)
+class _Fold:
+    """Lines of a run that are held out together.
+
+    Attributes
+    ----------
+    pieces : ndarray of int64, shape (m,)
+    rows : Design
+    rival : ndarray, shape (c, m, k)
+        Columns of the rival.
+    """
+
+    pieces: Index
+    rows: Design
+    rival: Array
+
+
+def _folds(own: Once, fold: Index, rival: Array) -> list[_Fold]:
+    """Folds of a run, by the fold of every line."""
+    of_piece = fold[_line_of_piece(own)]
+    places = (np.flatnonzero(of_piece == k) for k in range(FOLDS))
+    return [_Fold(p, own.system.rows.at(p), rival[:, p]) for p in places]
+
+
+def _line_of_piece(own: Once) -> Index:
+    size = [high - low for low, high in own.whitener.bounds]
+    return np.repeat(np.arange(len(size)), size)
+
+
+def _squares(
+    own: Once, folds: Sequence[_Fold], unknowns: Unknowns, values: Sequence[Array]
+) -> Array:
+    """Sum of squares of each line of a run with the values (columns,) of its fold.
 
     What passes over a line differ among themselves is left out: it is the same for every model.
     """
-    size = [high - low for low, high in own.whitener.bounds]
-    number = np.repeat(np.arange(len(size)), size)
-    of_piece = fold[number]
-    predicted = own.system.rows.times(unknowns.gauge @ values[: unknowns.free], of_piece)
-    predicted += np.einsum('cpk,kp->cp', rival, values[unknowns.free :][:, of_piece])
-    white = own.whitener.whiten(own.system.deviation - predicted)
+    rest = own.system.deviation.copy()
+    for fold, value in zip(folds, values, strict=True):
+        rest[:, fold.pieces] -= fold.rows.times(unknowns.gauge @ value[: unknowns.free])
+        rest[:, fold.pieces] -= fold.rival @ value[unknowns.free :]
+    white, number, size = own.whitener.whiten(rest), _line_of_piece(own), own.whitener.bounds
     return np.asarray(np.bincount(number, (white**2).sum(axis=0), len(size)), dtype=float)

@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dtrtri
 
 from otf_core.errors import InputError
 from otf_core.model.path import leg_bounds
-from otf_core.noise.model import Misfit, NoiseModel, covariance_parts
+from otf_core.noise.model import Misfit, NoiseModel, Windows, covariance_parts
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.system import System
 
@@ -27,8 +27,42 @@ Index = NDArray[np.int64]
 NO_MISFIT = Misfit()
 SAME_PLACE = 5e-4
 """m; half a step between samples at a usual feed: so far pieces of two passes may be apart."""
-MEMORY = 8e6
+MEMORY = 1e6
 """Bytes of covariances that are factored at once."""
+HELD = 5e7
+"""Bytes of matrices that are held; those of a longer run are made anew whenever they are used."""
+
+
+@dataclass(frozen=True)
+class Covariances:
+    """Covariances of the rows of a run.
+
+    Attributes
+    ----------
+    noise : NoiseModel
+    misfit : Misfit
+    shares : ndarray, shape (3, c, p)
+        See ``system.System``.
+    windows : tuple of time, duration (s) and count, each of shape (p,)
+    """
+
+    noise: NoiseModel
+    misfit: Misfit
+    shares: Array
+    windows: Windows
+
+    def among(self, own: Index) -> Array:
+        """Of the pieces (n, m) of n lines, shape (c, n, m, m), m^2."""
+        time, duration, count = self.windows
+        windows = (time[own], duration[own], count[own])
+        white, slow, own_misfit, lasting = covariance_parts(
+            self.noise, self.misfit, self.shares[:, :, own], windows
+        )
+        return white + slow + own_misfit + lasting
+
+    def inverse(self, own: Index) -> Array:
+        """Inverses of their lower Cholesky factors, 1/m; LinAlgError if there is none."""
+        return _inverse(np.asarray(np.linalg.cholesky(self.among(own))))
 
 
 @dataclass(frozen=True)
@@ -40,23 +74,26 @@ class Alike:
     legs : ndarray of int64, shape (n,)
         Which of all legs, by their place in ``Whitener.bounds``.
     pieces : ndarray of int64, shape (n, m)
-    inverse : ndarray, shape (c, n, m, m), 1/m
-        Inverses of the lower Cholesky factors of the covariances of every component.
+    held : ndarray, shape (c, n, m, m), 1/m, or Covariances
+        ``inverse``, or what it is made of.
     """
 
     legs: Index
     pieces: Index
-    inverse: Array
-
-    @classmethod
-    def of(cls, legs: Index, pieces: Index, factor: Array) -> Alike:
-        """From the Cholesky factors, shape (c, n, m, m), m."""
-        return cls(legs, pieces, _inverse(factor))
+    held: Array | Covariances
 
     @property
-    def factor(self) -> Array:
-        """Lower Cholesky factors, shape (c, n, m, m), m."""
-        return _inverse(self.inverse)
+    def inverse(self) -> Array:
+        """Inverses of the lower Cholesky factors of every component, shape (c, n, m, m), 1/m."""
+        if isinstance(self.held, Covariances):
+            return self.held.inverse(self.pieces)
+        return self.held
+
+    def inverse_of(self, k: int) -> Array:
+        """Those of one leg, by its place in ``legs``, shape (c, m, m)."""
+        if isinstance(self.held, Covariances):
+            return self.held.inverse(self.pieces[k : k + 1])[:, 0]
+        return self.held[:, k]
 
 
 @dataclass(frozen=True)
@@ -101,19 +138,17 @@ class Whitener:
         """
         bounds = leg_bounds(pieces.leg)
         low, high = np.array(bounds, dtype=np.int64).reshape(-1, 2).T
-        alike = []
+        windows = (pieces.time, pieces.duration, pieces.count)
+        covariances = Covariances(noise, misfit, system.shares, windows)
+        alike, held = [], 0
         for legs in _alike(high - low):
             own = low[legs, None] + np.arange(high[legs[0]] - low[legs[0]])
-            windows = (pieces.time[own], pieces.duration[own], pieces.count[own])
-            white, slow, own_misfit, lasting = covariance_parts(
-                noise, misfit, system.shares[:, :, own], windows
-            )
-            covariance = white + slow + own_misfit + lasting
             try:
-                factor = np.linalg.cholesky(covariance)
+                inverse = covariances.inverse(own)
             except np.linalg.LinAlgError:
-                raise _two_passes(pieces, own, covariance) from None
-            alike.append(Alike.of(legs, own, np.asarray(factor)))
+                raise _two_passes(pieces, own, covariances.among(own)) from None
+            held += inverse.nbytes
+            alike.append(Alike(legs, own, inverse if held <= HELD else covariances))
         return cls(bounds, tuple(alike), _first_passes(pieces, system.q, bounds))
 
     @classmethod
@@ -126,18 +161,18 @@ class Whitener:
         for legs in _alike(size):
             own = np.array([np.arange(*bounds[k]) for k in legs.tolist()])
             stacked = np.stack([np.stack(list(factors[k])) for k in legs.tolist()], axis=1)
-            alike.append(Alike.of(legs, own, stacked))
+            alike.append(Alike(legs, own, _inverse(stacked)))
         return cls(bounds, tuple(alike), np.arange(len(bounds)))
 
     @property
     def factors(self) -> tuple[tuple[Array, ...], ...]:
         """Lower Cholesky factors (m, m) of every leg and component, m."""
-        return self._by_leg(lambda alike: alike.factor)
+        return tuple(tuple(_inverse(inverse)) for inverse in self.inverses)
 
     @cached_property
-    def inverses(self) -> tuple[tuple[Array, ...], ...]:
-        """Their inverses, 1/m."""
-        return self._by_leg(lambda alike: alike.inverse)
+    def inverses(self) -> Sequence[Array]:
+        """Their inverses, shape (c, m, m), 1/m, leg by leg."""
+        return _Legs(self.alike)
 
     @cached_property
     def once(self) -> Whitener:
@@ -145,35 +180,27 @@ class Whitener:
         lines, line = np.unique(self.first, return_inverse=True)
         if len(lines) == len(self.bounds):
             return self
-        weight: dict[int, Array] = {}
-        for alike in self.alike:
-            of_leg = np.swapaxes(alike.inverse, 0, 1)
-            for k, own in zip(line[alike.legs].tolist(), of_leg, strict=True):
-                weight[k] = weight.get(k, 0.0) + np.swapaxes(own, 1, 2) @ own
         size = np.array([high - low for low, high in self.bounds])[lines]
-        end = np.cumsum(size)
-        found = []
-        for legs in _alike(size):
-            pieces = (end - size)[legs, None] + np.arange(size[legs[0]])
-            stacked = np.stack([weight[k] for k in legs.tolist()], axis=1)
-            found.append(Alike(legs, pieces, _root(stacked)))
+        end, passes, found = np.cumsum(size), _places(line, len(lines)), []
+        for some in _alike(size):
+            pieces = (end - size)[some, None] + np.arange(size[some[0]])
+            weight = [sum(self._weight(leg) for leg in passes[k]) for k in some.tolist()]
+            found.append(Alike(some, pieces, _root(np.stack(weight, axis=1))))
         bounds = list(zip((end - size).tolist(), end.tolist(), strict=True))
         return Whitener(bounds, tuple(found), np.arange(len(lines)))
 
-    def _by_leg(self, stack: Callable[[Alike], Array]) -> tuple[tuple[Array, ...], ...]:
-        found: dict[int, tuple[Array, ...]] = {}
-        for alike in self.alike:
-            of_leg = np.swapaxes(stack(alike), 0, 1)
-            found |= {k: tuple(own) for k, own in zip(alike.legs.tolist(), of_leg, strict=True)}
-        return tuple(found[k] for k in range(len(self.bounds)))
+    def _weight(self, leg: int) -> Array:
+        """Inverse covariances (c, m, m) of a leg."""
+        own = self.inverses[leg]
+        return np.asarray(np.swapaxes(own, 1, 2) @ own)
 
     @cached_property
     def expected(self) -> Array:
         """Standard deviation of the noise of every piece, shape (c, p), m."""
-        components = len(self.alike[0].factor) if self.alike else 2
+        components = len(self.inverses[0]) if self.alike else 2
         found = np.empty((components, self.bounds[-1][1] if self.bounds else 0))
         for alike in self.alike:
-            found[:, alike.pieces] = np.linalg.norm(alike.factor, axis=-1)
+            found[:, alike.pieces] = np.linalg.norm(_inverse(alike.inverse), axis=-1)
         return found
 
     def parts(self) -> Iterator[tuple[int, int, int, Array]]:
@@ -182,34 +209,61 @@ class Whitener:
             for component, inverse in enumerate(leg):
                 yield component, low, high, _inverse(inverse)
 
-    def _applied(self, matrix: Callable[[Alike], Array], values: Array) -> Array:
-        """Matrices of the legs times values (c, p, ...)."""
+    def _applied(self, product: Callable[[Array, Array], Array], values: Array) -> Array:
+        """Products of the inverses (c, n, m, m) of the legs with values (c, p, ...)."""
         wide = values.reshape(*values.shape[:2], -1)
         result = np.empty_like(wide)
         for alike in self.alike:
-            result[:, alike.pieces] = matrix(alike) @ wide[:, alike.pieces]
+            result[:, alike.pieces] = product(alike.inverse, wide[:, alike.pieces])
         return result.reshape(values.shape)
 
     def whiten(self, values: Array) -> Array:
         """Free values (c, p, ...) of the correlation: noise as expected has unit variance."""
-        return self._applied(lambda alike: alike.inverse, values)
+        return self._applied(np.matmul, values)
 
     def whiten_transposed(self, values: Array) -> Array:
         """Apply the transpose of ``whiten``: for products with columns."""
-        return self._applied(lambda alike: np.swapaxes(alike.inverse, -1, -2), values)
+        return self._applied(lambda inverse, own: np.swapaxes(inverse, -1, -2) @ own, values)
 
     def unwhiten(self, values: Array) -> Array:
         """Undo ``whiten``."""
-        return self._applied(lambda alike: alike.factor, values)
+        return self._applied(lambda inverse, own: _inverse(inverse) @ own, values)
 
     def weighted(self, values: Array) -> Array:
         """Multiply values (c, p, ...) by the inverse covariance of the noise."""
-        return self.whiten_transposed(self.whiten(values))
+        return self._applied(
+            lambda inverse, own: np.swapaxes(inverse, -1, -2) @ (inverse @ own), values
+        )
 
     def covaried(self, values: Array) -> Array:
         """Multiply values (c, p, ...) by the covariance of the noise."""
-        turned = self._applied(lambda alike: np.swapaxes(alike.factor, -1, -2), values)
-        return self.unwhiten(turned)
+
+        def product(inverse: Array, own: Array) -> Array:
+            factor = _inverse(inverse)
+            return np.asarray(factor @ (np.swapaxes(factor, -1, -2) @ own))
+
+        return self._applied(product, values)
+
+
+class _Legs(Sequence[Array]):
+    """Inverses leg by leg."""
+
+    def __init__(self, alike: Sequence[Alike]) -> None:
+        places = {leg: (a, k) for a in alike for k, leg in enumerate(a.legs.tolist())}
+        self._places = [places[leg] for leg in range(len(places))]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, leg: int) -> Array:  # type: ignore[override]
+        alike, k = self._places[leg]
+        return alike.inverse_of(k)
+
+
+def _places(of: Index, count: int) -> list[list[int]]:
+    """Places in ``of`` (n,) of every number below ``count``."""
+    order = np.argsort(of, kind='stable')
+    return [p.tolist() for p in np.split(order, np.cumsum(np.bincount(of, minlength=count))[:-1])]
 
 
 def _alike(size: Index) -> Iterator[Index]:

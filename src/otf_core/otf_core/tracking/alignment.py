@@ -9,6 +9,7 @@ in three or four steps instead of hundreds (docs/formulation.md).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +28,7 @@ from otf_core.tracking.matching import ENOUGH, LEAST, cut_track
 from otf_core.tracking.no_match import MIRRORED, mirrored, why_no_match
 from otf_core.tracking.order import FORWARD, OFF_PATH, Match, follow
 from otf_core.tracking.rounding import rounded_ends, sharpened
-from otf_core.tracking.track import Track, measured_track
+from otf_core.tracking.track import BLOCK, Track, measured_track
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class Alignment:
     corners : ndarray, shape (m + 1, 3), m
         Corner points of the path as driven, straight-through points removed; leg j runs from j
         to j + 1. That is the published path, unless legs were repeated or driven backward.
-    leg : ndarray of int64, shape (n,)
+    leg : ndarray of int32, shape (n,)
         Leg of every sample, ``OFF_PATH`` where there is none.
     coverage : float
         Driven share of the length of the published path.
@@ -68,7 +69,7 @@ class Alignment:
 
     T_machine_tracker: RigidTransform
     corners: Array
-    leg: NDArray[np.int64]
+    leg: NDArray[np.int32]
     coverage: float
     last_leg_driven: bool
     curves: PathShape | None = None
@@ -112,13 +113,29 @@ def line_step(
         If the lines leave a motion free, such as turning about a single line.
     """
     centre = points.mean(axis=0)
-    local = points - centre
-    size = np.sqrt(np.mean(np.einsum('ij,ij->i', local, local))) or 1.0
-    local /= size
-    offset = points - origin
-    offset -= direction * np.einsum('ij,ij->i', direction, offset)[:, None]
+    square = sum(float(np.sum((points[k] - centre) ** 2)) for k in _blocks(len(points)))
+    size = np.sqrt(square / len(points)) or 1.0
+    normal, right = np.zeros((6, 6)), np.zeros(6)
+    for k in _blocks(len(points)):
+        local = (points[k] - centre) / size
+        share = weight[k] / weight.sum()
+        of_rows, of_offsets = _line_sums(local, points[k] - origin[k], direction[k], share)
+        normal += of_rows
+        right += of_offsets
+    if np.linalg.eigvalsh(normal)[0] < 1e-7:
+        raise InputError(
+            'the driven lines do not fix the place of the tracker (all parallel or too few); '
+            'record the whole path'
+        )
+    motion = np.linalg.solve(normal, right)
+    rotation_vector = motion[3:] / size
+    return np.asarray(motion[:3] - np.cross(rotation_vector, centre)), np.asarray(rotation_vector)
+
+
+def _line_sums(local: Array, offset: Array, direction: Array, share: Array) -> tuple[Array, Array]:
+    """Normal matrix (6, 6) and right side (6,) of ``line_step`` over some points."""
+    offset = offset - direction * np.einsum('ij,ij->i', direction, offset)[:, None]
     # a motion moves a point by [1, -l x] and, of that, along its line by [d, l x d]
-    share = weight / weight.sum()
     weighted = local * share[:, None]
     mean, square = weighted.sum(axis=0), weighted.T @ local
     along = np.concatenate([direction, np.cross(local, direction)], axis=1)
@@ -129,15 +146,12 @@ def line_step(
     normal[:3, 3:] += skew
     normal[3:, :3] += skew.T
     turned = np.cross(weighted, offset).sum(axis=0)
-    right = -np.concatenate([share @ offset, turned])
-    if np.linalg.eigvalsh(normal)[0] < 1e-7:
-        raise InputError(
-            'the driven lines do not fix the place of the tracker (all parallel or too few); '
-            'record the whole path'
-        )
-    motion = np.linalg.solve(normal, right)
-    rotation_vector = motion[3:] / size
-    return motion[:3] - np.cross(rotation_vector, centre), rotation_vector
+    return normal, -np.concatenate([share @ offset, turned])
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Points, some at a time: what is made of all at once would be large."""
+    return (slice(low, low + BLOCK) for low in range(0, count, BLOCK))
 
 
 def _refine(
@@ -284,7 +298,7 @@ def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
     lines = Lines.of(found.shape)
     on = np.flatnonzero(found.leg != OFF_PATH)
     on = on[lines.shape.curved[found.leg[on]]]
-    bulge = bulge_of(points[on], found.leg[on], lines, least)
+    bulge = bulge_of(points[on], found.leg[on].astype(np.int64), lines, least)
     if bulge is None or not bulge.arcs:
         return replace(found, bulge=bulge)
     shape, start, parent = with_arcs(lines)
@@ -295,7 +309,7 @@ def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
     return replace(
         found,
         corners=shape.corners,
-        leg=leg,
+        leg=leg.astype(np.int32),
         curves=shape,
         published=found.published[parent],
         rounded=found.rounded[parent],

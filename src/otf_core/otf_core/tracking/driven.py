@@ -195,7 +195,7 @@ def driven_path(match: Match, shape: PathShape, vertex: Index, slack: float) -> 
 def sample_chords(
     match: Match, driven: Driven, T_machine_tracker: RigidTransform, xyz: Array,
     exclusion: float, slack: float,
-) -> Index:  # fmt: skip
+) -> NDArray[np.int32]:  # fmt: skip
     """Chord of every sample, ``OFF_PATH`` where there is none.
 
     Where the machine came to a leg from elsewhere, or left it, between its ends, ``exclusion`` is
@@ -212,7 +212,7 @@ def sample_chords(
         m.
     """
     track, lines = match.track, Lines.of(driven.shape)
-    chord = np.full(len(xyz), OFF_PATH, dtype=np.int64)
+    chord = np.full(len(xyz), OFF_PATH, dtype=np.int32)
     for k in np.flatnonzero(driven.chord != OFF_PATH).tolist():
         first, last = int(driven.chord[k]), int(driven.last[k])
         part = slice(int(track.hops[track.start[k]]), int(track.hops[track.stop[k]]) + 1)
@@ -221,10 +221,11 @@ def sample_chords(
             way = driven.shape.corners[last + 1] - driven.shape.corners[first]
             points = T_machine_tracker.apply(xyz[part])
             share = (points - driven.shape.corners[first]) @ way / float(way @ way)
-            chord[part] += np.clip(share * (last + 1 - first), 0, last - first).astype(np.int64)
+            chord[part] += np.clip(share * (last + 1 - first), 0, last - first).astype(np.int32)
     if not lines.shape.straight:
         on = np.flatnonzero(chord != OFF_PATH)
-        chord[on] = lines.settled(T_machine_tracker.apply(xyz[on]), chord[on])
+        near = chord[on].astype(np.int64)
+        chord[on] = lines.settled(T_machine_tracker.apply(xyz[on]), near)
     for at, beyond in _entries(match, driven, lines, slack):
         points = T_machine_tracker.apply(xyz[beyond[0] : beyond[1] + 1])
         near = np.flatnonzero(np.linalg.norm(points - at, axis=1) < exclusion)

@@ -26,12 +26,13 @@ from otf_core import cli
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions import moved
+from otf_core.contradictions import model, moved
 from otf_core.contradictions.worth import check_worth, volumetric
 from otf_core.errors import InputError
 from otf_core.model.machine import Axis, Chain, TrackerSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.pieces.runs import prepare_runs
 
 
 def with_machine(recording, **fields):
@@ -179,6 +180,19 @@ def test_a_tracker_that_moved_is_found_in_time(size):
     assert seconds == pytest.approx(0.5 * a.samples.time[-1], abs=1.0)
     (plain,) = asked(stepped(a, (0.6 * size, -0.8 * size, 0.0)), mend=False)
     assert 'solved each' not in plain.words
+
+
+def test_long_runs_are_examined_on_every_nth_piece(monkeypatch):
+    monkeypatch.setattr(model, 'ENOUGH', 500)
+    a = recorded(4)
+    rows = model.Model.of([a_run := prepare_runs([a], CONFIG)[0][0]]).rows
+    assert 500 <= len(rows) < 1000 < len(a_run.pieces)
+    (found,) = asked(stepped(a, (12e-6, -16e-6, 0.0)))
+    seconds = float(found.words.split('moved ')[1].split(' s ')[0])
+    assert seconds == pytest.approx(0.5 * a.samples.time[-1], abs=1.0)
+    (again_found,) = asked(broken(recorded(5), 20, 20e-6))
+    assert again_found.check == 'found again'
+    assert asked(a) == ()
 
 
 def test_a_bed_that_warms_up_is_no_tracker_that_moved():

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.diagnosis.engine.evidence import estimate, log_evidence
+from otf_core.diagnosis.engine.evidence import log_evidence
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import (
     NEEDED_EVIDENCE,
@@ -30,7 +30,6 @@ from otf_core.diagnosis.engine.search import (
     fit_jointly,
     noise_variance,
 )
-from otf_core.diagnosis.engine.tried import Tried
 from otf_core.diagnosis.engine.unnamed import Structures, inputs_of
 
 Array = NDArray[np.float64]
@@ -85,7 +84,7 @@ def rival_of(causes: Sequence[Cause], structures: Structures) -> Rival:
     variance = noise_variance(rows, rows.residual - trace)
     likeliest = sorted(structures.ranked, key=lambda t: -structures.score(t, variance))
     for tried in likeliest[:RIVALS]:
-        other = _trace(tried, rows, variance)
+        other = tried.trace(np.arange(len(tried.size)), variance)
         if _same(trace, other):
             continue
         least = min(variance, noise_variance(rows, rows.residual - other))
@@ -113,12 +112,6 @@ def together(causes: Sequence[Cause], rows: Rows, variance: float) -> float:
         basis = np.concatenate([basis, taken], axis=1)
         residual = residual - taken @ (taken.T @ residual)
     return total
-
-
-def _trace(tried: Tried, rows: Rows, variance: float) -> Array:
-    """What a structure takes away of the residual, shape (r,)."""
-    option = tried.made(np.arange(len(tried.size)), variance)
-    return option.own @ estimate(option.own, option.size, rows.residual, option.widths).value
 
 
 def _same(trace: Array, other: Array) -> bool:

@@ -10,19 +10,21 @@ kept: all of them together are many times as large as A.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from otf_core.effects import Effect, Shape, State, Terms
+from otf_core.effects.free import FreeForm
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.runs import Run
-from otf_core.solving.columns import across, name_in_run, piece_state, sensitivity
+from otf_core.solving.columns import name_in_run, piece_state, sensitivity
 from otf_core.solving.folds import fold_of, leg_numbers
 from otf_core.solving.joint import JointSolution, settled, summed, tables_of
 from otf_core.solving.normal import rows_by_run
@@ -51,12 +53,15 @@ class Pulled:
     ----------
     white, plain : ndarray, shape (r, q)
         Q, and W' Q.
+    turned : tuple of ndarray, shape (p, 3, q)
+        The same of every run along X, Y and Z, for displacements as they are.
     inner : ndarray, shape (b, q)
         N^-1 A' Q.
     """
 
     white: Array
     plain: Array
+    turned: tuple[Array, ...]
     inner: Array
 
 
@@ -110,25 +115,73 @@ class Rows:
             for r, s in zip(self.runs, self.done.runs, strict=True)
         )
 
-    def columns_in_run(self, effect: Effect, shape: Shape, run: int) -> Array:
-        """Displacements of one run across the path per unit of each term, shape (r of it, k)."""
-        solved, state = self.done.runs[run], self.states[run]
+    def columns_in_run(self, effect: Effect, shape: Shape, run: int, count: int) -> Array:
+        """Displacements of one run across the path per unit of its k terms, shape (r of it, k)."""
+        axes = self.done.runs[run].system.axes
+        found = np.empty((*axes.shape[:2], count))
+        for part, columns, functions in self._factors(effect, shape, run, count):
+            turned = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ columns, 0, 1)
+            if functions is None:
+                found[:, part] = turned
+                continue
+            for j, (own, place) in enumerate(zip(functions, _places(functions), strict=True)):
+                np.multiply(turned[:, :, j, None], own, out=found[:, part, place])
+        return found.reshape(-1, count)
+
+    def displacement(self, effect: Effect, shape: Shape, value: Array) -> Array:
+        """Displacements of all runs across the path by all terms with values (k,), shape (r,)."""
+        runs = len(self.states)
+        values = np.split(value, runs) if effect.own_per_run else [value] * runs
+        found = []
+        for run, own in enumerate(values):
+            axes, moved = self.done.runs[run].system.axes, []
+            for _, columns, functions in self._factors(effect, shape, run, len(own)):
+                if functions is None:
+                    moved.append(columns @ own)
+                    continue
+                pairs = zip(functions, _places(functions), strict=True)
+                sizes = np.stack([f @ own[place] for f, place in pairs], axis=1)
+                moved.append(np.einsum('pij,pj->pi', columns, sizes))
+            found.append(np.einsum('cpi,pi->cp', axes, np.concatenate(moved)).ravel())
+        return np.concatenate(found)
+
+    def products_in_run(
+        self, turned: Array, effect: Effect, shape: Shape, run: int, count: int
+    ) -> Array:
+        """Products (q, k) of ``Pulled.turned`` of a run with displacements by its k terms."""
+        found = np.zeros((turned.shape[2], count))
+        for part, columns, functions in self._factors(effect, shape, run, count):
+            if functions is None:
+                flat = turned[part].reshape(-1, turned.shape[2])
+                found += flat.T @ columns.reshape(len(flat), -1)
+                continue
+            for j, (own, place) in enumerate(zip(functions, _places(functions), strict=True)):
+                found[:, place] += np.einsum('piq,pi->qp', turned[part], columns[:, :, j]) @ own
+        return found
+
+    def _factors(
+        self, effect: Effect, shape: Shape, run: int, count: int
+    ) -> Iterator[tuple[slice, Array, list[Array] | None]]:
+        """Displacements (n, 3, k) per unit of each term, of some pieces of a run at a time.
+
+        Of a free form those of what it acts with, and the functions (n, m) that each is times.
+        """
+        state = self.states[run]
         if effect.wave is not None and self.runs:
-            columns = across(solved, self._means(effect, shape, run))
-            return columns.reshape(-1, columns.shape[2])
-        axes, count = solved.system.axes, len(effect.terms(state.part(slice(0, 1)), shape).names)
-        found = np.empty((len(axes), len(state), count))
+            yield slice(0, len(state)), self._means(effect, shape, run, count), None
+            return
         step = max(1, BLOCK // max(count, 1))
         for start in range(0, len(state), step):
             part = slice(start, start + step)
-            terms = effect.terms(state.part(part), shape)
-            found[:, part] = np.swapaxes(np.swapaxes(axes[:, part], 0, 1) @ terms.columns, 0, 1)
-        return found.reshape(-1, count)
+            if isinstance(effect, FreeForm):
+                acts, functions = effect.factors(state.part(part), shape)
+                yield part, acts.columns, functions
+            else:
+                yield part, effect.terms(state.part(part), shape).columns, None
 
-    def _means(self, effect: Effect, shape: Shape, run: int) -> Array:
+    def _means(self, effect: Effect, shape: Shape, run: int, count: int) -> Array:
         """Means over the pieces of a run of columns at its samples, shape (p, 3, k)."""
         state, pieces = self.sample_states[run], self.runs[run].pieces
-        count = len(effect.terms(state.part(slice(0, 1)), shape).names)
         found = np.zeros((len(pieces), 3, count))
         step = max(1, BLOCK // max(count, 1))
         for start in range(0, len(state), step):
@@ -140,7 +193,9 @@ class Rows:
 
     def plain_columns(self, effect: Effect, shape: Shape) -> Array:
         """Displacements across the path per unit of each term, shape (r, k)."""
-        parts = [self.columns_in_run(effect, shape, k) for k in range(len(self.done.runs))]
+        count = len(effect.terms(self.states[0].part(slice(0, 1)), shape).names)
+        runs = range(len(self.done.runs))
+        parts = [self.columns_in_run(effect, shape, k, count) for k in runs]
         return linalg.block_diag(*parts) if effect.own_per_run else np.concatenate(parts)
 
     def terms(self, effect: Effect, shape: Shape) -> Terms:
@@ -176,12 +231,14 @@ class Rows:
 
     def pulled(self, white: Array) -> Pulled:
         """Set up products of whitened columns (r, q) with what effects add beyond the tables."""
-        parts = zip(self.whiteners, self.by_run(white), strict=True)
-        plain = np.concatenate([
-            w.whiten_transposed(part).reshape(-1, white.shape[1]) for w, part in parts
-        ])  # fmt: skip
+        parts = zip(self.whiteners, self.by_run(white), self.done.runs, strict=True)
+        plain, turned = [], []
+        for whitener, part, solved in parts:
+            pulled = whitener.whiten_transposed(part)
+            plain.append(pulled.reshape(-1, white.shape[1]))
+            turned.append(np.einsum('cpi,cpq->piq', solved.system.axes, pulled))
         inner = linalg.cho_solve((self.factor, True), self.base.T @ white)
-        return Pulled(white, plain, inner)
+        return Pulled(white, np.concatenate(plain), tuple(turned), inner)
 
     @cached_property
     def pulled_residual(self) -> Pulled:
@@ -234,16 +291,25 @@ class Rows:
 
     def project(self, columns: Array) -> Array:
         """Columns (r, k) less what tables and poses can follow of them."""
-        inner = linalg.cho_solve((self.factor, True), self.base.T @ columns)
-        found = np.array(columns)
-        for start in range(0, len(found), ROWS):
-            found[start : start + ROWS] -= self.base[start : start + ROWS] @ inner
-        return found
+        return self.less(np.array(columns), self.base.T @ columns)
+
+    def less(self, columns: Array, cross: Array) -> Array:
+        """Do the same in place, for known products (b, k) of ``base`` with the columns."""
+        inner = linalg.cho_solve((self.factor, True), cross)
+        for start in range(0, len(columns), ROWS):
+            columns[start : start + ROWS] -= self.base[start : start + ROWS] @ inner
+        return columns
 
     @cached_property
     def residual(self) -> Array:
         """Whitened deviations less tables and poses, shape (r,)."""
         return self.project(self.deviation[:, None])[:, 0]
+
+
+def _places(functions: Sequence[Array]) -> list[slice]:
+    """Where the columns of every term of a free form lie."""
+    ends = np.cumsum([0, *(f.shape[1] for f in functions)]).tolist()
+    return [slice(low, high) for low, high in pairwise(ends)]
 
 
 def left_by(done: JointSolution, plain: Sequence[Array]) -> list[Array]:

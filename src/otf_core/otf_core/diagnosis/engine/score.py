@@ -49,11 +49,8 @@ class Scores:
     @classmethod
     def of(cls, rows: Rows) -> Scores:
         """Of the residual of rows."""
-        pulled = rows.by_run(rows.pulled(rows.residual[:, None]).plain)
+        pull = np.concatenate(rows.pulled_residual.turned)[:, :, 0]
         axes = [s.system.axes for s in rows.done.runs]
-        pull = np.concatenate([
-            np.einsum('cpk,cp->pk', a, part[..., 0]) for a, part in zip(axes, pulled, strict=True)
-        ])  # fmt: skip
         weights = np.concatenate([_weights(w) for w in rows.whiteners], axis=1)
         whole = np.concatenate(axes, axis=1)
         return cls(pull, np.einsum('cpi,cpj,cp->ijp', whole, whole, weights))
@@ -61,10 +58,13 @@ class Scores:
     def gain(self, functions: Array) -> float:
         """Half the fall of the sum of squares by functions (p, k), each along X, Y and Z."""
         right = (functions.T @ self.pull).T.ravel()
-        matrix = np.block([
-            [functions.T @ (self.information[i, j][:, None] * functions) for j in range(3)]
+        weights = self.information
+        parts = {
+            (i, j): functions.T @ (weights[i, j][:, None] * functions)
             for i in range(3)
-        ])  # fmt: skip
+            for j in range(i, 3)
+        }
+        matrix = np.block([[parts[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
         return float(_gains(matrix[None], right[None])[0])
 
     def gains_of_waves(self, time: Array, frequency: Array) -> Array:
@@ -75,8 +75,11 @@ class Scores:
             angle = 2.0 * np.pi * part[:, None] * time
             waves = np.stack([np.cos(angle), np.sin(angle)])
             right = (waves @ self.pull).transpose(1, 2, 0).reshape(len(part), 6)
-            products = [[(a * b @ flat).reshape(-1, 3, 3) for b in waves] for a in waves]
-            matrix = np.array(products).transpose(2, 3, 0, 4, 1).reshape(-1, 6, 6)
+            both = waves[0] * waves[1] @ flat
+            squares = waves[0] ** 2 @ flat
+            products = [[squares, both], [both, flat.sum(axis=0) - squares]]
+            matrix = np.array(products).reshape(2, 2, -1, 3, 3).transpose(2, 3, 0, 4, 1)
+            matrix = matrix.reshape(-1, 6, 6)
             found.append(_gains(matrix, right))
         return np.concatenate(found)
 

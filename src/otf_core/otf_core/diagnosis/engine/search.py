@@ -18,6 +18,13 @@ from otf_core.diagnosis.engine.evidence import (
     estimate,
     log_evidence,
 )
+from otf_core.diagnosis.engine.followers import (
+    AS_WELL,
+    in_proportion,
+    preferred,
+    signal_of,
+    with_lags,
+)
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.tried import Tried
 from otf_core.solving.columns import column_size
@@ -56,12 +63,15 @@ class Cause:
     confidence : float
         Probability among the candidates and 'none'.
     indistinguishable : tuple of str
+    time_as_well : bool
+        True if it follows a signal, and functions of time explain the data as well.
     """
 
     option: Option
     score: float
     confidence: float
     indistinguishable: tuple[str, ...]
+    time_as_well: bool = False
 
 
 def noise_variance(rows: Rows, residual: Array) -> float:
@@ -95,7 +105,8 @@ def _ranking(candidates: Candidates, variance: float) -> Ranking:
             continue
         doubt = DECOY_DOUBT if group[0].effect.name in DECOY_NAMES else 0.0
         free = np.array([is_free(tried) for tried, _ in pairs])
-        best = int(np.argmax(scores - FREE_DOUBT * free))
+        worth = scores - FREE_DOUBT * free
+        best = preferred([t for t, _ in pairs], worth, formula=~free)
         kinds = [average(scores[free == kind]) for kind in np.unique(free)]
         ranking.append((average(kinds) - doubt, *pairs[best]))
     return sorted(ranking, key=lambda e: (e[0] >= NEEDED_EVIDENCE, _worth(e)), reverse=True)
@@ -108,15 +119,13 @@ def _worth(entry: tuple[float, Tried, Index]) -> float:
 
 def is_free(tried: Tried) -> bool:
     """Tell whether this is the free form of an effect."""
-    return bool(tried.terms.orders)
+    return bool(tried.terms.orders) and not in_proportion(tried)
 
 
-def _same_trace(best: Option, other: Option, residual: Array) -> bool:
-    """Tell whether another effect can leave the trace of the best one."""
-    trace = best.white @ estimate(best.white, best.size, residual, best.widths).value
-    rest = trace - other.white @ estimate(other.white, other.size, trace, other.widths).value
-    power = float(trace @ trace)
-    return float(rest @ rest) < max(SAME_TRACE * power, 4.0)
+def _trace(basis: Array, tried: Tried, take: Index, variance: float) -> Array:
+    """Best fit of one of the candidates beside causes that ``basis`` spans."""
+    trace = tried.trace(take, variance)
+    return np.asarray(trace - basis @ (basis.T @ trace))
 
 
 def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Option:
@@ -194,13 +203,13 @@ def _found(
     """Find effects beside causes, one after the other."""
     causes, considered = list(causes), []
     while len(causes) < MAX_CAUSES:
-        beside = pool.beside([c.option for c in causes])
+        beside = with_lags(pool.beside([c.option for c in causes]), 1.0)
         first = _ranking(beside.candidates, 1.0)
         if not first:
             break
         # noise is judged on what the best candidate leaves: its own trace must not count as noise
-        best = _free_of(beside.basis, first[0][1].made(first[0][2], 1.0))
-        variance = noise_variance(pool.rows, fit_out(best, beside.residual))
+        best = _trace(beside.basis, *first[0][1:], 1.0)
+        variance = noise_variance(pool.rows, beside.residual - best)
         ranking = _ranking(beside.candidates, variance)
         considered = [(t.effect.name, s) for s, t, _ in ranking]
         if ranking[0][0] < NEEDED_EVIDENCE:
@@ -219,7 +228,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
     worst, found = 0.0, None
     for cause in causes:
         others = [c for c in causes if c is not cause]
-        beside = pool.beside([c.option for c in others])
+        beside = with_lags(pool.beside([c.option for c in others]), variance)
         ranking = _ranking(beside.candidates, variance)
         (own,) = [e for e in ranking if e[1].effect.name == cause.option.effect.name]
         if own[0] < NEEDED_EVIDENCE and own[0] - NEEDED_EVIDENCE < worst:
@@ -243,8 +252,12 @@ def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
         gained = _score(option, residual, variance) - _score(plain, residual, variance)
         option = option if gained > FREE_DOUBT else plain
 
+    trace = residual - fit_out(option, residual)
+    power, pulled = float(trace @ trace), rows.pulled(trace[:, None])
+
     def same(other: Tried, take: Index) -> bool:
-        return _same_trace(option, _free_of(basis, other.source.option(take)), residual)
+        rest = power - other.gain(take, pulled)
+        return rest < max(SAME_TRACE * power, 4.0)
 
     close = [
         t.effect.name
@@ -256,7 +269,16 @@ def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
     ]
     odds = np.array([0.0, *map(_worth, ranking)])
     confidence = float(np.exp(odds[1] - np.logaddexp.reduce(odds)))
-    return Cause(option, score, confidence, tuple(close[:4]))
+    as_well = _time_as_well(candidates[tried.effect.name], tried, take, variance)
+    return Cause(option, score, confidence, tuple(close[:4]), as_well)
+
+
+def _time_as_well(group: Sequence[Tried], chosen: Tried, take: Index, variance: float) -> bool:
+    """Tell whether functions of time explain as well what follows a signal."""
+    if not signal_of(chosen):
+        return False
+    _, scores = _pairs([t for t in group if not signal_of(t)], variance)
+    return bool(scores.max(initial=-np.inf) > chosen.odds(take, variance) - AS_WELL)
 
 
 def _score(option: Option, residual: Array, variance: float) -> float:

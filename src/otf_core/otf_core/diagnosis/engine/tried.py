@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -23,10 +22,13 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from otf_core.diagnosis.engine.evidence import (
+    Estimate,
     Option,
     axis_subsets,
+    estimate_of,
     likeliest_width,
     log_evidence,
+    motion_subsets,
 )
 from otf_core.diagnosis.engine.rows import Pulled, Rows
 from otf_core.effects import Effect, Shape, Terms
@@ -52,6 +54,9 @@ class Source(Protocol):
     def option(self, take: Index) -> Option:
         """Make the columns of some terms."""
 
+    def trace(self, take: Index, value: Array) -> Array:
+        """Sum up what some terms with values (k,) add, shape (r,)."""
+
     def shared(self, pulled: Pulled) -> Array:
         """Return the products (q, k) of whitened columns with what the effect adds."""
 
@@ -72,7 +77,7 @@ class Tried:
     normal, right : ndarray, shape (k, k) and (k,)
         P'P and P'y, less what the causes found so far can follow.
     takes : tuple of ndarray of int
-        Terms of every option: all that act, and those of each axis.
+        Terms of every option: all that act, those of each axis, of a few motions.
     source : Source
     shared : ndarray, shape (q, k)
         Products with the orthonormal columns that were left out.
@@ -95,10 +100,7 @@ class Tried:
 
     def odds(self, take: Index, variance: float) -> float:
         """Evidence of an option, see ``log_evidence``."""
-        place = np.ix_(take, take)
-        return log_evidence(
-            self.normal[place], self.right[take], self.size[take], variance, self.orders(take)
-        )
+        return log_evidence(*self._products(take), variance, self.orders(take))
 
     def orders(self, take: Index) -> Array:
         """Orders of some terms as functions; empty for a formula."""
@@ -106,12 +108,29 @@ class Tried:
         return orders[take] if len(orders) else orders
 
     def made(self, take: Index, variance: float) -> Option:
-        """Make the columns of some terms, those of a free form with their likeliest width."""
-        option, orders, place = self.source.option(take), self.orders(take), np.ix_(take, take)
-        if not len(orders):
-            return option
-        products = self.normal[place], self.right[take], self.size[take]
-        return replace(option, width=likeliest_width(*products, variance, orders))
+        """Make the columns of some terms, see ``estimate``."""
+        return replace(self.source.option(take), width=self._width(take, variance))
+
+    def estimate(self, take: Index, variance: float) -> Estimate:
+        """Coefficients of some terms; of a free form, or many alike, at their likeliest width."""
+        width = self._width(take, variance)
+        return estimate_of(*self._products(take), width if len(width) else None)
+
+    def trace(self, take: Index, variance: float) -> Array:
+        """What is left of the best fit of some terms beside tables and poses, shape (r,)."""
+        return self.source.trace(take, self.estimate(take, variance).value)
+
+    def gain(self, take: Index, pulled: Pulled) -> float:
+        """Fall of the sum of squares by some terms of a formula, fitted to one column."""
+        right = self.source.shared(pulled)[0, take]
+        return estimate_of(self.normal[np.ix_(take, take)], right, self.size[take]).gain
+
+    def _products(self, take: Index) -> tuple[Array, Array, Array]:
+        return self.normal[np.ix_(take, take)], self.right[take], self.size[take]
+
+    def _width(self, take: Index, variance: float) -> Array:
+        orders = np.zeros(len(take)) if self.effect.many_alike else self.orders(take)
+        return likeliest_width(*self._products(take), variance, orders) if len(orders) else orders
 
     def without(self, pulled: Pulled, amount: Array) -> Tried:
         """Leave out what orthonormal columns can follow, and of y ``amount`` (q,) of them."""
@@ -156,16 +175,28 @@ class Made:
     def option(self, take: Index) -> Option:
         """Make the columns of some terms."""
         plain = self.rows.plain_columns(self.effect, self.shape)[:, take]
-        own = self.rows.project(self.rows.whiten(plain))
+        own = self.rows.less(self.rows.whiten(plain), self.cross[:, take])
         size = column_size(plain)
         return Option(self.effect, self.shape, self.terms, take, own, size, own, plain)
 
+    def own(self, take: Index) -> Array:
+        """Whitened columns of some terms less what tables and poses can follow, shape (r, k)."""
+        plain = self.rows.plain_columns(self.effect, self.shape)[:, take]
+        return self.rows.less(self.rows.whiten(plain), self.cross[:, take])
+
+    def trace(self, take: Index, value: Array) -> Array:
+        """Sum up what some terms with values (k,) add."""
+        whole = np.zeros(len(self.terms.names))
+        whole[take] = value
+        moved = self.rows.displacement(self.effect, self.shape, whole)
+        return self.rows.project(self.rows.whiten(moved)[:, None])[:, 0]
+
     def shared(self, pulled: Pulled) -> Array:
         """Products of whitened columns with what the effect adds."""
-        ends = np.cumsum([0, *(s.system.deviation.size for s in self.rows.done.runs)])
+        count = self.terms.columns.shape[2]
         parts = [
-            pulled.plain[low:high].T @ self.rows.columns_in_run(self.effect, self.shape, k)
-            for k, (low, high) in enumerate(pairwise(ends))
+            self.rows.products_in_run(turned, self.effect, self.shape, k, count)
+            for k, turned in enumerate(pulled.turned)
         ]
         own = self.effect.own_per_run
         found = np.concatenate(parts, axis=1) if own else np.asarray(sum(parts))
@@ -232,7 +263,7 @@ def _group(
 ) -> list[_Sums]:
     """Sums over runs that share their coefficients."""
     ends = np.cumsum([0, *(s.system.deviation.size for s in rows.done.runs)])
-    plain = [_beside([rows.columns_in_run(s.effect, s.shape, k) for s in batch]) for k in group]
+    plain = [_beside([_columns(rows, one, k) for one in batch]) for k in group]
     size = _sizes(plain)
     cross, right = np.zeros((len(rows.use), len(size))), np.zeros(len(size))
     squares = [np.zeros((s.place.stop - s.place.start,) * 2) for s in batch]
@@ -250,6 +281,10 @@ def _group(
     ]
 
 
+def _columns(rows: Rows, one: _Shape, run: int) -> Array:
+    return rows.columns_in_run(one.effect, one.shape, run, one.terms.columns.shape[2])
+
+
 def _beside(parts: Sequence[Array]) -> Array:
     """Columns side by side; no copy of one part alone."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
@@ -259,7 +294,12 @@ def _sizes(plain: Sequence[Array]) -> Array:
     """``column_size`` of columns (r, k) of several runs, without another copy of all."""
     wide = plain[0].shape[1]
     parts = (slice(k, k + NARROW) for k in range(0, wide, NARROW))
-    return np.concatenate([column_size(np.concatenate([p[:, s] for p in plain])) for s in parts])
+    return np.concatenate([column_size(_under([p[:, s] for p in plain])) for s in parts])
+
+
+def _under(parts: Sequence[Array]) -> Array:
+    """Columns one below the other; no copy of one part alone."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> Tried:
@@ -273,9 +313,10 @@ def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> 
     whole, source = square.diagonal().copy(), Made(rows, one.effect, one.shape, one.terms, cross)
     faint = np.flatnonzero((normal.diagonal() < FAINT * whole) & (size > NO_TRACE))
     if faint.size:
-        own = source.option(faint).own
+        own = source.own(faint)
         normal[np.ix_(faint, faint)], right[faint] = own.T @ own, own.T @ rows.residual
-    takes = (s[size[s] > NO_TRACE] for s in axis_subsets(one.terms))
+    subsets = motion_subsets if one.effect.many_alike else axis_subsets
+    takes = (s[size[s] > NO_TRACE] for s in subsets(one.terms))
     return Tried(
         one.effect,
         one.shape,

@@ -16,10 +16,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.evidence import Option, estimate
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.score import Scores, strongest_cycle
-from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
+from otf_core.diagnosis.engine.search import Cause, noise_variance
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.acting import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.empirical import Empirical
@@ -131,7 +130,7 @@ def find_structure(tried: Structures) -> Structure | None:
     rows, ranked = tried.rows, tried.ranked
     variance = noise_variance(rows, _left(_likeliest(ranked, 1.0), rows))
     first = _simplest(ranked, variance)
-    ways = [first, *(tried.tried(f) for f in _ways(first, rows, variance))]
+    ways = [first, *(tried.tried(f) for f in _ways(first, variance))]
     found = _likeliest(ways, variance)
     score = tried.score(found, variance)
     if score < NEEDED:
@@ -211,23 +210,23 @@ def inputs_of(tried: Tried) -> tuple[str, ...]:
 
 def _left(tried: Tried, rows: Rows) -> Array:
     """Residual less the best fit."""
-    return fit_out(tried.made(np.arange(len(tried.size)), 1.0), rows.residual)
+    return rows.residual - tried.trace(np.arange(len(tried.size)), 1.0)
 
 
-def _ways(first: Tried, rows: Rows, variance: float) -> list[Free]:
+def _ways(first: Tried, variance: float) -> list[Free]:
     """The same inputs acting in other ways."""
     assert isinstance(first.effect, FreeForm)
     ways: list[Acting] = [ACTING[RIGID_TRACKER], ACTING[RIGID_TABLE]]
-    main, share = _main_direction(first.made(np.arange(len(first.size)), variance), rows)
+    main, share = _main_direction(first, variance)
     if share > ONE_DIRECTION:
         ways.append(Along((float(main[0]), float(main[1]), float(main[2]))))
     return [replace(first.effect.form, acts=way) for way in ways]
 
 
-def _main_direction(option: Option, rows: Rows) -> tuple[Array, float]:
+def _main_direction(tried: Tried, variance: float) -> tuple[Array, float]:
     """Main direction of a fitted vector, and its share of the squared displacement."""
-    value = estimate(option.own, option.size, rows.residual, option.widths).value
-    per = value.reshape(3, -1) * option.size.reshape(3, -1)
+    value = tried.estimate(np.arange(len(tried.size)), variance).value
+    per = (value * tried.size).reshape(3, -1)
     per = per[:, 1:] if per.shape[1] > 1 else per
     left, size, _ = np.linalg.svd(per, full_matrices=False)
     main = left[:, 0] * (np.sign(left[np.argmax(np.abs(left[:, 0])), 0]) or 1.0)
