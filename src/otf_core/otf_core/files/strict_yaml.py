@@ -15,12 +15,26 @@ from otf_core.errors import ConfigError
 from otf_core.files.writing import unreadable
 
 
+DEEPEST = 100
+"""Levels of nesting; each costs the parser more than the one before."""
+
+
 @cache
 def _loader() -> Any:
     """Safe loader that reads 5e-07 as a number (YAML 1.2) and refuses duplicate keys."""
     import yaml  # loaded on use: what reads JSON alone needs none
 
     class Loader(yaml.SafeLoader):
+        level = 0
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            self.level += 1
+            if self.level > DEEPEST:
+                raise RecursionError
+            node = super().compose_node(parent, index)
+            self.level -= 1
+            return node
+
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
             seen = set()
             for key_node, _ in node.value:

@@ -29,8 +29,8 @@ MOVED_WITHIN = 120.0
 SLOW = {Command.INITIALIZE, Command.CHANGE_FACE, Command.GO_BIRD_BATH, Command.FIND_REFLECTOR}
 BUSY_FOR = 30.0
 """s; a tracker that is busy longer than that is said to be."""
-BUSY_PAUSE = 0.1
-"""s"""
+FIRST_BUSY_PAUSE, BUSY_PAUSE = 0.02, 0.2
+"""s; until it is asked again, doubled each time."""
 MOST_REFLECTORS = 200
 
 
@@ -156,7 +156,7 @@ class Link:
     ) -> T:
         """Send a command and take its answers; again while the tracker is busy."""
         loop = asyncio.get_running_loop()
-        until = loop.time() + BUSY_FOR
+        until, pause = loop.time() + BUSY_FOR, FIRST_BUSY_PAUSE
         while True:
             try:
                 async with self._asked(command, values) as answers:
@@ -164,7 +164,8 @@ class Link:
             except Refused as refused:
                 if refused.status != Status.BUSY or loop.time() > until:
                     raise
-            await asyncio.sleep(BUSY_PAUSE)
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, BUSY_PAUSE)
 
     @contextlib.asynccontextmanager
     async def _asked(
@@ -175,8 +176,9 @@ class Link:
         waiting = self._waiting.setdefault(command, deque())
         waiting.append(answers)
         try:
+            request = commands.encode_request(command, *values)
             self.asked_ns = self._now_ns()
-            self._wire.write(commands.encode_request(command, *values))
+            self._wire.write(request)
             self.sent_ns = self._now_ns()
             yield answers
         finally:
