@@ -58,7 +58,12 @@ def lap_numbers(corners: Array) -> Array:
 
 
 def path_history(
-    lines: Lines, leg: Index, q: Array, speed: Array, time: Array
+    lines: Lines,
+    leg: Index,
+    q: Array,
+    speed: Array,
+    time: Array,
+    starts: Array | None = None,
 ) -> dict[str, Array]:
     """Inputs of points on a path that depend on what was driven before.
 
@@ -69,6 +74,8 @@ def path_history(
         In driving order.
     q : ndarray, shape (n, 3), m
     speed, time : ndarray, shape (n,), m/s and s
+    starts : ndarray, shape (m,), s, optional
+        When the legs began, where that is known; NaN elsewhere.
     """
     if not len(leg):
         return {}
@@ -78,6 +85,9 @@ def path_history(
     bounds = np.flatnonzero(np.diff(leg, prepend=leg[0] - 1))
     count = np.diff(np.append(bounds, len(leg)))
     began = time[bounds] - along[bounds] / np.maximum(speed[bounds], SLOWEST)
+    if starts is not None:
+        known = starts[leg[bounds]]
+        began = np.where(np.isfinite(known), known, began)
     change = (
         np.gradient(speed, time) if len(time) > 1 and np.all(np.diff(time) > 0) else 0.0 * time
     )

@@ -34,6 +34,7 @@ def state_on_path(
     duration: float = 0.0,
     shape: PathShape | None = None,
     signals: Courses | None = None,
+    starts: Array | None = None,
 ) -> State:
     """Describe points of a path.
 
@@ -56,12 +57,14 @@ def state_on_path(
         Which legs are chords of curves; none without it.
     signals : Courses, optional
         Recorded beside the samples.
+    starts : ndarray, shape (m,), s, optional
+        When the legs began; as their first points tell if not given, or where NaN.
     """
     lines = Lines.of(shape or straight_shape(corners))
     unit, stretch = lines.unit, lines.shape.stretch
     along = lines.start[leg] + np.clip(lines.along(q, leg), 0.0, lines.length[leg])
     after = np.searchsorted(stretch, stretch[leg], side='right')
-    history = path_history(lines, leg, q, speed, time)
+    history = path_history(lines, leg, q, speed, time, starts)
     return State(
         machine=machine,
         q=q,

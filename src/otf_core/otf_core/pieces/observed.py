@@ -61,6 +61,11 @@ class Observed:
     first_ns: int = 0
 
     @property
+    def leg_starts(self) -> NDArray[np.float64] | None:
+        """When every line began from rest, as far as samples tell; see ``tracking.leg_starts``."""
+        return None
+
+    @property
     def noise_and_misfit(self) -> tuple[NoiseModel, Misfit]:
         """Noise of single samples, and what the model leaves besides: as far as is known."""
         if self.fitted is None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ from otf_core.pieces.finding import Finding
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.pieces import BLOCK, Pieces, reduce_to_pieces
 from otf_core.tracking.alignment import Alignment, align, line_step
+from otf_core.tracking.curves import Lines
+from otf_core.tracking.leg_starts import leg_starts
 from otf_core.tracking.matching import OFF_PATH
 from otf_core.tracking.no_match import check_partial
 
@@ -120,6 +123,13 @@ class Run(Observed):
             signals=recording.signals,
             first_ns=int(recording.samples.stamp_ns[0]),
         )
+
+    @cached_property
+    def leg_starts(self) -> Array:
+        """When every line began from rest, s since the recording; NaN where it is not seen."""
+        points = self.pose.apply(self.samples.xyz)
+        lines = Lines.of(self.alignment.shape)
+        return self.late + leg_starts(self.samples.time, points, self.alignment.leg, lines)
 
     @property
     def recording(self) -> Recording:

@@ -60,6 +60,7 @@ def state_at(
         run.late + pieces.end,
         run.shape,
         Courses(run.signals, run.first_ns, pieces.time),
+        run.leg_starts,
     )
 
 

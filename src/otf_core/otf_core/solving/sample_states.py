@@ -74,6 +74,7 @@ def sample_state(
         run.late + run.pieces.end,
         run.shape,
         Courses(run.signals, run.first_ns, samples.time[index]),
+        run.leg_starts,
     )
 
 

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When the legs of a path began: what a start wakes keeps its phase from then on.
+
+A drive that leaves a stop with the acceleration a has gone s = a (t - t_0)^2 / 2 after t_0, so the
+root of s is a line in time, and t_0 where it is zero. A drive with limited jerk leaves it a little
+later, alike on all legs, which no phase sees.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.tracking.curves import Lines
+from otf_core.tracking.matching import OFF_PATH
+
+Array = NDArray[np.float64]
+
+SHORT, LONG = 2e-5, 5e-3
+"""m; stretch of a leg whose samples tell when it began."""
+STILL = (0.25, 0.05)
+"""s before a leg is seen to move, between which the target stands."""
+STOOD = 2e-5
+"""m; by which samples of a target at rest differ at most."""
+BEGUN = 1e-3
+"""m from the start of a leg from which it is seen to move."""
+AFTER = 0.3
+"""s; longest time for the stretch."""
+
+
+def leg_starts(time: Array, points: Array, leg: NDArray[np.int32], lines: Lines) -> Array:
+    """Times at which legs began from rest, shape (m,), s; NaN where that is not seen.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,), s
+    points : ndarray, shape (n, 3), m
+        Machine frame.
+    leg : ndarray of int32, shape (n,)
+        Of every sample, ``OFF_PATH`` where there is none.
+    lines : Lines
+    """
+    found = np.full(len(lines.length), np.nan)
+    first = np.flatnonzero((np.diff(leg, prepend=OFF_PATH) != 0) & (leg != OFF_PATH))
+    last = np.append(first[1:], len(leg))
+    for low, high in zip(first.tolist(), last.tolist(), strict=True):
+        number = int(leg[low])
+        own = np.full(high - low, number)
+        gone = np.asarray(lines.along(points[low:high], own))
+        moves = np.flatnonzero(gone > BEGUN)
+        if len(moves):
+            found[number] = _start(time, points, number, lines, low + int(moves[0]))
+    return found
+
+
+def _start(time: Array, points: Array, number: int, lines: Lines, seen: int) -> float:
+    """When a leg began, seen to move from a sample on."""
+    a, b = np.searchsorted(time, [time[seen] - STILL[0], time[seen] + AFTER])
+    at, near = time[a:b], slice(int(a), int(b))
+    gone = np.asarray(lines.along(points[near], np.full(len(at), number)))
+    stands = at < time[seen] - STILL[1]
+    if stands.sum() < 2 or np.ptp(gone[stands]) > STOOD:
+        return np.nan
+    way = gone - np.median(gone[stands])
+    use = ~stands & (way > SHORT) & (way < LONG)
+    use &= np.cumsum(~use & ~stands & (way > LONG)) == 0
+    if use.sum() < 2:
+        return np.nan
+    slope, offset = np.polyfit(at[use], np.sqrt(way[use]), 1)
+    return float(-offset / slope) if slope > 0.0 else np.nan
