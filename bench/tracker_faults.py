@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Driver against an emulated tracker with every fault at once: stamps, losses, recovery times.
+"""Driver against an emulated tracker with every fault at once: stamps, recovery times, tables.
 
 The tracker is a process of its own that goes before all others, where that is allowed: a real one
-has a processor to itself, however busy the computer of the driver is.
+has a processor to itself, however busy the computer of the driver is. The tables are compared with
+those from the points that the machine passed in the same time, with true stamps and no fault.
 
 Usage: python3 bench/tracker_faults.py [MINUTES [SEED]]     (eval "$(./otf env)" before)
 """
@@ -21,8 +22,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tests'))
 from cells import MACHINE
 from emulated import DRIFT, emulator
 
+from otf_core.calibration.calibrate import calibrate
 from otf_core.config import PlannerConfig
+from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import machine_from_dict
+from otf_core.model.observation import Samples
+from otf_core.planning.creator import plan_path
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
@@ -34,14 +40,16 @@ FAULTS = (
 )
 
 
+def planned(minutes):
+    """Machine and path; never standing for long: the points tell when they were measured."""
+    return machine_from_dict(MACHINE), PlannerConfig(passes=max(1, round(minutes / 2)))
+
+
 def track(pipe, minutes, seed):
     """Be the tracker: tell the port, serve until samples come, and say how far they are off."""
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    # never at a standstill for long: the points tell when they were measured
-    planning = PlannerConfig(passes=max(1, round(minutes / 2)))
-    cell = Cell(machine_from_dict(MACHINE), planning, seed, DRIFT)
-    with emulator(FAULTS, seed, cell) as running:
+    with emulator(FAULTS, seed, Cell(*planned(minutes), seed, DRIFT)) as running:
         pipe.send(running.port)
         pipe.send(running.error_ms(pipe.recv()))
 
@@ -56,6 +64,27 @@ def tracker(minutes, seed):
         yield ours
     finally:
         process.join()
+
+
+def left(samples, cell, path):
+    """Mean error on a grid without compensation, and what tables from these samples leave, um."""
+    machine = cell.truth.machine
+    q = lattice(machine)
+    before = exact_position(cell.truth, q) - q
+    after = before - displacement(calibrate(samples, path, machine).tables, q)
+    return [1e6 * mean_length(without_rigid_motion(field, q)) for field in (before, after)]
+
+
+def tables(samples, minutes, seed):
+    """Print the errors that tables leave, with and without faults."""
+    machine, planning = planned(minutes)
+    cell, path = Cell(machine, planning, seed, DRIFT), plan_path(machine, planning).path
+    step = round(1e3 * EmsconConfig().interval)
+    tick = np.arange(0, min(cell.ticks, round(60e3 * minutes)), step)
+    undisturbed = Samples(10**9 + tick * 10**6, cell.at(tick))
+    for name, given in (('with faults', samples), ('without', undisturbed)):
+        before, after = left(given, cell, path)
+        print(f'{name}, {len(given)} samples: mean error {before:.2f} um, left {after:.3f} um')
 
 
 def main(minutes=10.0, seed=1):
@@ -96,6 +125,7 @@ def main(minutes=10.0, seed=1):
     )
     print(replace(state, gaps=state.gaps[-1:]))
     print('\n'.join(sorted(said)))
+    tables(samples, minutes, seed)
 
 
 if __name__ == '__main__':

@@ -39,6 +39,17 @@ def test_calibrator_ends_with_code_0_during_a_calibration(graph, machine_file):
         assert (folder / 'error_tables.json').exists() or not list(folder.iterdir())
 
 
+def test_second_signal_at_the_very_end_leaves_the_exit_code(tmp_path):
+    (tmp_path / 'ended.py').write_text('main = lambda: 3')
+    again = 'atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))'
+    text = f'import atexit, os, signal; from otf_ros import entry; {again}; '
+    command = [sys.executable, '-c', text + 'raise SystemExit(entry.main("ended"))']
+    paths = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
+    environment = {**os.environ, 'PYTHONPATH': paths}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (3, '')
+
+
 def children_of(pid):
     """Processes started by a process, by their command lines."""
     listed = Path(f'/proc/{pid}/task/{pid}/children').read_text().split()

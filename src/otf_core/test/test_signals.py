@@ -17,13 +17,15 @@ from otf_core.bags.signals import read_signals
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.search import search
+from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
 from otf_core.effects.free import signal_forms
 from otf_core.errors import ConfigError
+from otf_core.model.courses import Courses
 from otf_core.model.declared_signals import DRIVEN
 from otf_core.model.machine import machine_from_dict
-from otf_core.model.signals import LAGS, Signal, courses
+from otf_core.model.signals import LAGS, Signal
 from otf_core.planning.creator import plan_path
 from otf_core.sim.cell import simulate
 
@@ -42,7 +44,7 @@ def test_a_step_is_followed_as_one_minus_an_exponential():
 
 def test_lags_longer_than_the_signal_are_left_out():
     signal = Signal(START + np.arange(5) * 20_000_000_000, np.arange(5.0))
-    found = courses({'signal:/t': signal}, START, np.arange(3.0))
+    found = Courses({'signal:/t': signal}, START, np.arange(3.0))
     assert max(LAGS) > 80.0 > min(LAGS)
     assert list(found) == ['signal:/t', *(f'signal:/t@{n:g}' for n in LAGS if n < 80.0)]
 
@@ -106,6 +108,45 @@ def test_strain_that_follows_a_signal_is_named_with_it():
     given = AppliedEffect(effect, {'S_X_1': 1e-5})
     entry = yaml.safe_load(yaml.safe_dump(effects_to_data([given], some_machine())))
     assert effects_from_data(entry, 'file', some_machine()) == (given,)
+
+
+def test_a_lag_between_the_usual_ones_and_a_fixed_point_anywhere_are_found():
+    """An axis that grows from its far end, 43 s behind a switch; what a table of steps says."""
+    rows = solved_rows()
+    seconds = np.arange(400.0)
+    switch = ((seconds > 8.0) & (seconds % 60.0 < 35.0)).astype(float)
+    warm = np.zeros_like(seconds)
+    for k in range(1, len(warm)):
+        warm[k] = switch[k - 1] + (warm[k - 1] - switch[k - 1]) * np.exp(-1.0 / 43.0)
+    beside = {'signal:/motor': Signal(np.int64(1e9) * seconds.astype(np.int64), switch)}
+    states = tuple(replace(s, more=Courses(beside, 0, s.time, s.more)) for s in rows.states)
+    far = some_machine().upper[0]
+    parts = [
+        np.einsum(
+            'cpk,pk->cp',
+            run.system.axes,
+            (2e-5 * np.interp(s.time, seconds, warm) * (s.q[:, 0] - far) / far)[:, None]
+            * [1, 0, 0],
+        ).ravel()
+        for run, s in zip(rows.done.runs, states, strict=True)
+    ]
+    rows = holding(noise(9) + np.concatenate(parts), replace(rows, states=states))
+    names = ['thermal_axis_expansion', 'thermal_structure_drift']
+    tried, _ = tried_effects(rows, [REGISTRY[n] for n in names], {})
+    causes, _ = search(rows, tried)
+    (cause,), (part,) = causes, fitted_causes(causes, rows)
+    (signal,) = cause.option.effect.spans
+    assert signal.startswith('signal:/motor@') and abs(float(signal.split('@')[1]) - 43.0) < 4.0
+    assert (cause.option.effect.name, cause.option.axes) == ('thermal_axis_expansion', ('X',))
+    strain, shift = (part.value[part.names.index(f'{n}_X_1')] for n in 'SD')
+    assert -shift / strain == pytest.approx(far, rel=0.05)
+    given = [AppliedEffect(cause.option.effect, {'S_X_1': strain, 'D_X_1': shift})]
+    assert (
+        effects_from_data(effects_to_data(given, some_machine()), 'file', some_machine())[0].effect
+        == cause.option.effect
+    )
+    moved = given[0].effect.displacement(states[0], given[0].parameters)
+    assert np.abs(moved[:, 1:]).max() == 0.0 < np.abs(moved[:, 0]).max()
 
 
 # ---------------------------------------------------------------- declared in machine.yaml

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start of a node's process: Ctrl-C ends it with 0 also while its libraries are still loading."""
+"""A node's process from its start to its end: Ctrl-C ends it in order at any moment.
+
+Libraries that are still loading are left with exit code 0; once the node has ended, a second
+Ctrl-C does not change its exit code any more.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +28,10 @@ def main(module: str) -> int:
     int
         Exit code.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    for number in numbers:
         signal.signal(number, _leave)
-    return int(import_module(module).main())
+    code = int(import_module(module).main())
+    for number in numbers:  # Python would go back to the default while it ends
+        signal.signal(number, signal.SIG_IGN)
+    return code

@@ -81,7 +81,7 @@ def sample_state(trial: Trial, k: int, run: SimulatedRun) -> State:
     time = np.arange(len(run.samples)) / config.rate
     pose = RigidTransform(run.rotation.T, run.place)
     clock = time * (1 + config.clock_drift)
-    beside = signal_courses(dict(run.signals), (), EPOCH_NS, clock)
+    beside = signal_courses(run.signals, EPOCH_NS, clock)
     return run_state(trial.machine, trial.plan, drive, time, clock, pose, run.truth, beside)
 
 

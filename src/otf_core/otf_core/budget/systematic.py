@@ -83,4 +83,5 @@ def systematic_sensitivity(
         declared = run.machine.uncertainty or DeclaredUncertainty({})
         u = source.uncertainty(terms, state, declared)
         columns.append(across(solved, terms.columns) * u)
+        del terms, state  # larger than what is made of them
     return sensitivity(done, columns)

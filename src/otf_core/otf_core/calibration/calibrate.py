@@ -19,8 +19,10 @@ from otf_core.calibration.verdict import judge
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
+from otf_core.contradictions.left_out import LeftOut, findings, left_out
 from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.effects.stated import TakenOff
+from otf_core.memory import give_back
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
@@ -81,8 +83,6 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
                 )
     if fit.coverage < 0.98:
         found.append(f'only {100 * fit.coverage:.1f} % of the path was recorded')
-    if fit.outliers > 0.01 * fit.samples:
-        found.append(f'{fit.outliers} samples left out as outliers')
     if fit.residual_ratio > 1.5:
         found.append(
             f'residuals of path pieces are {fit.residual_ratio:.1f} times the noise specified for '
@@ -151,11 +151,14 @@ class SolvedRecordings:
     nodes : mapping of axis to ndarray, m
         Table nodes.
     solution : ReversalSolution
+    left : tuple of LeftOut
+        What was left out of every run as outliers.
     """
 
     runs: list[Run]
     nodes: dict[str, Array]
     solution: ReversalSolution[Run]
+    left: tuple[LeftOut, ...] = ()
 
     @property
     def source(self) -> list[int]:
@@ -184,13 +187,24 @@ def solve_recordings(
     progress('aligning', 0.0)
     check_recordings(recordings)
     runs, nodes = prepare(recordings, config)
+    give_back()
     runs = _with_remarks(recordings, examine(runs, nodes, config, mend=mend))
+    give_back()
     progress('solving', 0.0)
     solution = solve_with_reversal(runs, nodes, config, progress)
     moved = moved_onto_curves(runs, solution)
     if moved is not None:
         runs, solution = moved, solve_with_reversal(moved, nodes, config, progress)
-    return SolvedRecordings(runs, nodes, solution)
+    left = tuple(left_out(a, b) for a, b in zip(runs, solution.runs, strict=True))
+    said = findings(left)
+    solution = replace(solution, runs=_remarked(solution.runs, said))
+    return SolvedRecordings(_remarked(runs, said), nodes, solution, left)
+
+
+def _remarked(runs: Sequence[Run], said: Sequence[Finding]) -> list[Run]:
+    """Let the first run carry what was found as well."""
+    first, *others = runs
+    return [replace(first, remarks=(*first.remarks, *said)), *others]
 
 
 def _with_remarks(recordings: Sequence[Recording], runs: Sequence[Run]) -> list[Run]:
@@ -298,6 +312,7 @@ def assemble(
     whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
     covariance = budget.covariance
     tables = with_uncertainty(table.tables, covariance)
+    give_back()
     typical = typical_systematic(runs, done, tables, table.rows, covariance)
     remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
     hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)

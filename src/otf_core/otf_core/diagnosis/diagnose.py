@@ -22,9 +22,10 @@ from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentenc
 from otf_core.diagnosis.corrected import with_causes
 from otf_core.diagnosis.engine.assess import Residuals, gap_um
 from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
+from otf_core.diagnosis.engine.followed import rows_to_diagnose
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
-from otf_core.diagnosis.engine.rows import Rows, build_rows
+from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.unnamed import (
     AS_RIVALS,
     SCREENED,
@@ -47,6 +48,9 @@ from otf_core.solving.joint import Progress
 from otf_core.threads import in_one_thread
 
 Array = NDArray[np.float64]
+
+ALL_SAMPLES = 100.0
+"""Robust deviations: the largest ``outlier_limit``, beyond all but reflections."""
 
 
 @in_one_thread
@@ -87,7 +91,7 @@ def diagnose(
     plain = assemble(solved.solution, config)
     solved = _without_reversal(solved)
     seen = _as_recorded(solved, recordings, config)
-    rows = build_rows(*seen.solution.plain, config.unidentifiable_above)
+    rows = rows_to_diagnose(*seen.solution.plain, seen.nodes, config, exclude)
     progress('simulating', 0.0)
     simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
     progress('diagnosing', 0.0)
@@ -169,9 +173,8 @@ def _judged(
     rows: Rows, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
 ) -> _Judged:
     """Weigh the causes found against noise, and against what has no name."""
-    noise = None
-    if matters(explained.after_um, explained.simulated_um):
-        noise = check_noise(rows, config.standstill_speed, exclude)
+    gap = matters(explained.after_um, explained.simulated_um)
+    noise = check_noise(rows, config.standstill_speed, exclude, gap=gap)
     left, has_place = _what_is_left(rows, explained)
     verdict = verdict_of(_case(explained, noise, has_place=has_place))
     explained, nameless = _or_something_else(rows, explained, verdict)
@@ -192,10 +195,15 @@ def _without_reversal(solved: SolvedRecordings) -> SolvedRecordings:
 def _as_recorded(
     solved: SolvedRecordings, recordings: Sequence[Recording], config: CalibrationConfig
 ) -> SolvedRecordings:
-    """Solve runs uncut where the calibration cut them at a step: the step is in the gap."""
-    if len(solved.runs) == len(recordings):
+    """Solve runs uncut where the calibration cut them at a step: the step is in the gap.
+
+    So is what was left out as outliers, but lies as no bad samples do.
+    """
+    whole, regular = len(solved.runs) == len(recordings), any(r.regular for r in solved.left)
+    if whole and not regular:
         return solved
-    return solve_recordings(recordings, config, mend=False)
+    limit = ALL_SAMPLES if regular else config.outlier_limit
+    return solve_recordings(recordings, replace(config, outlier_limit=limit), mend=whole)
 
 
 def _or_something_else(

@@ -140,7 +140,8 @@ def departs_words(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> str
     if not isinstance(effect, FreeForm) or not curves:
         return ''
     if slopes := [f'{c.term}{words}' for c in curves if (words := _slope_words(c))]:
-        return f'{effect.form.words}: {", ".join(slopes)} (k = 1)'
+        beside = '; a function of time explains it as well' if part.cause.time_as_well else ''
+        return f'{effect.form.words}: {", ".join(slopes)} (k = 1){beside}'
     return f'{effect.form.words}: {range_words(curves[0])}'
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from otf_core.effects.drawing import Trial
 from otf_core.errors import ConfigError
+from otf_core.model.courses import Part
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 
@@ -104,8 +105,7 @@ class State:
         """Return some of the points of the same recording."""
         per_point = ('q', 'direction', 'speed', 'time', 'from_corner', 'to_corner', 'side')
         chosen = {n: getattr(self, n)[rows] for n in (*per_point, 'before', 'after', 'beam')}
-        more = {name: values[rows] for name, values in self.more.items()}
-        return replace(self, duration=self.end, more=more, **chosen)
+        return replace(self, duration=self.end, more=Part(self.more, rows), **chosen)
 
 
 @dataclass(frozen=True)
@@ -227,6 +227,9 @@ class Effect(ABC):
     stays_in_place: ClassVar[bool] = False
     """True if it displaces the target in the same way whenever it comes by a place, as tables do,
     but no table can hold it."""
+    many_alike: ClassVar[bool] = False
+    """True if it has so many coefficients, named MOTION@..., that the data hardly see some: they
+    are estimated with the size that makes the data most likely."""
     belongs_to: ClassVar[BelongsTo] = BelongsTo.EFFECTS
     """The part of a calibration that takes it up."""
     material_um: ClassVar[float] = 0.2

@@ -56,8 +56,8 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
     if name not in REGISTRY:
         known = ', '.join((*REGISTRY, EMPIRICAL))
         fields.fail('effect', f"'{name}' is unknown; possible: {known}")
-    effect, where = _form(name, fields, machine), f'{where}: {name}'
-    given = _mapping(fields.take('parameters'), f'{where}: parameters')
+    given = _mapping(fields.take('parameters'), f'{where}: {name}: parameters')
+    effect, where = _form(name, fields, machine, list(given)), f'{where}: {name}'
     parameters = {k: _number(v, f'{where}: {k}') for k, v in given.items()}
     stated = _mapping(fields.take('units'), f'{where}: units') if 'units' in data else {}
     fields.done()
@@ -73,12 +73,12 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
     return AppliedEffect(effect, parameters)
 
 
-def _form(name: str, fields: Fields, machine: Machine) -> Effect:
+def _form(name: str, fields: Fields, machine: Machine, given: Sequence[str]) -> Effect:
     """The formula of an effect, or its free form where the entry says so."""
     form = fields.text('form') if fields.has('form') else FORMULA
     if form not in (FORMULA, FREE):
         fields.fail('form', f"'{form}' is unknown; possible: {FORMULA}, {FREE}")
-    return free_form_of(name, fields, machine) if form == FREE else REGISTRY[name]
+    return free_form_of(name, fields, machine, given) if form == FREE else REGISTRY[name]
 
 
 def effects_from_data(data: Any, where: str, machine: Machine) -> tuple[AppliedEffect, ...]:

@@ -151,8 +151,10 @@ class FreeForm(Effect):
     def units(self, state: State, parameters: Shape) -> dict[str, str]:
         """Unit of every given parameter; signals need not be known for that."""
         lacking = {n for n in self.spans if n.startswith(SIGNAL) and n not in state.more}
-        more = {**state.more, **{n: np.zeros(len(state)) for n in lacking}}
-        return super().units(replace(state, more=more), parameters)
+        if lacking:
+            none = {n: np.zeros(len(state)) for n in lacking}
+            state = replace(state, more={**state.more, **none})
+        return super().units(state, parameters)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return A_k: term of what it acts with, and the orders of the polynomials."""
@@ -228,8 +230,9 @@ def signal_forms(effect: Effect, states: Sequence[State]) -> list[Free]:
     return [follower(acts, name) for name in names for acts in effect.follows]
 
 
-def follower(acts: Acting, signal: str) -> Free:
-    """Declare what acts in proportion to a signal, zero at its lowest value."""
+def follower(acts: Acting, signal: str, order: int = 1) -> Free:
+    """Declare what follows a signal, in proportion or up to an order; zero at its lowest value."""
     topic, _, lag = signal.removeprefix(SIGNAL).partition('@')
     words = f'it follows the signal {topic}' + (f' with a lag of {lag} s' if lag else '')
-    return Free((signal,), (1,), words, (1,), acts, zero_at=-1.0, own_per_run=False)
+    words += '' if order == 1 else ', not quite in proportion'
+    return Free((signal,), (order,), words, (1,), acts, zero_at=-1.0, own_per_run=False)

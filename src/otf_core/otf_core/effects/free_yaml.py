@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,8 +57,10 @@ def _ranges(fields: Fields, key: str) -> dict[str, list[float]]:
     return found
 
 
-def free_form_of(name: str, fields: Fields, machine: Machine) -> Effect:
+def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[str]) -> Effect:
     """Read which free form of an effect of the catalogue is meant, with the ranges of its inputs.
+
+    What follows a signal is the first way to act that has the ``given`` coefficients.
 
     Raises
     ------
@@ -70,7 +74,12 @@ def free_form_of(name: str, fields: Fields, machine: Machine) -> Effect:
             fields.fail(f'inputs: {key}', 'expected the smallest and the largest value')
         spans[key] = (own[0], own[1])
     if len(spans) == 1 and (signal := next(iter(spans))).startswith(SIGNAL) and effect.follows:
-        return FreeForm(effect, follower(effect.follows[0], signal), spans)
+        ways = [
+            FreeForm(effect, follower(acts, signal, order), spans)
+            for order in (1, 2)
+            for acts in effect.follows
+        ]
+        return next((w for w in ways if set(given) <= _coefficients(w, machine)), ways[0])
     probe, known = probe_state(machine), []
     for free in effect.free:
         bound = FreeForm.bound(effect, free, [probe])
@@ -79,6 +88,13 @@ def free_form_of(name: str, fields: Fields, machine: Machine) -> Effect:
             return FreeForm(effect, free, spans)
     listed = '; '.join(known) or 'none'
     fields.fail('inputs', f'{name} has no free form of these inputs; possible: {listed}')
+
+
+def _coefficients(effect: FreeForm, machine: Machine) -> set[str]:
+    """Names of the coefficients of what follows signals."""
+    probe = probe_state(machine)
+    none = {name: np.zeros(len(probe)) for name in effect.spans}
+    return set(effect.terms(replace(probe, more=none), {}).names)
 
 
 def empirical_of(fields: Fields) -> AppliedEffect:

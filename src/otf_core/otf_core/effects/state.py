@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from otf_core.effects.base import State
 from otf_core.effects.history import path_history
+from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import sides_of_travel
-from otf_core.model.signals import Course
 from otf_core.model.tables import ErrorTables
 from otf_core.tracking.curves import Lines, PathShape, straight_shape
 
@@ -33,7 +33,7 @@ def state_on_path(
     tables: ErrorTables | None = None,
     duration: float = 0.0,
     shape: PathShape | None = None,
-    signals: Course | None = None,
+    signals: Courses | None = None,
 ) -> State:
     """Describe points of a path.
 
@@ -54,13 +54,14 @@ def state_on_path(
         Length of the recording; 0 stands for the time of the last point.
     shape : PathShape, optional
         Which legs are chords of curves; none without it.
-    signals : mapping of str to ndarray, shape (n,), optional
+    signals : Courses, optional
         Recorded beside the samples.
     """
     lines = Lines.of(shape or straight_shape(corners))
     unit, stretch = lines.unit, lines.shape.stretch
     along = lines.start[leg] + np.clip(lines.along(q, leg), 0.0, lines.length[leg])
     after = np.searchsorted(stretch, stretch[leg], side='right')
+    history = path_history(lines, leg, q, speed, time)
     return State(
         machine=machine,
         q=q,
@@ -77,7 +78,7 @@ def state_on_path(
         nodes=nodes,
         tables=tables,
         duration=duration,
-        more={**path_history(lines, leg, q, speed, time), **(signals or {})},
+        more=history if signals is None else signals.beside(history),
     )
 
 

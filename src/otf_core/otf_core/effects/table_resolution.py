@@ -79,6 +79,7 @@ class TableResolution(Effect):
     shape_names: ClassVar[tuple[str, ...]] = ('order',)
     shape_units: ClassVar[tuple[str, ...]] = ('',)
     shape_defaults: ClassVar[Mapping[str, float]] = MappingProxyType({'order': 2.0})
+    many_alike: ClassVar[bool] = True
     belongs_to: ClassVar[BelongsTo] = BelongsTo.TABLES
     material_um: ClassVar[float] = 0.45
     """um; smooth errors always leave a little between nodes."""

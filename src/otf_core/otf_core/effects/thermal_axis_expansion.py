@@ -29,6 +29,14 @@ def strained(state: State, shape: Shape) -> Terms:
     return Terms(tuple(f'S_{a}' for a in axes), ('m/m',) * 3, axes, columns)
 
 
+def strained_anywhere(state: State, shape: Shape) -> Terms:
+    """The same and D_X, D_Y, D_Z: displacement of the reference position of each axis."""
+    strain, shift = strained(state, shape), grown(state, shape)
+    names = (*strain.names, *(f'D_{a}' for a in shift.axes))
+    columns = np.concatenate([strain.columns, shift.columns], axis=2)
+    return Terms(names, strain.units + shift.units, strain.axes + shift.axes, columns)
+
+
 def grown(state: State, shape: Shape) -> Terms:
     """S_X, S_Y, S_Z: displacement of each axis along itself."""
     columns = np.broadcast_to(np.eye(3), (len(state), 3, 3))
@@ -75,7 +83,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
     )
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('S', 4e-6)))
 
-    follows: ClassVar[tuple[Acting, ...]] = (strained,)
+    follows: ClassVar[tuple[Acting, ...]] = (strained, strained_anywhere)
     free: ClassVar[tuple[Free, ...]] = (
         Free(
             ('time',),

@@ -7,7 +7,6 @@ tau dy/dt = x - y, from rest at the first value, exact for a signal that stays b
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,23 +61,4 @@ def lagged(time: Array, value: Array, lag: float) -> Array:
     keep = np.exp(-np.diff(time) / lag)
     for k in range(1, len(value)):
         found[k] = value[k - 1] + (found[k - 1] - value[k - 1]) * keep[k - 1]
-    return found
-
-
-Course = Mapping[str, Array]
-"""Values of signals at points, by name; lagged ones end with @ and the time constant in s."""
-
-
-def courses(signals: Mapping[str, Signal], stamp_ns: int, time: Array) -> Course:
-    """Signals at times after a stamp, without lag and with each of ``LAGS``.
-
-    A lag that is longer than the signal lasts says no more than a slope does and is left out.
-    """
-    found: dict[str, Array] = {}
-    for name, signal in signals.items():
-        found[name] = signal.at(stamp_ns, time)
-        lasts = float(signal.stamp_ns[-1] - signal.stamp_ns[0]) * 1e-9
-        for lag in LAGS:
-            if lag < lasts:
-                found[f'{name}@{lag:g}'] = signal.at(stamp_ns, time, lag)
     return found

@@ -48,6 +48,8 @@ class Departure:
     ----------
     level : ndarray, shape (3,)
         Levels of range, horizontal and vertical angle over the specified ones.
+    least : ndarray, shape (3,)
+        The same, lower ends of intervals of two standard uncertainties.
     time : float
         s, correlation time.
     dof : float
@@ -59,6 +61,7 @@ class Departure:
     """
 
     level: Array
+    least: Array
     time: float
     dof: float
     of_level: Array
@@ -108,6 +111,17 @@ def _tails(windows: list[Array], step: float) -> tuple[float, float]:
     return float(FREEDOMS[np.argmax(student)]), float(1.0 / (1.0 + np.exp(specified - beyond)))
 
 
+def as_simulated(noise: NoiseModel, spec: TrackerSpec) -> NoiseModel:
+    """Noise of a run as its simulation has it.
+
+    Levels that pass as specified are those of the run; what is louder has the specified one, so
+    that it shows as a gap.
+    """
+    limits = (spec.u_range, spec.u_angle, spec.u_angle)
+    parts = zip(noise, limits, strict=True)
+    return NoiseModel(*(c if c.level <= LEVEL * u else c.at_most(u) for c, u in parts))
+
+
 def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Departure | None:
     """Compare the noise in standstills with its specification.
 
@@ -140,7 +154,8 @@ def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Depart
     )
     dof, of_dof = _tails(windows, step)
     time *= TYPICAL_CORRELATION_TIME
-    return Departure(np.array(level), float(time), dof, np.array(of_level), of_time, of_dof)
+    least = np.array(level) * np.exp(-2.0 * u[:3])
+    return Departure(np.array(level), least, float(time), dof, np.array(of_level), of_time, of_dof)
 
 
 def _over_specified(noise: NoiseModel, spec: TrackerSpec) -> Array:

@@ -112,11 +112,6 @@ class NoiseModel:
         ]
         return cls(parts[0], parts[1], parts[1])
 
-    def at_most(self, spec: TrackerSpec) -> NoiseModel:
-        """Return the same with levels no higher than specified; colour and tails stay."""
-        limits = (spec.u_range, spec.u_angle, spec.u_angle)
-        return NoiseModel(*(c.at_most(u) for c, u in zip(self, limits, strict=True)))
-
     def __iter__(self) -> Iterator[NoiseComponent]:
         """Range, horizontal angle, vertical angle."""
         return iter((self.range, self.horizontal, self.vertical))

@@ -77,6 +77,9 @@ class Pieces:
         Acceleration towards the inside of curves, machine frame; empty if there are none.
     spread : ndarray, shape (p,), m
         Standard deviation of the samples along the line; empty if pieces are points.
+    far : ndarray of int32, shape (o,)
+        Places in the recording of samples on the lines that are in no piece as they are far from
+        those around them.
     """
 
     xyz: Array
@@ -97,6 +100,7 @@ class Pieces:
     chord: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     bend: Array = field(default_factory=lambda: np.zeros((0, 3)))
     spread: Array = field(default_factory=lambda: np.zeros(0))
+    far: Small = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
 
     @property
     def line(self) -> Index:
@@ -176,7 +180,7 @@ class _Means:
 
 def samples_on_lines(
     samples: Samples, alignment: Alignment, config: CalibrationConfig
-) -> tuple[Index, Array, Array, int]:
+) -> tuple[Index, Array, Array, Index]:
     """Samples in steady motion on the lines of the path.
 
     Returns
@@ -186,8 +190,8 @@ def samples_on_lines(
     along : ndarray, shape (n,), m
         From the start of the leg or chord.
     speed : ndarray, shape (n,), m/s
-    outliers : int
-        Samples left out as outliers.
+    far : ndarray of int64, shape (o,)
+        Those left out as outliers.
 
     Raises
     ------
@@ -224,9 +228,9 @@ def samples_on_lines(
         offset[bent] -= lines.shape.corners[line[bent]]
         return np.asarray(offset)
 
-    far = outlying(offset_of, leg_bounds(stretch[chosen]), config.outlier_limit)
-    chosen = chosen[~far]
-    return chosen, on_chord[chosen], speed[chosen], int(far.sum())
+    out = outlying(offset_of, leg_bounds(stretch[chosen]), config.outlier_limit)
+    far, chosen = chosen[out], chosen[~out]
+    return chosen, on_chord[chosen], speed[chosen], far
 
 
 def _blocks(count: int) -> list[slice]:
@@ -266,7 +270,7 @@ def reduce_to_pieces(
     InputError
         If nothing is left.
     """
-    chosen, along, speed, outliers = samples_on_lines(samples, alignment, config)
+    chosen, along, speed, far = samples_on_lines(samples, alignment, config)
     lines, leg = Lines.of(alignment.shape), alignment.leg[chosen]
     shape = lines.shape
     first = np.unique(shape.group)
@@ -281,7 +285,7 @@ def reduce_to_pieces(
         place[part] = own = np.where(shape.curved[here], np.maximum(own, 0.0), own)
         beyond = shift[np.searchsorted(first, group)] + own
         piece[part] = np.searchsorted(bounds, beyond, side='right') - 1
-    pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, place, outliers)
+    pieces = _collect(samples, chosen, piece, alignment, lines.unit, speed, place, far)
     return pieces if shape.straight else _on_curves(pieces, lines, alignment, along, speed)
 
 
@@ -313,7 +317,7 @@ def _collect(
     unit: Array,
     speed: Array,
     place: Array,
-    outliers: int,
+    far: Index,
 ) -> Pieces:
     there = np.bincount(piece) > 0
     count = int(there.sum())
@@ -337,7 +341,8 @@ def _collect(
         samples=chosen.astype(np.int32),
         piece=dense,
         used=len(chosen),
-        outliers=outliers,
+        outliers=len(far),
         end=float(time[-1]),
+        far=far.astype(np.int32),
         spread=np.sqrt(np.maximum(means.mean(place**2) - means.mean(place) ** 2, 0.0)),
     )

@@ -144,7 +144,7 @@ def simulate(
     signals = simulated_signals(machine, effects, drive.duration, EPOCH_NS, rngs[4])
     if effects:
         pose = RigidTransform(rotation.T, place)
-        beside = signal_courses(signals, effects, EPOCH_NS, clock)
+        beside = signal_courses(signals, EPOCH_NS, clock)
         state = run_state(machine, plan, drive, time, clock, pose, truth, beside)
         position = position + displaced(state, effects)
     noise = changed_noise(specified_noise(machine, config), effects)

@@ -13,12 +13,12 @@ from otf_core.effects import AppliedEffect, Shape, State
 from otf_core.effects.state import state_on_path
 from otf_core.effects.tracker_noise import SPECIFIED, TrackerNoise
 from otf_core.errors import ConfigError
+from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import MIN_LEG, NominalPath
 from otf_core.model.plan import Plan
-from otf_core.model.signals import Course
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.model import NoiseComponent, NoiseModel
 from otf_core.sim.drive import Drive
@@ -51,7 +51,7 @@ def run_state(
     clock: Array,
     pose: RigidTransform,
     tables: ErrorTables,
-    signals: Course | None = None,
+    signals: Courses | None = None,
 ) -> State:
     """Describe every sample of a simulated run.
 
@@ -67,7 +67,7 @@ def run_state(
         Tracker to machine.
     tables : ErrorTables
         Errors of the truth machine.
-    signals : mapping of str to ndarray, shape (n,), optional
+    signals : Courses, optional
         Recorded beside the samples.
 
     Returns

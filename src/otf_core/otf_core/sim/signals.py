@@ -7,7 +7,7 @@ over ``RANGES``, or over the range that an effect states.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from otf_core.effects import AppliedEffect
 from otf_core.effects.free import FreeForm
 from otf_core.errors import ConfigError
+from otf_core.model.courses import Courses
 from otf_core.model.declared_signals import HEAD, PLAIN, USUAL, SignalSpec
 from otf_core.model.machine import Machine
-from otf_core.model.signals import Course, Signal, courses, lagged
+from otf_core.model.signals import Signal, lagged
 
 Array = NDArray[np.float64]
 
@@ -66,20 +67,9 @@ def simulated_signals(
     return found
 
 
-def signal_courses(
-    signals: dict[SignalSpec, Signal],
-    effects: Sequence[AppliedEffect],
-    start_ns: int,
-    time: Array,
-) -> Course:
-    """Inputs of effects at times after the start, those with other lags than usual among them."""
-    by_name = {spec.name: signal for spec, signal in signals.items()}
-    found = dict(courses(by_name, start_ns, time))
-    for name in _inputs(effects):
-        base, _, lag = name.partition('@')
-        if name not in found:
-            found[name] = by_name[base].at(start_ns, time, float(lag))
-    return found
+def signal_courses(signals: Mapping[SignalSpec, Signal], start_ns: int, time: Array) -> Courses:
+    """Inputs of effects at times after the start."""
+    return Courses({spec.name: signal for spec, signal in signals.items()}, start_ns, time)
 
 
 def _inputs(effects: Sequence[AppliedEffect]) -> dict[str, tuple[float, float]]:

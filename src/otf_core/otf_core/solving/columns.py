@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from otf_core.effects import State
 from otf_core.effects.state import state_on_path
+from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
-from otf_core.model.signals import courses
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
@@ -59,7 +59,7 @@ def state_at(
         tables,
         run.late + pieces.end,
         run.shape,
-        courses(run.signals, run.first_ns, pieces.time),
+        Courses(run.signals, run.first_ns, pieces.time),
     )
 
 

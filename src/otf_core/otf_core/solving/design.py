@@ -25,8 +25,8 @@ from otf_core.solving.unknowns import Unknowns, is_reversal, pose_block
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-SOME = 2048
-"""Pieces whose reversal is looked at together."""
+SOME, MANY = 2048, 8192
+"""Pieces whose reversal, or products with columns, are made together."""
 
 
 @dataclass(frozen=True)
@@ -179,6 +179,10 @@ class Design:
             rows, axis=2
         )
 
+    def released(self) -> Design:
+        """Return the same without what products keep to be fast."""
+        return replace(self)
+
     def prepare(self) -> None:
         """Make what all rows share; afterwards rows may be made by several threads."""
         self._parts  # noqa: B018
@@ -292,20 +296,25 @@ class Design:
         """Transposed design times rows (c, p) or (c, p, k), shape (full,) or (full, k)."""
         wide = rows.reshape(*rows.shape[:2], -1)
         found = np.zeros((self.unknowns.full, wide.shape[2]))
-        pull = np.einsum('cpi,cpk->pki', self.axes, wide)
-        turned = crossed(self.points[:, None, :], pull)
-        found[self._pose] = -np.concatenate([pull.sum(axis=0), turned.sum(axis=0)], axis=1).T
+        for low in range(0, len(self.q), MANY):
+            self._add_transposed(slice(low, low + MANY), wide[:, low : low + MANY], found)
+        return found.reshape(-1, *rows.shape[2:])
+
+    def _add_transposed(self, some: slice, rows: Array, found: Array) -> None:
+        """Add the transposed rows of some pieces times rows (c, m, k) to found (full, k)."""
+        q, pull = self.q[some], np.einsum('cpi,cpk->pki', self.axes[:, some], rows)
+        turned = crossed(self.points[some, None, :], pull)
+        found[self._pose] -= np.concatenate([pull.sum(axis=0), turned.sum(axis=0)], axis=1).T
         for place, name in zip(self._angles.tolist(), SQUARENESS, strict=True):
-            found[place] = np.einsum('pi,pki->k', squareness_influence(name, self.q), pull)
-        for some in self._blocks() if self.unknowns.reversal else ():
+            found[place] += np.einsum('pi,pki->k', squareness_influence(name, q), pull)
+        if self.unknowns.reversal:
             columns = self._reversal(some)
-            found[self._reversals] += np.einsum('pij,pki->jk', columns, pull[some], optimize=True)
+            found[self._reversals] += np.einsum('pij,pki->jk', columns, pull, optimize=True)
         for part in (part for parts in self._parts for part in parts):
-            six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
-            own = part.splines.T @ six.reshape(len(six), -1) / len(self.shifts)
+            six = np.concatenate([pull, crossed(part.lever[some, None, :], pull)], axis=2)
+            own = part.splines[some].T @ six.reshape(len(six), -1) / len(self.shifts)
             place = part.starts + np.arange(part.size)[:, None]
             found[place] += np.swapaxes(own.reshape(part.size, -1, 6), 1, 2)
-        return found.reshape(-1, *rows.shape[2:])
 
 
 @dataclass(frozen=True)

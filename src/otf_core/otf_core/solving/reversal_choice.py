@@ -28,6 +28,7 @@ from scipy.linalg import block_diag
 from otf_core.config import CalibrationConfig
 from otf_core.effects.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
+from otf_core.memory import give_back
 from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.solving.design import Design
 from otf_core.solving.folds import FOLDS, fold_of
@@ -104,9 +105,12 @@ def solve_with_reversal(
     progress : callable(stage, fraction)
     """
     shapes = choose_shapes(runs, nodes, config, progress)
+    give_back()
     plain = layout(shapes.bases, len(runs))
     kept, done = solve_robustly(shapes.improved, plain, config, progress, shapes.start)
+    give_back()
     choice = choose(kept, done, config)
+    give_back()
     if choice.model == 'none':
         return ReversalSolution(kept, done, choice, (kept, done))
     unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)

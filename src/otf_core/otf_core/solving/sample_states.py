@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from otf_core.effects import State
 from otf_core.effects.state import state_on_path
+from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement
 from otf_core.model.path import Legs, leg_bounds
-from otf_core.model.signals import courses
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
 
@@ -73,7 +73,7 @@ def sample_state(
         tables,
         run.late + run.pieces.end,
         run.shape,
-        courses(run.signals, run.first_ns, samples.time[index]),
+        Courses(run.signals, run.first_ns, samples.time[index]),
     )
 
 

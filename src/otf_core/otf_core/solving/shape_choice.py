@@ -89,6 +89,11 @@ def smooth_bases(nodes: Mapping[str, Array], parts: int = INTERVALS) -> Bases:
     return {axis: cubic(at, parts) for axis, at in nodes.items()}
 
 
+def is_finer(bases: Bases) -> bool:
+    """Tell whether these are the functions that are tried where others leave steps."""
+    return any(b.degree > 1 and len(b.knots) > INTERVALS + 1 for b in bases.values())
+
+
 def linear_bases(nodes: Mapping[str, Array]) -> Bases:
     """Functions that are linear between the nodes of every axis."""
     return {axis: linear(at) for axis, at in nodes.items()}
@@ -228,6 +233,7 @@ def _tried(
     rough = Search(normal, unknowns, start.accepted, limit).run(start.logs)
     solution = solve(normal, unknowns, limit, start.accepted, rough.precision)
     left = left_by(systems, solution)
+    systems = [replace(s, rows=s.rows.released()) for s in systems]  # several are compared
     parts = zip([r.pose for r in runs], systems, whiteners, left, strict=True)
     return JointSolution(unknowns, solution, rough, normal, tuple(SolvedRun(*p) for p in parts), 1)
 

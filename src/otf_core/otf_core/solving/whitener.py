@@ -29,7 +29,7 @@ SAME_PLACE = 5e-4
 """m; half a step between samples at a usual feed: so far pieces of two passes may be apart."""
 MEMORY = 1e6
 """Bytes of covariances that are factored at once."""
-HELD = 1e8
+HELD = 5e7
 """Bytes of matrices that are held; those of a longer run are made anew whenever they are used."""
 
 

@@ -22,8 +22,7 @@ WINDOW = 120 * 10**9
 BUCKET = 25 * 10**7
 """ns; of packets within it only the least late one is kept."""
 SETTLING, UNSURE_FOR = 2 * 10**9, 3 * 10**9
-"""ns; so long packets are collected at least, and at most, before the first line is believed; half
-of it where the start of the clock bounds the line."""
+"""ns; so long packets are collected at least, and at most, before the first line is believed."""
 SURE = 6e5
 """ns; standard uncertainty of a line that is believed after the least time."""
 CERTAIN = 1e6
@@ -34,6 +33,8 @@ LATE = 80 * 10**6
 """ns; recorded packets are late by 60 ms at most."""
 HELD_UP = 10**9
 """ns; a first packet that is followed by one earlier by less was held up; more is a jump."""
+NEVER = 2**62
+"""ns"""
 LATE_FOR = 5 * 10**9
 """ns; if all packets are late for so long, the clock has jumped back."""
 RAISED = 3 * 10**6
@@ -47,6 +48,7 @@ class Verdict(Enum):
 
     WAIT = 'the line is not known yet, or in doubt'
     STAMP = 'the line holds'
+    STEPPED = 'the line holds, on a clock that has jumped within the packet'
 
 
 @dataclass(frozen=True)
@@ -86,66 +88,86 @@ class DeviceClock:
     Attributes
     ----------
     line : Line or None
-        Host minus device time; None until the clock has settled.
+        None until the clock has settled.
     epoch : int
         Changes with every jump and restart.
     ended : Line or None
-        Of the epoch that a jump has ended, for packets that wait since before it.
+        Of the epoch that a jump has ended, for samples that were measured before it.
     """
 
     def __init__(self) -> None:
-        self.line: Line | None = None
+        self._line: Line | None = None
         self.ended: Line | None = None
         self.epoch = 0
         self._packets = self._jumps = self._late = 0
         self._delay = self._spread = 0.0
+        self._ahead = 0
         self._points: deque[tuple[int, int]] = deque()
         self._suspects: list[tuple[int, int]] = []
         self._began = 0
         self._known = NOTHING
-        self._quickest = 2**62
+        self._quickest = NEVER
+
+    @property
+    def line(self) -> Line | None:
+        """Host minus device time."""
+        return self._line and self._line.ahead(self._ahead)
 
     @property
     def state(self) -> ClockState:
         """What is known now."""
-        rate = self.line.rate if self.line else 0.0
-        known = self.line is not None
+        rate = self._line.rate if self._line else 0.0
+        known = self._line is not None
         numbers = self._spread, self._delay, self._jumps, self._late
         return ClockState(known, self._packets, rate, *numbers)
 
     def restart(self) -> None:
         """Begin a new epoch: the device's clock starts again, at the rate that it has."""
         self.epoch += 1
-        if self.line is not None:
+        if self._line is not None:
             delay = max(self._spread * 1e9, 1.0)
-            u_rate = math.hypot(self.line.u_rate, WANDERS)
-            self._known = Known(self.line.rate, u_rate, delay)
+            u_rate = math.hypot(self._line.u_rate, WANDERS)
+            self._known = Known(self._line.rate, u_rate, delay)
         self._known = replace(self._known, floor=None, ceiling=None)
-        self.line = None
+        self._line, self._ahead = None, 0
         self._points.clear()
         self._suspects.clear()
 
-    def started(self, ordered_ns: int, answered_ns: int | None = None) -> None:
+    def started(
+        self, ordered_ns: int, answered_ns: int | None = None, sent_ns: int | None = None
+    ) -> None:
         """Take when the clock was ordered to start from zero, and when that was answered.
 
-        The quickest answer so far counts: commands are sent at once, answers wait behind others.
+        The quickest start so far counts: a tracker takes as long each time, while answers wait
+        behind others. The order has left at ``sent_ns`` at the latest; at once if not given.
         """
         ceiling = None
         if answered_ns is not None:
             self._quickest = min(self._quickest, answered_ns - ordered_ns)
-            ceiling = ordered_ns + self._quickest
+        if self._quickest < NEVER:
+            ceiling = self._quickest + (ordered_ns if sent_ns is None else sent_ns)
         self._known = replace(self._known, floor=ordered_ns, ceiling=ceiling)
 
-    def take(self, device_ns: int, arrival_ns: int) -> Verdict:
-        """Take the time of a packet's last sample on both clocks."""
+    def take(self, device_ns: int, arrival_ns: int, step_ns: int = 0) -> Verdict:
+        """Take the time of a packet's last sample on both clocks.
+
+        ``step_ns`` is what the samples of the packet skip beyond their interval. If the packet is
+        early by as much, no sample is missing: the clock has jumped by just that.
+        """
         self._packets += 1
+        device_ns -= self._ahead
         delay = arrival_ns - device_ns
-        if self.line is None:
+        if self._line is None:
             return self._settle(device_ns, delay, arrival_ns)
-        above = delay - int(self.line.at(device_ns))
+        above = delay - int(self._line.at(device_ns))
+        stepped = above < -EARLY <= above + step_ns <= LATE
+        if stepped:
+            self.ended, self.epoch = self.line, self.epoch + 1
+            self._jumps, self._ahead = self._jumps + 1, self._ahead + step_ns
+            device_ns, delay, above = device_ns - step_ns, delay + step_ns, above + step_ns
         self._delay = above * 1e-9
         if above < -EARLY:
-            return self._jump([(device_ns, delay)], self.line)
+            return self._jump([(device_ns, delay)], self._line)
         if above > LATE:
             self._late += 1
             self._suspects.append((device_ns, delay))
@@ -154,12 +176,12 @@ class DeviceClock:
         self._suspects.clear()
         if self._add(device_ns, delay):
             self._fit()
-        return Verdict.STAMP
+        return Verdict.STEPPED if stepped else Verdict.STAMP
 
     def give_up_waiting(self) -> None:
         """Take the best line there is; nothing more will come in this epoch."""
         self._suspects.clear()
-        if self.line is None and self._points:
+        if self._line is None and self._points:
             self._fit()
 
     def _settle(self, device_ns: int, delay: int, arrival_ns: int) -> Verdict:
@@ -167,7 +189,7 @@ class DeviceClock:
         if delay < least - LATE:
             if len(self._points) > 1 or delay < least - HELD_UP:
                 self._fit()
-                return self._jump([(device_ns, delay)], self.line)
+                return self._jump([(device_ns, delay)], self._line)
             self._points.clear()  # the first packet was late
         if not self._points:
             self._began = arrival_ns
@@ -177,9 +199,8 @@ class DeviceClock:
     def _settled(self, lasted: int) -> Verdict:
         """Draw the first line of an epoch if enough is known."""
         line = beneath(*self._arrays(), self._known)
-        lasted = 2 * lasted if math.isfinite(line.bound) else lasted
         enough = lasted >= SETTLING and len(self._points) > 1
-        sure = line.u_base <= SURE or lasted >= UNSURE_FOR
+        sure = lasted >= UNSURE_FOR or (math.isinf(line.bound) and line.u_base <= SURE)
         if line.bound > CERTAIN and not (enough and sure):
             return Verdict.WAIT
         self._fit()
@@ -188,9 +209,9 @@ class DeviceClock:
     def _jump(self, points: list[tuple[int, int]], ended: Line | None) -> Verdict:
         """Begin a new epoch with these points; those that wait may belong to the one before."""
         self._jumps += 1
-        points = list(points)
+        ahead, self.ended = self._ahead, ended and ended.ahead(self._ahead)
+        points = [(device_ns + ahead, delay - ahead) for device_ns, delay in points]
         self.restart()
-        self.ended = ended
         self._began = sum(points[0])
         for device_ns, delay in points:
             self._add(device_ns, delay)
@@ -219,7 +240,8 @@ class DeviceClock:
             self._fit()
             return
         self._spread = float(np.median(above)) * 1e-9
-        self.line = line
+        self._line = line
+        self._quickest = int(min(self._quickest, line.started))
 
     def _arrays(self) -> NDArray[np.int64]:
         """Device times and delays of the points, shape (2, n), ns."""

@@ -11,13 +11,14 @@ do not move the mean, and what is known of the rate is added as a normal distrib
 clocks at first, of this clock later. That keeps the line quiet in the first seconds.
 
 Where the host has started the clock itself, its zero lies between the command and its answer. That
-bounds the line from both sides, as a packet that happens to be quick does from above.
+bounds the line from both sides, as a packet that happens to be quick does from above. A tracker
+takes as long to start each time, so what bounds one start bounds all later ones.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +49,9 @@ WANDERS = 2e-6
 """A quartz that has been seen keeps its rate within this."""
 UNSURE = 3.0
 """How much further off the least late packets may be than by what is usual, against the start."""
-BELIEVED = 5e6
-"""ns; a tracker whose packets are all later after the answer to its start may have started after
-it."""
+MANY, DOUBTED = 10, 5e6
+"""Packets that are all late, after the answer to a start, by more than they may be, show that the
+tracker has started after it; fewer that are late by so many ns let one doubt."""
 MOST_LOWERED = 3e6
 """ns; for few packets, some of them very late."""
 
@@ -100,6 +101,9 @@ class Line:
         Standard uncertainty of ``base``.
     bound : float, ns
         ``base`` cannot be off by more; infinite if nothing bounds it from both sides.
+    started : float, ns
+        So long after the command to start the clock showed zero at the latest; infinite if
+        unknown.
     """
 
     origin: int
@@ -108,11 +112,16 @@ class Line:
     u_rate: float = 0.0
     u_base: float = 0.0
     bound: float = math.inf
+    started: float = math.inf
 
     def at(self, device_ns: NDArray[np.int64] | int) -> NDArray[np.int64]:
         """Host minus device time at these device times, ns."""
         drift = self.rate * (np.asarray(device_ns) - self.origin)
         return np.asarray(self.base + np.rint(drift).astype(np.int64))
+
+    def ahead(self, step_ns: int) -> Line:
+        """Return the same of a clock that is ahead of this one by a step."""
+        return replace(self, origin=self.origin + step_ns, base=self.base - step_ns)
 
 
 def beneath(
@@ -146,7 +155,8 @@ def beneath(
     delay = (n * median + ASSUMED * known.delay) / (n + ASSUMED)
     u = np.minimum(LOWERED * delay / math.sqrt(n), MOST_LOWERED)
     offset, drift = least - u, RATES * origin
-    start = _start(known, base, float(np.interp(known.rate, RATES, least - drift)))
+    zero, late = (float(np.interp(known.rate, RATES, v)) for v in (least - drift, UNSURE * u))
+    start = _start(known, base, zero, late if n >= MANY else math.inf)
     if start:
         u_start = math.hypot((start[1] - start[0]) / math.sqrt(12), WANDERS * origin)
         apart = offset - (sum(start) / 2 + drift)
@@ -158,25 +168,31 @@ def beneath(
     likely /= likely.sum()
     rate, best, u_best = (float(likely @ v) for v in (RATES, offset, u))
     u_rate = math.sqrt(float(likely @ (RATES - rate) ** 2))
-    bound = math.inf
+    bound = started = math.inf
     if start:
-        unsure, drifted = u_rate * origin, rate * origin
+        unsure, drifted, touched = u_rate * origin, rate * origin, float(likely @ least)
+        started = touched - drifted + unsure - start[0]
         lowest, highest = start[0] + drifted - unsure, start[1] + drifted + unsure
-        best = _between(lowest, min(highest, float(likely @ least)), best)
+        best = _between(lowest, min(highest, touched), best)
         bound = max(best - lowest, highest - best)
-    return Line(origin, base + round(best), rate, u_rate, u_best, bound)
+        bound = touched - lowest if touched - highest > DOUBTED else bound
+    return Line(origin, base + round(best), rate, u_rate, u_best, bound, started)
 
 
-def _start(known: Known, base: int, highest: float) -> tuple[float, float] | None:
+def _start(
+    known: Known, base: int, highest: float, exceeding: float
+) -> tuple[float, float] | None:
     """Return between which offsets the clock has started, ns from ``base``; None if unknown.
 
-    ``highest`` is that of the highest line beneath all packets, at zero.
+    ``highest`` is that of the highest line beneath all packets, at zero; a ceiling that it exceeds
+    by more than ``exceeding`` does not hold.
     """
     if known.floor is None or known.floor - base >= highest:
         return None
     lowest, ceiling = float(known.floor - base), highest
-    if known.ceiling is not None and highest - BELIEVED < known.ceiling - base < highest:
-        ceiling = float(known.ceiling - base)
+    if known.ceiling is not None and known.ceiling - base < highest:
+        contradicted = highest - exceeding > known.ceiling - base
+        ceiling = highest if contradicted else float(known.ceiling - base)
     return (lowest, ceiling) if ceiling - lowest < TELLING else None
 
 

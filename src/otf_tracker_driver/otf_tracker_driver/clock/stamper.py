@@ -19,6 +19,8 @@ REPEATED = 10**9
 """ns; a packet that goes back by less is an old one; by more: the device's clock has restarted."""
 STEP = 1000
 """ns; least time between stamps."""
+FEW, REGULAR = 5, 1.5
+"""Fewer samples do not tell their interval, nor do those whose intervals vary by that factor."""
 
 
 class HostClock:
@@ -39,10 +41,15 @@ class HostClock:
 
 @dataclass(frozen=True)
 class Packet:
-    """Samples that wait for their stamps."""
+    """Samples that wait for their stamps; some of them serve the clock only."""
 
     device_ns: NDArray[np.int64]
     xyz: NDArray[np.float64]
+    kept: NDArray[np.bool_]
+
+    def part(self, chosen: slice | NDArray[np.bool_]) -> Packet:
+        """Some of the samples."""
+        return Packet(self.device_ns[chosen], self.xyz[chosen], self.kept[chosen])
 
 
 class Stamper:
@@ -73,15 +80,17 @@ class Stamper:
     def restart(self) -> list[Samples]:
         """Return what still waits; the device's clock starts again."""
         rest = self.flush()
-        self.dropped += sum(len(packet.device_ns) for packet in self._waiting)
+        self.dropped += sum(int(np.count_nonzero(packet.kept)) for packet in self._waiting)
         self._waiting.clear()
         self._clock.restart()
         self._epoch, self._given, self._device = self._clock.epoch, None, None
         return rest
 
-    def started(self, ordered_ns: int, answered_ns: int | None = None) -> None:
+    def started(
+        self, ordered_ns: int, answered_ns: int | None = None, sent_ns: int | None = None
+    ) -> None:
         """Take when the device's clock was ordered to start from zero, and when it answered."""
-        self._clock.started(ordered_ns, answered_ns)
+        self._clock.started(ordered_ns, answered_ns, sent_ns)
 
     def flush(self) -> list[Samples]:
         """Return what still waits, stamped as well as can be."""
@@ -89,7 +98,11 @@ class Stamper:
         return self._release(self._clock.line)
 
     def take(
-        self, device_ns: NDArray[np.int64], xyz: NDArray[np.float64], arrival_ns: int
+        self,
+        device_ns: NDArray[np.int64],
+        xyz: NDArray[np.float64],
+        arrival_ns: int,
+        kept: NDArray[np.bool_] | None = None,
     ) -> list[Samples]:
         """Take the samples of one packet.
 
@@ -100,6 +113,8 @@ class Stamper:
         xyz : ndarray, shape (n, 3), m
         arrival_ns : int
             On the host's clock.
+        kept : ndarray of bool, shape (n,), optional
+            Which samples are wanted; the others tell the clock only. All if not given.
 
         Returns
         -------
@@ -108,20 +123,29 @@ class Stamper:
         """
         if not len(device_ns):
             return []
-        back = np.flatnonzero(np.diff(device_ns) < -REPEATED)
+        packet = Packet(device_ns, xyz, np.ones(len(xyz), bool) if kept is None else kept)
+        return self._taken(packet, arrival_ns)
+
+    def _taken(self, packet: Packet, arrival_ns: int) -> list[Samples]:
+        rest: list[Samples] = []
+        back = np.flatnonzero(np.diff(packet.device_ns) < -REPEATED)
         if back.size:  # the clock has started again within the packet
             cut = int(back[0]) + 1
-            self._waiting.append(self._increasing(Packet(device_ns[:cut], xyz[:cut])))
-            return self.restart() + self.take(device_ns[cut:], xyz[cut:], arrival_ns)
-        rest: list[Samples] = []
-        if self._device is not None and int(device_ns[-1]) < self._device - REPEATED:
+            self._waiting.append(self._increasing(packet.part(slice(cut))))
+            return self.restart() + self._taken(packet.part(slice(cut, None)), arrival_ns)
+        if self._device is not None and int(packet.device_ns[-1]) < self._device - REPEATED:
             rest = self.restart()
-        packet = self._increasing(Packet(device_ns, xyz))
+        last_ns = int(packet.device_ns[-1])
+        packet = self._increasing(packet)
         if not len(packet.device_ns):
             return rest
+        cut, step = _largest_step(self._device, packet.device_ns)
         self._device = int(packet.device_ns[-1])
-        verdict = self._clock.take(int(device_ns[-1]), arrival_ns)
+        verdict = self._clock.take(last_ns, arrival_ns, step)
         if self._epoch != self._clock.epoch:
+            if verdict is Verdict.STEPPED:
+                self._waiting.append(packet.part(slice(cut)))
+                packet = packet.part(slice(cut, None))
             rest += self._release(self._clock.ended)
             self._epoch, self._given = self._clock.epoch, None
         self._waiting.append(packet)
@@ -133,13 +157,14 @@ class Stamper:
         highest = np.maximum.accumulate(np.concatenate([[start], packet.device_ns]))
         new = packet.device_ns > highest[:-1]
         self.dropped += int(np.count_nonzero(~new))
-        return Packet(packet.device_ns[new], packet.xyz[new])
+        return packet.part(new)
 
     def _release(self, line: Line | None) -> list[Samples]:
         if line is None:
             return []
         waiting, self._waiting = self._waiting, []
-        return [self._stamped(packet, line) for packet in waiting if len(packet.device_ns)]
+        stamped = [self._stamped(packet, line) for packet in waiting if len(packet.device_ns)]
+        return [part for part in stamped if len(part)]
 
     def _stamped(self, packet: Packet, line: Line) -> Samples:
         device = packet.device_ns
@@ -154,4 +179,14 @@ class Stamper:
         stamp = np.maximum(stamp, least)
         self._last_ns = int(stamp[-1])
         self._given = int(device[-1]), self._last_ns
-        return Samples(stamp, packet.xyz)
+        return Samples(stamp[packet.kept], packet.xyz[packet.kept])
+
+
+def _largest_step(last: int | None, device_ns: NDArray[np.int64]) -> tuple[int, int]:
+    """Return before which sample most time has passed, and how much more than usual, ns."""
+    steps = np.diff(device_ns, prepend=device_ns[0] if last is None else last)
+    if len(steps) < FEW:
+        return 0, 0
+    at, usual = int(np.argmax(steps)), int(np.median(steps))
+    regular = np.delete(steps, at).max() < REGULAR * usual
+    return at, int(steps[at]) - usual if regular else 0

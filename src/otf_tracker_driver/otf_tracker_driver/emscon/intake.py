@@ -40,9 +40,9 @@ class Intake:
         """Begin a measurement: the tracker's clock starts again."""
         self._hand_on(self._stamper.restart())
 
-    def started(self, ordered_ns: int, answered_ns: int) -> None:
+    def started(self, ordered_ns: int, answered_ns: int, sent_ns: int) -> None:
         """Take when the tracker was told to start, and when its answer arrived."""
-        self._stamper.started(ordered_ns, answered_ns)
+        self._stamper.started(ordered_ns, answered_ns, sent_ns)
 
     def end(self, interruption: str) -> None:
         """Hand on what waits; mark the gap that follows if there was an interruption."""
@@ -75,11 +75,7 @@ class Intake:
         kept = usable & sane
         if kept.any():
             self.last_range = float(distance[kept][-1])
-        self._hand_on(
-            self._stamper.take(packet.device_ns[kept], packet.value[kept], arrival_ns)
-            if kept.any()
-            else []
-        )
+        self._hand_on(self._stamper.take(packet.device_ns, packet.value, arrival_ns, kept))
         return not len(status) or not np.all(status == SampleStatus.PRISM_ERROR)
 
     def _hand_on(self, parts: list[Samples]) -> None:

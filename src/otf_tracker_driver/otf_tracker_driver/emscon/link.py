@@ -49,8 +49,9 @@ class Link:
     ----------
     ended : asyncio.Future
         Holds the LinkError that ended the connection.
-    asked_ns, answered_ns : int
-        When the last command was sent, and the last answer arrived, on the clock of ``now_ns``.
+    asked_ns, sent_ns, answered_ns : int
+        Just before and just after the last command was sent, and when the last answer arrived, on
+        the clock of ``now_ns``.
     unreadable, late_answers : int
         Packets that were framed but made no sense; answers that nobody waits for.
     """
@@ -61,7 +62,7 @@ class Link:
         self._waiting: dict[int, deque[asyncio.Queue[packets.Answer]]] = {}
         self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._heard = False
-        self.asked_ns = self.answered_ns = 0
+        self.asked_ns = self.sent_ns = self.answered_ns = 0
         self.unreadable = self.late_answers = 0
 
     async def read(self) -> None:
@@ -176,6 +177,7 @@ class Link:
         try:
             self.asked_ns = self._now_ns()
             self._wire.write(commands.encode_request(command, *values))
+            self.sent_ns = self._now_ns()
             yield answers
         finally:
             waiting.remove(answers)

@@ -207,7 +207,7 @@ class Session:
                 self._intake.begin()
                 self._measuring = True
                 await link.ask(Command.START_MEASUREMENT)
-                self._intake.started(link.asked_ns, link.answered_ns)
+                self._intake.started(link.asked_ns, link.answered_ns, link.sent_ns)
             self.state.phase, self.state.trouble = state.STREAMING, ''
             self.state.beam = Beam.ON_TARGET
             self._heard = _now()

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,9 @@ ROUGHNESS = (1.0, 2.0)
 """Powers of 1 + order by which the coefficients of a free form become smaller."""
 BLIND = 2e-5
 """m; standard uncertainty of a displacement beyond which a combination is not seen."""
+
+TOGETHER = 3
+"""Motions that waves between the nodes are looked for in at once, beside all of an axis."""
 
 
 @dataclass(frozen=True)
@@ -197,6 +201,23 @@ def axis_subsets(terms: Terms) -> list[NDArray[np.int64]]:
         if 0 < own.size < everything.size:
             subsets.append(own)
     return subsets
+
+
+def motions_of(option: Option) -> set[str]:
+    """Motions of the terms that take part: MOTION@... is a term of MOTION."""
+    return {_motion(option.terms.names[k]) for k in option.take}
+
+
+def _motion(name: str) -> str:
+    return name.partition('@')[0]
+
+
+def motion_subsets(terms: Terms) -> list[NDArray[np.int64]]:
+    """The same, and the terms of any one to ``TOGETHER`` motions."""
+    motions = np.array([_motion(name) for name in terms.names])
+    names = list(dict.fromkeys(motions.tolist()))
+    chosen = (c for count in range(1, TOGETHER + 1) for c in combinations(names, count))
+    return axis_subsets(terms) + [np.flatnonzero(np.isin(motions, c)) for c in chosen]
 
 
 def average(scores: Sequence[float] | Array) -> float:

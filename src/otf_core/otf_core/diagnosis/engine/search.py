@@ -18,6 +18,13 @@ from otf_core.diagnosis.engine.evidence import (
     estimate,
     log_evidence,
 )
+from otf_core.diagnosis.engine.followers import (
+    AS_WELL,
+    in_proportion,
+    preferred,
+    signal_of,
+    with_lags,
+)
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.tried import Tried
 from otf_core.solving.columns import column_size
@@ -56,12 +63,15 @@ class Cause:
     confidence : float
         Probability among the candidates and 'none'.
     indistinguishable : tuple of str
+    time_as_well : bool
+        True if it follows a signal, and functions of time explain the data as well.
     """
 
     option: Option
     score: float
     confidence: float
     indistinguishable: tuple[str, ...]
+    time_as_well: bool = False
 
 
 def noise_variance(rows: Rows, residual: Array) -> float:
@@ -95,7 +105,8 @@ def _ranking(candidates: Candidates, variance: float) -> Ranking:
             continue
         doubt = DECOY_DOUBT if group[0].effect.name in DECOY_NAMES else 0.0
         free = np.array([is_free(tried) for tried, _ in pairs])
-        best = int(np.argmax(scores - FREE_DOUBT * free))
+        worth = scores - FREE_DOUBT * free
+        best = preferred([t for t, _ in pairs], worth, formula=~free)
         kinds = [average(scores[free == kind]) for kind in np.unique(free)]
         ranking.append((average(kinds) - doubt, *pairs[best]))
     return sorted(ranking, key=lambda e: (e[0] >= NEEDED_EVIDENCE, _worth(e)), reverse=True)
@@ -108,7 +119,7 @@ def _worth(entry: tuple[float, Tried, Index]) -> float:
 
 def is_free(tried: Tried) -> bool:
     """Tell whether this is the free form of an effect."""
-    return bool(tried.terms.orders)
+    return bool(tried.terms.orders) and not in_proportion(tried)
 
 
 def _trace(basis: Array, tried: Tried, take: Index, variance: float) -> Array:
@@ -192,7 +203,7 @@ def _found(
     """Find effects beside causes, one after the other."""
     causes, considered = list(causes), []
     while len(causes) < MAX_CAUSES:
-        beside = pool.beside([c.option for c in causes])
+        beside = with_lags(pool.beside([c.option for c in causes]), 1.0)
         first = _ranking(beside.candidates, 1.0)
         if not first:
             break
@@ -217,7 +228,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
     worst, found = 0.0, None
     for cause in causes:
         others = [c for c in causes if c is not cause]
-        beside = pool.beside([c.option for c in others])
+        beside = with_lags(pool.beside([c.option for c in others]), variance)
         ranking = _ranking(beside.candidates, variance)
         (own,) = [e for e in ranking if e[1].effect.name == cause.option.effect.name]
         if own[0] < NEEDED_EVIDENCE and own[0] - NEEDED_EVIDENCE < worst:
@@ -258,7 +269,16 @@ def _cause(ranking: Ranking, beside: Beside, variance: float) -> Cause:
     ]
     odds = np.array([0.0, *map(_worth, ranking)])
     confidence = float(np.exp(odds[1] - np.logaddexp.reduce(odds)))
-    return Cause(option, score, confidence, tuple(close[:4]))
+    as_well = _time_as_well(candidates[tried.effect.name], tried, take, variance)
+    return Cause(option, score, confidence, tuple(close[:4]), as_well)
+
+
+def _time_as_well(group: Sequence[Tried], chosen: Tried, take: Index, variance: float) -> bool:
+    """Tell whether functions of time explain as well what follows a signal."""
+    if not signal_of(chosen):
+        return False
+    _, scores = _pairs([t for t in group if not signal_of(t)], variance)
+    return bool(scores.max(initial=-np.inf) > chosen.odds(take, variance) - AS_WELL)
 
 
 def _score(option: Option, residual: Array, variance: float) -> float:

@@ -28,6 +28,7 @@ from otf_core.diagnosis.engine.evidence import (
     estimate_of,
     likeliest_width,
     log_evidence,
+    motion_subsets,
 )
 from otf_core.diagnosis.engine.rows import Pulled, Rows
 from otf_core.effects import Effect, Shape, Terms
@@ -76,7 +77,7 @@ class Tried:
     normal, right : ndarray, shape (k, k) and (k,)
         P'P and P'y, less what the causes found so far can follow.
     takes : tuple of ndarray of int
-        Terms of every option: all that act, and those of each axis.
+        Terms of every option: all that act, those of each axis, of a few motions.
     source : Source
     shared : ndarray, shape (q, k)
         Products with the orthonormal columns that were left out.
@@ -107,11 +108,11 @@ class Tried:
         return orders[take] if len(orders) else orders
 
     def made(self, take: Index, variance: float) -> Option:
-        """Make the columns of some terms, those of a free form with their likeliest width."""
+        """Make the columns of some terms, see ``estimate``."""
         return replace(self.source.option(take), width=self._width(take, variance))
 
     def estimate(self, take: Index, variance: float) -> Estimate:
-        """Coefficients of some terms, those of a free form with their likeliest width."""
+        """Coefficients of some terms; of a free form, or many alike, at their likeliest width."""
         width = self._width(take, variance)
         return estimate_of(*self._products(take), width if len(width) else None)
 
@@ -128,7 +129,7 @@ class Tried:
         return self.normal[np.ix_(take, take)], self.right[take], self.size[take]
 
     def _width(self, take: Index, variance: float) -> Array:
-        orders = self.orders(take)
+        orders = np.zeros(len(take)) if self.effect.many_alike else self.orders(take)
         return likeliest_width(*self._products(take), variance, orders) if len(orders) else orders
 
     def without(self, pulled: Pulled, amount: Array) -> Tried:
@@ -316,7 +317,8 @@ def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> 
     if faint.size:
         own = source.own(faint)
         normal[np.ix_(faint, faint)], right[faint] = own.T @ own, own.T @ rows.residual
-    takes = (s[size[s] > NO_TRACE] for s in axis_subsets(one.terms))
+    subsets = motion_subsets if one.effect.many_alike else axis_subsets
+    takes = (s[size[s] > NO_TRACE] for s in subsets(one.terms))
     return Tried(
         one.effect,
         one.shape,

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""kill -9 of nodes at random moments of one run: recovery, samples lost, the same tables.
+
+Planner, driver and calibrator over an emulated tracker whose machine drives on whatever happens.
+A listener of its own writes down every sample and when it came. In the end the tables of the run
+are compared, byte by byte, with those that an undisturbed process gives from the same samples.
+
+Usage: eval "$(./otf env)"; python bench/node_kills.py [KILLS [SEED]]
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from nav_msgs.msg import Path as PathMessage
+from rclpy.executors import SingleThreadedExecutor
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tests'))
+from cells import write_machine
+from graph import offline, without_date
+
+from otf_bringup.domain import free_domain
+from otf_bringup.processes import ended_together
+from otf_bringup.soak import KILLED, Soak
+from otf_bringup.soak_ear import Ear
+from otf_core.bags.bag import read_points
+from otf_core.config import PlannerConfig
+from otf_msgs.msg import CalibrationResult, CalibratorState
+from otf_ros import qos
+from otf_ros.app import running_ros
+from otf_ros.convert import ns_from_time
+
+EVERY = (8.0, 14.0)
+"""s; from kill to kill."""
+LAP = 75.0
+"""s; less than a lap of the default path of the small machine takes."""
+
+
+class Witness(Ear):
+    """Writes down when each sample came, and when planner and calibrator were heard."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.came: dict[int, float] = {}
+        now = time.monotonic
+        self.spoken: dict[str, list[float]] = {'calibrator': [], 'path_planner': []}
+        for name, kind, topic, profile in (
+            ('calibrator', CalibratorState, 'calibrator/state', qos.STATUS),
+            ('path_planner', PathMessage, 'planner/path', qos.PATH),
+        ):
+            told = self.spoken[name]
+            self.create_subscription(kind, topic, lambda _, t=told: t.append(now()), profile)
+
+    def _on_points(self, messages, numbers):
+        super()._on_points(messages, numbers)
+        now = time.monotonic()
+        self.came.update((ns_from_time(m.header.stamp), now) for m in messages)
+
+
+def back(name: str, witness: Witness, killed: float) -> bool:
+    """Tell whether a killed node does its work again."""
+    if name == 'tracker_driver':
+        return max(witness.came.values()) > killed + 0.3
+    return witness.spoken[name][-1] > killed + 0.1
+
+
+def lost_age(came: dict[int, float], found: np.ndarray, killed: float, until: float) -> float:
+    """Age at the kill of the oldest sample that is missing because of it, s; 0 if none is."""
+    missing = set(came) - set(found.tolist())
+    before = [killed - came[stamp] for stamp in missing if came[stamp] < until]
+    return max([0.0, *before])
+
+
+def main(kills: int = 10, seed: int = 1) -> int:
+    """Kill, print a row for each, compare the tables; 1 if they differ or too much is lost."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    rng = np.random.default_rng(seed)
+    planning = PlannerConfig(passes=1 + int(kills * sum(EVERY) / 2 / LAP), levels=2)
+    folder = Path(tempfile.mkdtemp('-kills'))
+    machine = write_machine(folder)
+    with free_domain() as domain, running_ros([], domain):
+        witness, executor = Witness(), SingleThreadedExecutor()
+        executor.add_node(witness)
+
+        def spin(condition, longest: float) -> None:
+            until = time.monotonic() + longest
+            while time.monotonic() < until and not condition():
+                executor.spin_once(timeout_sec=0.02)
+
+        graph = Soak(folder, machine, planning, seed, domain)
+        rows = []
+        with ended_together(graph.nodes):
+            spin(lambda: witness.streaming, 60.0)
+            for name in rng.choice(KILLED, kills):
+                spin(lambda: False, rng.uniform(*EVERY))
+                killed = time.monotonic()
+                graph.kill(str(name))
+                spin(lambda name=name, killed=killed: back(name, witness, killed), 30.0)
+                rows.append((str(name), killed, time.monotonic()))
+            spin(lambda: final(witness), 60.0 * 20)
+        graph.tracker.close()
+        executor.shutdown()
+    result = final(witness)
+    if result is None:
+        print(f'no result; logs: {folder}')
+        return 1
+    (run,) = (p for p in (folder / 'calibrations' / 'journal').iterdir() if p.is_dir())
+    points = read_points(run)
+    worst = 0.0
+    print('| killed | at work again after, s | age of the oldest sample lost, ms |\n|---|---|---|')
+    for name, killed, again in rows:
+        age = 0.0
+        if name == 'calibrator':
+            age = lost_age(
+                {s: t for s, t in witness.came.items() if t > killed - 10.0},
+                points.stamp_ns, killed, killed,
+            )  # fmt: skip
+        worst = max(worst, age)
+        print(f'| {name} | {again - killed:.1f} | {1e3 * age:.0f} |')
+    (folder / 'samples').symlink_to(run)  # results name their bags
+    live = without_date((Path(result.output_directory) / 'error_tables.json').read_bytes())
+    same = live == offline(folder / 'samples', machine, folder / 'again')
+    print(f'{result.message}\nsamples heard {len(witness.came)}, in the journal {len(points)}')
+    print(f'the same tables: {same}; load {os.getloadavg()[0]:.0f}; {folder}')
+    return 0 if same and worst < 0.5 else 1
+
+
+def final(witness: Witness) -> CalibrationResult | None:
+    """Return the result of the whole run, once it is there."""
+    whole = [r for r in witness.results if 'interim' not in ' '.join(r.warnings)]
+    return whole[-1] if whole else None
+
+
+if __name__ == '__main__':
+    raise SystemExit(main(*map(int, sys.argv[1:])))

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples that were left out as outliers: where they lie, and whether that is regular.
+
+Bad samples come anywhere. What lies at the same place of a line in every pass over it, or at the
+corners alone, is no bad sample but something that the machine does: a dent in a guide, a chip
+under a slide, corners that the control rounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.frames import XYZ
+from otf_core.pieces.finding import WARNING, Finding
+from otf_core.pieces.runs import Run
+from otf_core.tracking.curves import Lines
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+CELL = 0.02
+"""m; stretches of a line that are compared between passes."""
+SAME_POINT = 1e-3
+"""m; raster by which lines are told apart."""
+CORNER, OF_LEG = 0.1, 0.25
+"""m, and share of its leg, within which a sample lies near a corner."""
+REGULAR = 0.7
+"""Share of what is left out from which a rule holds."""
+OTHERS = 0.5
+"""Share near corners of all samples, over that of those left out, up to which that is a rule."""
+FEWEST, PLACES = 20, 3
+"""Samples, and corners or stretches, of which a rule can be told."""
+MANY = 0.01
+"""Share of all samples from which it is said in any case."""
+LISTED = 4
+"""Places that are named."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What was left out of a run.
+
+    Attributes
+    ----------
+    name : str
+        Of the run; empty if it has none.
+    samples, of : int
+        Left out, and all that lie on the lines away from corners and stops.
+    legs : int
+        Legs on which they lie.
+    repeated : float
+        Share of it that was left out in every pass, where the line was driven more than once.
+    near_corners, others : float
+        Share of it, and of all, that lies near corners.
+    places : tuple of three floats each
+        Machine coordinates of stretches that it takes up, the fullest first, m.
+    """
+
+    name: str
+    samples: int
+    of: int
+    legs: int
+    repeated: float
+    near_corners: float
+    others: float
+    places: tuple[tuple[float, ...], ...]
+
+    @property
+    def again(self) -> bool:
+        """Whether it lies at the same places in every pass."""
+        return self._enough and self.repeated >= REGULAR
+
+    @property
+    def at_corners(self) -> bool:
+        """Whether it lies near corners alone."""
+        return self._enough and self.others / OTHERS <= self.near_corners >= REGULAR
+
+    @property
+    def _enough(self) -> bool:
+        return self.samples >= FEWEST and len(self.places) >= PLACES
+
+    @property
+    def _shared(self) -> list[tuple[str, float]]:
+        """Axes on which all that is regular lies at the same position, with that position."""
+        every = np.array(self.places)
+        if not self.again or self.at_corners:
+            return []
+        middle = np.median(every, axis=0)
+        close = np.mean(np.abs(every - middle) < CELL, axis=0) >= REGULAR
+        alone = close.sum() < len(XYZ)
+        return [(a, float(m)) for a, m, c in zip(XYZ, middle, close, strict=True) if c and alone]
+
+    @property
+    def regular(self) -> bool:
+        """Whether it is something that the machine does, and no bad samples."""
+        return self.again or self.at_corners
+
+    def words(self) -> str:
+        """What was left out, and where."""
+        where = '; '.join(
+            ' '.join(f'{a} {v:.3f}' for a, v in zip(XYZ, place, strict=True))
+            for place in self.places[:LISTED]
+        )
+        more = ', ...' if len(self.places) > LISTED else ''
+        more += ''.join(f', all near {a} {v:.3f}' for a, v in self._shared)
+        head = f'{self.name}: ' if self.name else ''
+        text = (
+            f'{head}{self.samples} samples left out as outliers, on {self.legs} legs, '
+            f'{100 * self.near_corners:.0f} % of them near corners; at {where}{more} m'
+        )
+        rules = ['at the same places in every pass'] * self.again
+        rules += ['near corners alone'] * self.at_corners
+        if not rules:
+            return text
+        return (
+            f'{text}. They lie {" and ".join(rules)}: probably something that the machine does, '
+            f'and no bad samples; ./otf diagnose takes them into the gap'
+        )
+
+
+def left_out(run: Run, kept: Run) -> LeftOut:
+    """Where the samples lie that were left out of a run.
+
+    Parameters
+    ----------
+    run : Run
+        With all its pieces.
+    kept : Run
+        With those that were not far from the solution.
+    """
+    lost = np.setdiff1d(run.pieces.samples, kept.pieces.samples)
+    lost = np.concatenate([lost, run.pieces.far]).astype(np.int64)
+    index = np.concatenate([kept.pieces.samples.astype(np.int64), lost])
+    out = np.arange(len(index)) >= len(kept.pieces.samples)
+    lines, leg = Lines.of(run.shape), run.alignment.leg[index].astype(np.int64)
+    along = np.asarray(lines.along(run.pose.apply(run.samples.xyz[index]), leg))
+    whole, own = lines.total[leg], lines.start[leg] + along
+    near = np.minimum(own, whole - own) < np.minimum(CORNER, OF_LEG * whole)
+    cell = _cells(run.shape.corners, leg, along, lines.length[leg])
+    places = _places(lines.at(along, leg), cell, out)
+    return LeftOut(
+        name=run.name,
+        samples=len(lost),
+        of=len(index),
+        legs=len(np.unique(leg[out])),
+        repeated=_repeated(cell, leg, out),
+        near_corners=float(near[out].mean()) if len(lost) else 0.0,
+        others=float(near.mean()) if len(index) else 0.0,
+        places=places,
+    )
+
+
+def _cells(corners: Array, leg: Index, along: Array, length: Array) -> Index:
+    """Number of the stretch of a line on which each sample lies, whatever the sense of travel."""
+    raster = np.rint(corners / SAME_POINT).astype(np.int64)
+    first, last = raster[:-1], raster[1:]
+    turned = np.array([tuple(a) > tuple(b) for a, b in zip(first.tolist(), last.tolist(),
+                                                           strict=True)])  # fmt: skip
+    ends = np.where(turned[:, None], np.hstack([last, first]), np.hstack([first, last]))
+    line = np.unique(ends, axis=0, return_inverse=True)[1].reshape(-1)
+    place = np.where(turned[leg], length - along, along)
+    cell = np.floor(place / CELL).astype(np.int64)
+    return np.unique(np.stack([line[leg], cell], axis=1), axis=0, return_inverse=True)[1].reshape(
+        -1
+    )
+
+
+def _repeated(cell: Index, leg: Index, out: NDArray[np.bool_]) -> float:
+    """Share of what lies in stretches driven more than once that was left out every time."""
+    passes = np.unique(np.stack([cell, leg], axis=1), axis=0)
+    lost = np.unique(np.stack([cell[out], leg[out]], axis=1), axis=0)
+    count = int(cell.max(initial=0)) + 1
+    driven, left = np.bincount(passes[:, 0], minlength=count), np.bincount(lost[:, 0], None, count)
+    again = driven[cell] > 1
+    told = out & again
+    if told.sum() < 0.5 * max(out.sum(), 1):
+        return 0.0
+    return float((left[cell] == driven[cell])[told].mean())
+
+
+def _places(q: Array, cell: Index, out: NDArray[np.bool_]) -> tuple[tuple[float, ...], ...]:
+    """Middles of the stretches with samples left out, the fullest first."""
+    own, inverse, count = np.unique(cell[out], return_inverse=True, return_counts=True)
+    middle = np.stack([np.bincount(inverse.reshape(-1), q[out, k], len(own)) for k in range(3)])
+    found = (middle / np.maximum(count, 1)).T[np.argsort(-count, kind='stable')]
+    return tuple(tuple(float(round(v, 4)) for v in row) for row in found)
+
+
+def findings(runs: Sequence[LeftOut]) -> list[Finding]:
+    """What is to be said of samples that were left out."""
+    told = [r for r in runs if r.regular or r.samples > MANY * r.of]
+    return [Finding('left out', WARNING, r.words()) for r in told]

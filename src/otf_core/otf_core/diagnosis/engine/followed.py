@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether short waves along an axis are the machine's own, or an effect.
+
+Where neighbouring pieces differ by more than the noise, a calibration tries functions twice as
+fine (``solving.shape_choice``). These follow whatever lies at fixed places of an axis: what the
+tables cannot follow between their nodes, a cyclic error with a period of some intervals. What
+they follow leaves no trace, and a diagnosis would find nothing. So both are weighed as
+explanations of the same pieces,
+
+    log K = log p(y | ordinary functions, effects at fixed places) - log p(y | fine functions),
+
+with all coefficients integrated out, those of the functions with their roughness, and the noise
+as measured. The diagnosis starts from the likelier of both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.diagnosis.engine.catalogue import (
+    effects_without,
+    shapes_from_lines,
+    spectral_lines,
+    tried_effects,
+)
+from otf_core.diagnosis.engine.evidence import TOGETHER, Option, likeliest_width, motions_of
+from otf_core.diagnosis.engine.noise_check import heard
+from otf_core.diagnosis.engine.rows import Rows, build_rows
+from otf_core.diagnosis.engine.search import Cause, fit_jointly, search
+from otf_core.effects import BelongsTo, Effect
+from otf_core.pieces.runs import Run
+from otf_core.solving.basis import Basis
+from otf_core.solving.joint import JointSolution, Start, solve_jointly, summed
+from otf_core.solving.roughness import Search
+from otf_core.solving.shape_choice import is_finer, linear_bases, smooth_bases
+from otf_core.solving.unknowns import layout
+
+Array = NDArray[np.float64]
+
+CLEAR = 50.0
+"""Logarithm of the odds by which an effect has to be better than fine functions: the roughness of
+18 motions is fitted on both sides, which is worth some ten."""
+NOT_FOLLOWED = 0.05
+"""Share of what fine functions gain that waves in a few motions need not explain: they may have
+other forms than the parabolas of the effect. The machine's own waves are in all its motions."""
+
+
+def rows_to_diagnose(
+    runs: Sequence[Run],
+    done: JointSolution,
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    exclude: Sequence[str],
+) -> Rows:
+    """Set up the rows of a diagnosis, with functions that do not follow an effect.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    done : JointSolution
+        Of the calibration, without reversal.
+    nodes : mapping of axis to ndarray, m
+        Of the tables that machine.yaml asks for.
+    config : CalibrationConfig
+    exclude : sequence of str
+        Effects taken out of the catalogue.
+    """
+    limit = config.unidentifiable_above
+    loud = [heard(run, config.standstill_speed) for run in runs]
+    rows = build_rows(loud, done, limit)
+    effects = [e for e in effects_without(exclude) if _stays_at_places(e)]
+    if not is_finer(done.unknowns.bases) or not effects:
+        return rows
+    fine = _likelihood(rows)
+    others = [
+        build_rows(loud, _solved(runs, done, bases, config), limit)
+        for bases in (linear_bases(nodes), smooth_bases(nodes))
+    ]
+    alone = [_likelihood(other) for other in others]
+    for k in sorted(range(len(alone)), key=lambda k: -alone[k]):
+        causes = _found(others[k], effects)
+        allowed = NOT_FOLLOWED * (fine - alone[k]) if _in_few_motions(causes) else 0.0
+        if _likelihood(others[k], causes) + max(allowed, 0.0) > fine + CLEAR:
+            return others[k]
+    return rows
+
+
+def _stays_at_places(effect: Effect) -> bool:
+    """Tell whether fine functions of the positions of axes can follow an effect."""
+    cyclic = effect.wave is not None and not effect.wave.in_time
+    return cyclic or effect.belongs_to is BelongsTo.TABLES
+
+
+def _in_few_motions(causes: Sequence[Cause]) -> bool:
+    """Tell whether something is found, and that in a few motions alone."""
+    many = [motions_of(c.option) for c in causes if c.option.effect.many_alike]
+    return bool(causes) and all(len(motions) <= TOGETHER for motions in many)
+
+
+def _solved(
+    runs: Sequence[Run], done: JointSolution, bases: dict[str, Basis], config: CalibrationConfig
+) -> JointSolution:
+    """Solve the same pieces, with the same noise, for other functions."""
+    unknowns = layout(bases, len(runs))
+    start = Start.after(runs[0].machine, done)
+    return solve_jointly(runs, unknowns, config, lambda stage, fraction: None, start)
+
+
+def _likelihood(rows: Rows, causes: Sequence[Cause] = ()) -> float:
+    """Logarithm of the likelihood of runs with causes, their noise as measured.
+
+    That of the runs less the causes as fitted, the roughness of the functions found anew, times
+    the share of what was possible before the data that they leave of the coefficients.
+    """
+    done = rows.done
+    systems, price = [s.system for s in done.runs], 0.0
+    if causes:
+        fitted = fit_jointly(causes, rows).value
+        moved = np.concatenate([c.option.plain for c in causes], axis=1) @ fitted
+        parts = zip(systems, rows.by_run(moved), strict=True)
+        systems = [replace(s, deviation=s.deviation - part) for s, part in parts]
+        price = _price(causes, fitted, rows.residual)
+    normal = summed(systems, done.unknowns, rows.whiteners)
+    found = Search(normal, done.unknowns, _blocks(rows), rows.limit)
+    return found.run().log_likelihood - price
+
+
+def _blocks(rows: Rows) -> list[str]:
+    """Blocks of ``Rows.use``: what is solved for, and rotations that still leave a trace."""
+    blocks = rows.done.unknowns.free_blocks.items()
+    places = {name: np.arange(block.start, block.stop) for name, block in blocks}
+    return [n for n, own in places.items() if own.size and np.isin(own, rows.use).all()]
+
+
+def _price(causes: Sequence[Cause], fitted: Array, residual: Array) -> float:
+    """1/2 c' D^-2 c + 1/2 log det (I + M) for coefficients c, see ``evidence``."""
+    options = [c.option for c in causes]
+    width = np.concatenate([o.width if len(o.width) else _width(o, residual) for o in options])
+    unit = width / np.concatenate([o.size for o in options])
+    white = np.concatenate([o.own for o in options], axis=1) * unit
+    _, volume = np.linalg.slogdet(np.eye(len(unit)) + white.T @ white)
+    return 0.5 * float(np.sum((fitted / unit) ** 2) + volume)
+
+
+def _width(option: Option, residual: Array) -> Array:
+    """Standard deviation of the displacement by each coefficient that is most likely, m."""
+    products = option.own.T @ option.own, option.own.T @ residual
+    return likeliest_width(*products, option.size, 1.0, np.zeros(len(option.take)))
+
+
+def _found(rows: Rows, effects: Sequence[Effect]) -> list[Cause]:
+    """What is found of some effects."""
+    tried, _ = tried_effects(rows, effects, shapes_from_lines(spectral_lines(rows)))
+    return search(rows, tried)[0]
