@@ -89,6 +89,7 @@ def diagnose(
     progress = progress or (lambda stage, fraction: None)
     solved = solve_recordings(recordings, config, progress)
     plain = assemble(solved.solution, config)
+    solved = _without_reversal(solved)
     seen = _as_recorded(solved, recordings, config)
     rows = rows_to_diagnose(*seen.solution.plain, seen.nodes, config, exclude)
     progress('simulating', 0.0)
@@ -185,6 +186,12 @@ def _judged(
     elif noise and verdict == 'none':
         verdict = 'explained'
     return _Judged(verdict, explained, noise, left, nameless)
+
+
+def _without_reversal(solved: SolvedRecordings) -> SolvedRecordings:
+    """Let go of the solution with reversal, which is as large again as the one without."""
+    kept, done = solved.solution.plain
+    return replace(solved, solution=replace(solved.solution, runs=kept, done=done))
 
 
 def _as_recorded(

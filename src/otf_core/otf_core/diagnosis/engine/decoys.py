@@ -97,8 +97,10 @@ class SlowWave(Effect):
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return S_X, S_Y, S_Z, C_X, C_Y, C_Z."""
         phase = 2.0 * np.pi * state.time / shape['period']
-        waves = (np.sin(phase), np.cos(phase))
-        columns = np.concatenate([w[:, None, None] * np.eye(3) for w in waves], axis=2)
+        columns = np.zeros((len(phase), 3, 6))
+        for start, wave in ((0, np.sin(phase)), (3, np.cos(phase))):
+            for direction in range(3):
+                columns[:, direction, start + direction] = wave
         names = tuple(f'{part}_{a}' for part in 'SC' for a in XYZ)
         return Terms(names, ('m',) * 6, ('',) * 6, columns)
 

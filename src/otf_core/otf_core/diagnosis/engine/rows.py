@@ -129,7 +129,7 @@ class Rows:
         return found.reshape(-1, count)
 
     def displacement(self, effect: Effect, shape: Shape, value: Array) -> Array:
-        """Displacements of all runs across the path by all terms with values (k,), shape (r,)."""
+        """Displacements across the path by all terms with values (k, n), shape (r, n)."""
         runs = len(self.states)
         values = np.split(value, runs) if effect.own_per_run else [value] * runs
         found = []
@@ -141,8 +141,9 @@ class Rows:
                     continue
                 pairs = zip(functions, _places(functions), strict=True)
                 sizes = np.stack([f @ own[place] for f, place in pairs], axis=1)
-                moved.append(np.einsum('pij,pj->pi', columns, sizes))
-            found.append(np.einsum('cpi,pi->cp', axes, np.concatenate(moved)).ravel())
+                moved.append(columns @ sizes)
+            across = np.einsum('cpi,pin->cpn', axes, np.concatenate(moved))
+            found.append(across.reshape(-1, value.shape[1]))
         return np.concatenate(found)
 
     def products_in_run(
@@ -196,6 +197,8 @@ class Rows:
         count = len(effect.terms(self.states[0].part(slice(0, 1)), shape).names)
         runs = range(len(self.done.runs))
         parts = [self.columns_in_run(effect, shape, k, count) for k in runs]
+        if len(parts) == 1:
+            return parts[0]
         return linalg.block_diag(*parts) if effect.own_per_run else np.concatenate(parts)
 
     def terms(self, effect: Effect, shape: Shape) -> Terms:
@@ -261,10 +264,10 @@ class Rows:
         gauge = self.done.unknowns.gauge[:, self.use] * self.limit
         ends = np.cumsum([0, *(s.system.deviation.size for s in self.done.runs)])
         found = np.empty((ends[-1], len(self.use)))
-        for k, (solved, whitener) in enumerate(zip(self.done.runs, self.whiteners, strict=True)):
-            plain = (solved.system.design @ gauge).toarray()
-            white = whitener.whiten(plain.reshape(*solved.system.deviation.shape, -1))
-            found[ends[k] : ends[k + 1]] = white.reshape(plain.shape)
+        for k, solved in enumerate(self.done.runs):
+            white = found[ends[k] : ends[k + 1]]
+            (solved.system.design @ gauge).toarray(out=white)
+            self.whiten_run(white, k)
         return found
 
     @cached_property

@@ -8,7 +8,9 @@ functions can be looked at, the best of which are fitted exactly.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from otf_core.effects.inputs import CYCLE, functions_of
 from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 RIDGE = 1e-4
 """Of the scaled information, against functions that the data hardly tell apart."""
@@ -67,13 +70,44 @@ class Scores:
         matrix = np.block([[parts[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
         return float(_gains(matrix[None], right[None])[0])
 
+    def gains_of_products(self, first: Array, others: Sequence[Array]) -> list[float]:
+        """The same of products of functions (p, a) of one input with those (p, b) of others.
+
+        The first of each is the constant; the constant of the product is left out. Sums over the
+        pieces of products of four functions are those of two products of two.
+        """
+        pairs, directions = _pairs(first.shape[1]), _pairs(3)
+        weights = np.stack([self.information[i, j] for i, j in directions.once], axis=1)
+        weighted = (pairs.products(first)[:, :, None] * weights[:, None, :]).reshape(
+            len(first), -1
+        )
+        pulled = (first[:, :, None] * self.pull[:, None, :]).reshape(len(first), -1)
+        found = []
+        for other in others:
+            own, count = _pairs(other.shape[1]), first.shape[1] * other.shape[1]
+            sums = (weighted.T @ own.products(other)).reshape(
+                -1, len(directions.once), len(own.once)
+            )
+            whole = sums[
+                pairs.place[:, :, None, None, None, None],
+                directions.place[:, :, None, None],
+                own.place,
+            ]
+            matrix = whole.transpose(2, 0, 4, 3, 1, 5).reshape(3 * count, -1)
+            right = (pulled.T @ other).reshape(first.shape[1], 3, -1).transpose(1, 0, 2).ravel()
+            kept = np.flatnonzero(np.arange(3 * count) % count)
+            found.append(float(_gains(matrix[np.ix_(kept, kept)][None], right[kept][None])[0]))
+        return found
+
     def gains_of_waves(self, time: Array, frequency: Array) -> Array:
-        """The same of cosine and sine of time (p,) at frequencies (f,) in Hz, shape (f,)."""
-        flat = self.information.reshape(9, -1).T
+        """The same of cosine and sine of time (p,) at evenly spaced frequencies (f,), Hz."""
+        flat, turned = self.information.reshape(9, -1).T, None
         found = []
         for part in np.array_split(frequency, max(1, len(frequency) // TOGETHER)):
-            angle = 2.0 * np.pi * part[:, None] * time
-            waves = np.stack([np.cos(angle), np.sin(angle)])
+            if turned is None:
+                turned = np.exp(2j * np.pi * (part - part[0])[:, None] * time)
+            turn = turned[: len(part)] * np.exp(2j * np.pi * part[0] * time)
+            waves = np.stack([turn.real, turn.imag])
             right = (waves @ self.pull).transpose(1, 2, 0).reshape(len(part), 6)
             both = waves[0] * waves[1] @ flat
             squares = waves[0] ** 2 @ flat
@@ -82,6 +116,26 @@ class Scores:
             matrix = matrix.reshape(-1, 6, 6)
             found.append(_gains(matrix, right))
         return np.concatenate(found)
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Pairs of n functions, each once, and the place (n, n) of every pair among them."""
+
+    once: list[tuple[int, int]]
+    place: Index
+
+    def products(self, functions: Array) -> Array:
+        """Products of the functions (p, n) of every pair, shape (p, n (n + 1) / 2)."""
+        return np.stack([functions[:, i] * functions[:, j] for i, j in self.once], axis=1)
+
+
+def _pairs(count: int) -> _Pairs:
+    once = list(combinations_with_replacement(range(count), 2))
+    place = np.zeros((count, count), dtype=np.int64)
+    for number, (i, j) in enumerate(once):
+        place[i, j] = place[j, i] = number
+    return _Pairs(once, place)
 
 
 def _gains(matrix: Array, right: Array) -> Array:

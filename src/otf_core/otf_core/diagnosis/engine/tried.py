@@ -181,15 +181,17 @@ class Made:
 
     def own(self, take: Index) -> Array:
         """Whitened columns of some terms less what tables and poses can follow, shape (r, k)."""
-        plain = self.rows.plain_columns(self.effect, self.shape)[:, take]
+        whole = np.zeros((len(self.terms.names), len(take)))
+        whole[take, np.arange(len(take))] = 1.0
+        plain = self.rows.displacement(self.effect, self.shape, whole)
         return self.rows.less(self.rows.whiten(plain), self.cross[:, take])
 
     def trace(self, take: Index, value: Array) -> Array:
         """Sum up what some terms with values (k,) add."""
-        whole = np.zeros(len(self.terms.names))
-        whole[take] = value
+        whole = np.zeros((len(self.terms.names), 1))
+        whole[take, 0] = value
         moved = self.rows.displacement(self.effect, self.shape, whole)
-        return self.rows.project(self.rows.whiten(moved)[:, None])[:, 0]
+        return self.rows.project(self.rows.whiten(moved))[:, 0]
 
     def shared(self, pulled: Pulled) -> Array:
         """Products of whitened columns with what the effect adds."""

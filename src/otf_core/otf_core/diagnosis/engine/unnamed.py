@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,19 +172,28 @@ def _screened(rows: Rows, scores: Scores, forms: Sequence[Free], spans: dict[str
         )
         for name in spans
     }  # fmt: skip
-    return np.array([_gain(form, tables, scores) for form in forms])
+    gains = [
+        gain
+        for _, own in groupby(forms, lambda form: (form.inputs[0], form.orders[0]))
+        for gain in _gains(list(own), tables, scores)
+    ]
+    return np.array(gains)
 
 
-def _gain(form: Free, tables: dict[str, Array], scores: Scores) -> float:
-    """Half the fall of the sum of squares by a structure, less a price of its coefficients."""
-    columns = []
-    for number in form.numbers:
-        own = [tables[n][:, k] for n, k in zip(form.inputs, number, strict=True)]
-        columns.append(np.prod(own, axis=0))
-    functions = np.stack(columns[1:], axis=1)
-    count = 3 * functions.shape[1]
-    price = 0.5 * count * np.log(max(len(functions) / count, 2.0))
-    return float(scores.gain(functions) - price)
+def _gains(forms: Sequence[Free], tables: dict[str, Array], scores: Scores) -> list[float]:
+    """Half the fall of the sum of squares by structures, less a price of their coefficients.
+
+    All have the first of their two inputs in common.
+    """
+    columns = [
+        [tables[n][:, : order + 1] for n, order in zip(form.inputs, form.orders, strict=True)]
+        for form in forms
+    ]
+    gains = scores.gains_of_products(columns[0][0], [second for _, second in columns])
+    counts = [3 * (len(form.numbers) - 1) for form in forms]
+    pieces = len(columns[0][0])
+    prices = [0.5 * count * np.log(max(pieces / count, 2.0)) for count in counts]
+    return [gain - float(price) for gain, price in zip(gains, prices, strict=True)]
 
 
 def _likeliest(ranked: Sequence[Tried], variance: float) -> Tried:
