@@ -125,11 +125,12 @@ class Run(Observed):
         )
 
     @cached_property
-    def leg_starts(self) -> Array:
+    def leg_starts(self) -> Array | None:
         """When every line began from rest, s since the recording; NaN where it is not seen."""
-        points = self.pose.apply(self.samples.xyz)
+        if self.pieces.standstill:
+            return None
         lines = Lines.of(self.alignment.shape)
-        return self.late + leg_starts(self.samples.time, points, self.alignment.leg, lines)
+        return self.late + leg_starts(self.samples, self.pose, self.alignment.leg, lines)
 
     @property
     def recording(self) -> Recording:

@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.frames import RigidTransform
+from otf_core.model.observation import Samples
 from otf_core.tracking.curves import Lines
 from otf_core.tracking.matching import OFF_PATH
 
@@ -28,14 +30,16 @@ AFTER = 0.3
 """s; longest time for the stretch."""
 
 
-def leg_starts(time: Array, points: Array, leg: NDArray[np.int32], lines: Lines) -> Array:
+def leg_starts(
+    samples: Samples, pose: RigidTransform, leg: NDArray[np.int32], lines: Lines
+) -> Array:
     """Times at which legs began from rest, shape (m,), s; NaN where that is not seen.
 
     Parameters
     ----------
-    time : ndarray, shape (n,), s
-    points : ndarray, shape (n, 3), m
-        Machine frame.
+    samples : Samples
+    pose : RigidTransform
+        Tracker to machine.
     leg : ndarray of int32, shape (n,)
         Of every sample, ``OFF_PATH`` where there is none.
     lines : Lines
@@ -45,20 +49,25 @@ def leg_starts(time: Array, points: Array, leg: NDArray[np.int32], lines: Lines)
     last = np.append(first[1:], len(leg))
     for low, high in zip(first.tolist(), last.tolist(), strict=True):
         number = int(leg[low])
-        own = np.full(high - low, number)
-        gone = np.asarray(lines.along(points[low:high], own))
-        moves = np.flatnonzero(gone > BEGUN)
+        moves = np.flatnonzero(_gone(samples.part(low, high), pose, number, lines) > BEGUN)
         if len(moves):
-            found[number] = _start(time, points, number, lines, low + int(moves[0]))
+            found[number] = _start(samples, pose, number, lines, low + int(moves[0]))
     return found
 
 
-def _start(time: Array, points: Array, number: int, lines: Lines, seen: int) -> float:
+def _gone(samples: Samples, pose: RigidTransform, number: int, lines: Lines) -> Array:
+    """How far along a leg samples lie, m."""
+    return np.asarray(lines.along(pose.apply(samples.xyz), np.full(len(samples), number)))
+
+
+def _start(samples: Samples, pose: RigidTransform, number: int, lines: Lines, seen: int) -> float:
     """When a leg began, seen to move from a sample on."""
-    a, b = np.searchsorted(time, [time[seen] - STILL[0], time[seen] + AFTER])
-    at, near = time[a:b], slice(int(a), int(b))
-    gone = np.asarray(lines.along(points[near], np.full(len(at), number)))
-    stands = at < time[seen] - STILL[1]
+    stamp = samples.stamp_ns
+    low, high = stamp[seen] - round(1e9 * STILL[0]), stamp[seen] + round(1e9 * AFTER)
+    a, b = np.searchsorted(stamp, [low, high]).tolist()
+    at = (stamp[a:b] - stamp[0]) * 1e-9
+    gone = _gone(samples.part(a, b), pose, number, lines)
+    stands = at < at[seen - a] - STILL[1]
     if stands.sum() < 2 or np.ptp(gone[stands]) > STOOD:
         return np.nan
     way = gone - np.median(gone[stands])
