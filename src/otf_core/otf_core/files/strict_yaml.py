@@ -14,7 +14,6 @@ from typing import Any, NoReturn
 from otf_core.errors import ConfigError
 from otf_core.files.writing import unreadable
 
-
 DEEPEST = 100
 """Levels of nesting; each costs the parser more than the one before."""
 
