@@ -141,11 +141,11 @@ class DeviceClock:
         The quickest start so far counts: a tracker takes as long each time, while answers wait
         behind others. The order has left at ``sent_ns`` at the latest; at once if not given.
         """
-        ceiling = None
-        if answered_ns is not None:
-            self._quickest = min(self._quickest, answered_ns - ordered_ns)
-        if self._quickest < NEVER:
-            ceiling = self._quickest + (ordered_ns if sent_ns is None else sent_ns)
+        answered = NEVER if answered_ns is None else answered_ns - ordered_ns
+        self._quickest = min(self._quickest, answered)
+        waited = 0 if sent_ns is None else sent_ns - ordered_ns
+        latest = min(answered, waited + self._quickest)
+        ceiling = ordered_ns + latest if latest < NEVER else None
         self._known = replace(self._known, floor=ordered_ns, ceiling=ceiling)
 
     def take(self, device_ns: int, arrival_ns: int, step_ns: int = 0) -> Verdict:

@@ -171,7 +171,7 @@ def beneath(
     bound = started = math.inf
     if start:
         unsure, drifted, touched = u_rate * origin, rate * origin, float(likely @ least)
-        started = touched - drifted + unsure - start[0]
+        started = touched - drifted + UNSURE * unsure - start[0]
         lowest, highest = start[0] + drifted - unsure, start[1] + drifted + unsure
         best = _between(lowest, min(highest, touched), best)
         bound = max(best - lowest, highest - best)
