@@ -50,6 +50,8 @@ START = 60.0
 """s; until the first samples come."""
 LAP = 280.0
 """s; of a lap of the default path of the default machine, about."""
+UNDER_WAY = 2.0
+"""s; for samples that were announced before they are heard."""
 RESPAWN = 0.3
 """s; as the launch files do."""
 
@@ -112,15 +114,23 @@ def soak(
         ear.begin()
         graph.tracker.change(faults)
         spin(seconds)
-        rows.append((name, ear.end(), ear.lost))
+        rows.append((name, ear.end(), _lost(ear, spin)))
     graph.tracker.change('')
     for name in KILLED:
         spin(5.0)
         ear.begin()
         graph.kill(name)
         spin(seconds)
-        rows.append((f'kill -9 of {name}', ear.end(), ear.lost))
+        rows.append((f'kill -9 of {name}', ear.end(), _lost(ear, spin)))
     return rows
+
+
+def _lost(ear: Ear, spin: Callable[[float], None]) -> int:
+    """Samples lost so far, once what is still under way has come."""
+    until = time.monotonic() + UNDER_WAY
+    while ear.lost and time.monotonic() < until:
+        spin(0.1)
+    return ear.lost
 
 
 def table(rows: list[tuple[str, Heard, int]]) -> str:
