@@ -38,6 +38,8 @@ MANY = 0.01
 """Share of all samples from which it is said in any case."""
 LISTED = 4
 """Places that are named."""
+ENOUGH = 400_000
+"""Samples that were kept; of more, every second, third, ... is looked at."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +140,10 @@ def left_out(run: Run, kept: Run) -> LeftOut:
     lost = np.concatenate([lost, run.pieces.far]).astype(np.int64)
     if run.pieces.standstill or not len(lost):  # stops lie at points, on no line
         return LeftOut(run.name, len(lost), run.pieces.used, 0, 0.0, 0.0, 0.0, ())
-    index = np.concatenate([kept.pieces.samples.astype(np.int64), lost])
-    out = np.arange(len(index)) >= len(kept.pieces.samples)
+    step = max(1, len(kept.pieces.samples) // ENOUGH)
+    stays = kept.pieces.samples[::step].astype(np.int64)
+    index = np.concatenate([stays, lost])
+    out = np.arange(len(index)) >= len(stays)
     lines, leg = Lines.of(run.shape), run.alignment.leg[index].astype(np.int64)
     along = np.asarray(lines.along(run.pose.apply(run.samples.xyz[index]), leg))
     whole, own = lines.total[leg], lines.start[leg] + along
@@ -149,7 +153,7 @@ def left_out(run: Run, kept: Run) -> LeftOut:
     return LeftOut(
         name=run.name,
         samples=len(lost),
-        of=len(index),
+        of=len(kept.pieces.samples) + len(lost),
         legs=len(np.unique(leg[out])),
         repeated=_repeated(cell, leg, out),
         near_corners=float(near[out].mean()) if len(lost) else 0.0,
