@@ -39,10 +39,8 @@ CAUSES: dict[str, dict[str, float]] = {
     'servo_mismatch': {'T_X': 2.0e-5, 'T_Y': -1.0e-5},
     'backlash': {'B_X': 2.5e-6, 'B_Z': -1.5e-6},
     'cyclic_error': {'period': 0.01, 'S_Y': 1.5e-6},
-    'thermal_structure_drift': {'tau': 60.0, 'D_Z': 4e-6, 'D_X': -2e-6},
-    'tracker_pose_drift': {'tau': 60.0, 'W_X': 6e-6, 'W_Z': -4e-6},
     'thermal_axis_expansion': {'tau': 80.0, 'S_Y': 1.5e-5},
-    'table_tilt': {'tilt_X_by_Y': 2.0e-5, 'tilt_Y_by_X': 1.5e-5},
+    'thermal_structure_drift': {'tau': 60.0, 'D_Z': 4e-6, 'D_X': -2e-6},
     'vibration': {'frequency': 7.0, 'S_Z': 1.5e-6, 'S_X': 1.0e-6},
 }
 ONE_FEED = ('--passes', '1', '--levels', '2', '--feed', '12000', '--rate', '100')
