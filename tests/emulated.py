@@ -59,8 +59,7 @@ class Running:
         self._stop = asyncio.Event()
         self._ready.set()
         await self._stop.wait()
-        server.close()
-        await self.tracker.close()
+        await self.tracker.close(server)
 
     def start(self):
         self._thread.start()

@@ -58,5 +58,4 @@ class SoakTracker:
         self.port = server.sockets[0].getsockname()[1]
         self._ready.set()
         await self._stop.wait()
-        server.close()
-        await self._tracker.close()
+        await self._tracker.close(server)

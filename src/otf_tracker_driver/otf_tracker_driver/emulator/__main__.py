@@ -47,8 +47,7 @@ async def serve(given: argparse.Namespace, faults: Faults, planning: PlannerConf
         sys.stdout.flush()
         await interrupted.wait()
     finally:
-        server.close()
-        await tracker.close()
+        await tracker.close(server)
 
 
 def _described(info: ParameterInfo) -> str:

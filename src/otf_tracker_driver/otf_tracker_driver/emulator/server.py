@@ -21,6 +21,8 @@ from otf_tracker_driver.emulator.measuring import Drive, Measuring, Record
 from otf_tracker_driver.emulator.wire import Wire
 
 C = Command
+ACCEPTING = 0.02
+"""s; a connection that the system has taken is served within it."""
 MOVED = 0.3
 """s; what a movement of the tracker takes."""
 NOT_FOUND = 10004
@@ -59,12 +61,17 @@ class EmulatedTracker:
         self._moving: asyncio.Task[None] | None = None
         self._blocked_until = 0.0
         self._clients: set[asyncio.Task[None]] = set()
+        self._closed = False
 
     def accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a client in a task."""
+        """Serve a client in a task; once closed, leave it at once."""
+        if self._closed:
+            writer.close()
+            return
         task = asyncio.ensure_future(self._client(reader, writer))
         self._clients.add(task)
         task.add_done_callback(self._clients.discard)
+        task.add_done_callback(lambda _: writer.close())  # one that has not begun when cancelled
 
     async def change(self, faults: Faults) -> None:
         """Leave all clients; these faults happen from then on."""
@@ -73,8 +80,17 @@ class EmulatedTracker:
             task.cancel()
         await asyncio.gather(*self._clients, return_exceptions=True)
 
-    async def close(self) -> None:
-        """Leave all clients."""
+    async def close(self, server: asyncio.Server) -> None:
+        """Close the server that hands on clients; leave all clients, and those just accepted.
+
+        It takes none for a moment before it is closed: closed between a connection and its
+        transport, asyncio would leave the socket open (CPython issue 109564).
+        """
+        self._closed = True
+        for listening in server.sockets:
+            asyncio.get_running_loop().remove_reader(listening.fileno())
+        await asyncio.sleep(ACCEPTING)
+        server.close()
         clients = list(self._clients)
         for task in clients:
             task.cancel()
