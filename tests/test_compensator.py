@@ -70,8 +70,13 @@ def test_every_position_of_a_stream_of_1_khz_is_answered(graph, truth, tmp_path)
     ear = graph.ear()
     publisher = ear.create_publisher(PointStamped, 'compensator/wanted', qos.COMMAND)
     heard = graph.listen(Compensation, 'compensator/compensation', qos.COMMAND)
-    graph.wait(lambda: publisher.get_subscription_count() == 1, 'the compensator')
-    graph.wait(lambda: ear.count_publishers('compensator/compensation') == 1, 'its answers')
+    early = PointStamped(point=Point(x=0.1, y=0.1, z=-0.1))
+    early.header.frame_id, early.header.stamp.sec = 'machine', 1
+    graph.wait(lambda: publisher.publish(early) or heard, 'both ways to be there')
+
+    def answers():
+        return [c for c in heard if c.header.stamp.sec == 0]
+
     wanted = points(truth, COUNT)
     for k, (x, y, z) in enumerate(wanted.tolist()):
         message = PointStamped(point=Point(x=x, y=y, z=z))
@@ -79,9 +84,10 @@ def test_every_position_of_a_stream_of_1_khz_is_answered(graph, truth, tmp_path)
         message.header.stamp.nanosec = int(k * 1e9 / RATE) % 1_000_000_000
         publisher.publish(message)
         if k % 50 == 49:
-            graph.wait(lambda k=k: len(heard) > k - 500, 'answers')
+            graph.wait(lambda k=k: len(answers()) > k - 500, 'answers')
     publisher.publish(PointStamped())  # without frame: not answered, said once
-    graph.wait(lambda: len(heard) == COUNT, 'all answers')
+    graph.wait(lambda: len(answers()) == COUNT, 'all answers')
+    heard = answers()
     assert [c.header.stamp.nanosec for c in heard[:3]] == [0, 1_000_000, 2_000_000]
     np.testing.assert_array_equal(array(c.wanted for c in heard), wanted)
     graph.wait(lambda: "expected 'machine'" in node.last_lines(20), 'the warning')
