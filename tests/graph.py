@@ -23,6 +23,11 @@ PATIENCE = 60.0
 """s; far more than anything here takes on a busy computer."""
 LOST = 'failed to send response'
 """What rclpy says when it answers a client that the node's side has not discovered yet."""
+HEARD = (
+    (CalibratorState, 'calibrator/state'),
+    (CalibrationResult, 'calibrator/result'),
+    (TrackerStatus, 'tracker/status'),
+)
 REACHED = {
     'configure': 'inactive',
     'activate': 'active',
@@ -45,6 +50,8 @@ class Graph:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._ear)
         self.heard = {}
+        for kind, topic in HEARD:  # from the beginning: each node finds them as it starts
+            self.listen(kind, topic)
 
     def start(self, name, arguments=None, **parameters):
         """Start one of path_planner, tracker_driver, calibrator, viewer, page."""
