@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.fitted import FittedCause
 from otf_core.effects.free import FreeForm, coefficient_name
-from otf_core.effects.inputs import SIGNAL, cycle_period, unit_of_input, unscaled_input
+from otf_core.effects.inputs import (
+    SIGNAL,
+    cycle_period,
+    label_of,
+    unit_of_input,
+    unscaled_input,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -171,4 +177,4 @@ def _at_words(name: str, value: float) -> str:
     """An input and its value in words."""
     unit = unit_of_input(name)
     words = f'{1e3 * value:.3g} mm' if unit == 'm' else f'{value:.3g} {unit}'.rstrip()
-    return f'{words} of the cycle' if cycle_period(name) else f'{name} = {words}'
+    return f'{words} of the cycle' if cycle_period(name) else f'{label_of(name)} = {words}'

@@ -3,8 +3,9 @@
 
 Time, axis positions, sense of travel, feed, what happened since the last stop or reversal, place
 in the path, direction and length of the beam, signals recorded beside the samples, the phase of a
-cycle in time. A distance or a time since something is compressed to s / (s + s0), so that what
-dies out needs few functions. Functions are Legendre polynomials; of a phase they are harmonics.
+cycle in time, time as what switches feels it (``switching``). A distance or a time since something
+is compressed to s / (s + s0), so that what dies out needs few functions. Functions are Legendre
+polynomials; of a phase they are harmonics.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from otf_core.effects.base import Array, State
+from otf_core.effects.switching import Switching
 from otf_core.errors import ConfigError
 from otf_core.model.frames import XYZ
 from otf_core.model.path import MOVING
@@ -39,7 +41,7 @@ _LETTERS = {a.lower(): k for k, a in enumerate(XYZ)}
 def known_input(name: str) -> bool:
     """Tell whether a name is one of an input."""
     head, _, axis = name.rpartition('_')
-    own = (head in OF_AXIS and axis in _LETTERS) or cycle_period(name) > 0.0
+    own = (head in OF_AXIS and axis in _LETTERS) or in_time(name)
     return own or name in UNITS or name in _LETTERS or name.startswith(SIGNAL)
 
 
@@ -47,7 +49,7 @@ def unit_of_input(name: str) -> str:
     """Unit of an input; signals have those of their topic, which are not known here."""
     if name in _LETTERS:
         return 'm'
-    if cycle_period(name):
+    if in_time(name):
         return 's'
     return UNITS.get(name, OF_AXIS.get(name.rpartition('_')[0], ''))
 
@@ -61,9 +63,16 @@ def cycle_period(name: str) -> float:
     return period if 0.0 < period < np.inf else 0.0
 
 
+def in_time(name: str) -> bool:
+    """Tell whether an input is time in other words: a phase, or what switches."""
+    return cycle_period(name) > 0.0 or Switching.of(name) is not None
+
+
 def label_of(name: str) -> str:
     """Name of an input for pictures."""
-    return 'time in the cycle' if cycle_period(name) else name
+    if cycle_period(name):
+        return 'time in the cycle'
+    return 'time' if in_time(name) else name
 
 
 def compression(name: str) -> float:
@@ -93,6 +102,8 @@ def input_values(state: State, name: str) -> Array:
         return state.more[name]
     if period := cycle_period(name):
         return np.asarray(np.mod(state.time, period))
+    if in_time(name):
+        return state.time
     if name in _PLAIN:
         return np.asarray(_PLAIN[name](state))
     if name.startswith(SIGNAL):
@@ -129,7 +140,7 @@ def span_of(states: Sequence[State], name: str) -> Span:
         return float(machine.lower[k]), float(machine.upper[k])
     if period := cycle_period(name):
         return 0.0, period
-    if name == 'time':
+    if name == 'time' or in_time(name):
         return 0.0, max(s.end for s in states)
     values = np.concatenate([input_values(s, name) for s in states])
     if name == 'azimuth':
@@ -164,11 +175,14 @@ def unscaled_input(name: str, place: Array, span: Span) -> Array:
     return np.asarray(low + 0.5 * (place + 1.0) * (high - low))
 
 
-def functions_of(name: str, place: Array, order: int) -> Array:
+def functions_of(name: str, place: Array, order: int, span: Span = (-1.0, 1.0)) -> Array:
     """Functions up to an order of an input at places in [-1, 1], shape (n, order + 1).
 
-    Legendre polynomials; of a phase 1, cosine, sine, cosine of twice the phase ...
+    Legendre polynomials; of a phase 1, cosine, sine, cosine of twice the phase ...; of what
+    switches those of the times that ``span`` says.
     """
+    if switching := Switching.of(name):
+        return switching.functions(unscaled_input(name, place, span), order)
     if not cycle_period(name):
         return np.asarray(legendre.legvander(place, order))
     number = np.arange(order + 1)
