@@ -11,9 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.fitted import FittedCause
-from otf_core.effects.found_inputs import found_kind
 from otf_core.effects.free import FreeForm, coefficient_name
-from otf_core.effects.inputs import SIGNAL, shown_places, unit_of_input, unscaled_input
+from otf_core.effects.inputs import (
+    SIGNAL,
+    label_of,
+    shown_places,
+    unit_of_input,
+    unscaled_input,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -172,5 +177,4 @@ def _at_words(name: str, value: float) -> str:
     """An input and its value in words."""
     unit = unit_of_input(name)
     words = f'{1e3 * value:.3g} mm' if unit == 'm' else f'{value:.3g} {unit}'.rstrip()
-    kind = found_kind(name)
-    return f'{kind.label} = {words}' if kind else f'{name} = {words}'
+    return f'{label_of(name)} = {words}'
