@@ -3,9 +3,9 @@
 
 Time, axis positions, sense of travel, feed, what happened since the last stop or reversal, place
 in the path, direction and length of the beam, signals recorded beside the samples, time as what
-switches feels it (``switching``), and those with numbers of their own (``found_inputs``). A distance
-or a time since something is compressed to s / (s + s0), so that what dies out needs few functions.
-Functions are Legendre polynomials; of a phase they are harmonics.
+switches feels it (``switching``), and those with numbers of their own (``found_inputs``). A
+distance or a time since something is compressed to s / (s + s0), so that what dies out needs few
+functions. Functions are Legendre polynomials; of a phase they are harmonics.
 """
 
 from __future__ import annotations
