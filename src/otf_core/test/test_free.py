@@ -26,10 +26,11 @@ from otf_core.effects.found_inputs import (
     numbers_of,
 )
 from otf_core.effects.free import Free, FreeForm, free_forms
-from otf_core.effects.history import lap_numbers, travel_at_start
+from otf_core.effects.history import lap_numbers, path_history, travel_at_start
 from otf_core.effects.inputs import scaled_input, unscaled_input
 from otf_core.effects.taken import taken
 from otf_core.errors import ConfigError
+from otf_core.tracking.curves import Lines, straight_shape
 
 EVERY = [(name, k) for name, e in REGISTRY.items() for k in range(len(e.free))]
 every_form = pytest.mark.parametrize(('name', 'number'), EVERY)
@@ -107,6 +108,23 @@ def test_travel_since_a_reversal_is_carried_across_corners():
 def test_laps_are_counted_in_either_sense():
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0.0]])
     assert lap_numbers(corners).tolist() == [0, 0, 1, 1, 2]
+
+
+def test_acceleration_is_known_up_to_both_ends_of_every_leg():
+    """Two legs of 0.2 m: 2 m/s^2 up to 0.2 m/s, and down again."""
+    moment = np.linspace(0.01, 1.09, 109)
+    speed = np.minimum(0.2, 2.0 * np.minimum(moment, 1.1 - moment))
+    along = np.interp(moment, moment, np.cumsum(speed) * 0.01)
+    leg = np.repeat([0, 1], len(moment))
+    q = np.zeros((len(leg), 3))
+    q[:, 0] = np.concatenate([along, 0.2 - along])
+    corners = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.0, 0, 0]])
+    lines = Lines.of(straight_shape(corners))
+    time = np.concatenate([moment, 2.0 + moment])
+    found = path_history(lines, leg, q, np.tile(speed, 2), time)['acceleration']
+    for one in np.split(found, 2):
+        assert one[0] == pytest.approx(2.0) and one[-1] == pytest.approx(-2.0)
+        assert np.allclose(one[20:-20], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize('name', ['time', 'x', 'since_stop', 'from_corner', 'azimuth'])

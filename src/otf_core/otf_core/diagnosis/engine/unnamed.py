@@ -48,7 +48,7 @@ ALONE, IN_PAIR = 6, 3
 """Highest order of a function of one input, and of each of two."""
 LONG = 60
 """Order of a function of time alone that is tried as well: what switches every few legs."""
-ORDERS = {'time': 20, 'feed': 2, 'acceleration': 3, 'sense_x': 2, 'sense_y': 2, 'sense_z': 2}
+ORDERS = {'time': 20, 'feed': 2, 'acceleration': 6, 'sense_x': 2, 'sense_y': 2, 'sense_z': 2}
 """Highest orders of functions of one input, where they differ."""
 SCREENED = 14
 """Pairs of inputs that are fitted exactly; single inputs all are."""
