@@ -240,6 +240,8 @@ class Effect(ABC):
     """How a blind trial draws it."""
     follows: ClassVar[tuple[Acting, ...]] = ()
     """How it acts where it follows a signal recorded beside the samples."""
+    switches: ClassVar[tuple[Acting, ...]] = ()
+    """How it acts where it follows something that switches, of which nothing is recorded."""
     free: ClassVar[tuple[Free, ...]] = ()
     """Its free forms: what it may depend on beside its formula."""
 

@@ -21,6 +21,7 @@ import numpy as np
 from otf_core.effects.acting import Acting
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
 from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
+from otf_core.effects.switching import Switching
 
 if TYPE_CHECKING:
     from otf_core.effects.base import BelongsTo
@@ -194,7 +195,7 @@ class FreeForm(Effect):
         tables = []
         parts = zip(self.form.inputs, places, self.form.orders, strict=True)
         for number, (name, place, order) in enumerate(parts):
-            table = functions_of(name, place, order)
+            table = functions_of(name, place, order, self.spans.get(name, (-1.0, 1.0)))
             if number == 0 and self.form.zero_at:
                 table = table - self.form.zero_at ** np.arange(order + 1)
             tables.append(table)
@@ -236,3 +237,9 @@ def follower(acts: Acting, signal: str, order: int = 1) -> Free:
     words = f'it follows the signal {topic}' + (f' with a lag of {lag} s' if lag else '')
     words += '' if order == 1 else ', not quite in proportion'
     return Free((signal,), (order,), words, (1,), acts, zero_at=-1.0, own_per_run=False)
+
+
+def switched(acts: Acting, switching: Switching, order: int = 1) -> Free:
+    """Declare what drifts after something that switches: alike each time, or up to an order."""
+    words = switching.words + ('' if order == 1 else ', and not alike each time')
+    return Free((switching.name,), (order,), words, (1,), acts)

@@ -26,9 +26,10 @@ from otf_core.effects.acting import ACTING, DIRECTION, Acting, Along, acting_nam
 from otf_core.effects.applied import AppliedEffect
 from otf_core.effects.base import Effect
 from otf_core.effects.empirical import EMPIRICAL, Empirical, of_table, tabulated
-from otf_core.effects.free import FreeForm, follower
+from otf_core.effects.free import Free, FreeForm, follower, switched
 from otf_core.effects.inputs import SIGNAL, Span, known_input
 from otf_core.effects.state import probe_state
+from otf_core.effects.switching import Switching
 from otf_core.files.strict_yaml import Fields
 from otf_core.model.machine import Machine
 
@@ -60,7 +61,8 @@ def _ranges(fields: Fields, key: str) -> dict[str, list[float]]:
 def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[str]) -> Effect:
     """Read which free form of an effect of the catalogue is meant, with the ranges of its inputs.
 
-    What follows a signal is the first way to act that has the ``given`` coefficients.
+    What follows a signal, or something that switches, is the first way to act that has the
+    ``given`` coefficients.
 
     Raises
     ------
@@ -73,12 +75,8 @@ def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[st
         if len(own) != 2:
             fields.fail(f'inputs: {key}', 'expected the smallest and the largest value')
         spans[key] = (own[0], own[1])
-    if len(spans) == 1 and (signal := next(iter(spans))).startswith(SIGNAL) and effect.follows:
-        ways = [
-            FreeForm(effect, follower(acts, signal, order), spans)
-            for order in (1, 2)
-            for acts in effect.follows
-        ]
+    ways = [FreeForm(effect, way, spans) for way in _ways(effect, tuple(spans))]
+    if ways:
         return next((w for w in ways if set(given) <= _coefficients(w, machine)), ways[0])
     probe, known = probe_state(machine), []
     for free in effect.free:
@@ -90,10 +88,23 @@ def free_form_of(name: str, fields: Fields, machine: Machine, given: Sequence[st
     fields.fail('inputs', f'{name} has no free form of these inputs; possible: {listed}')
 
 
+def _ways(effect: Effect, inputs: tuple[str, ...]) -> list[Free]:
+    """Forms that follow a signal, or something that switches, simple ones first."""
+    if len(inputs) != 1:
+        return []
+    (name,) = inputs
+    if name.startswith(SIGNAL):
+        return [follower(acts, name, order) for order in (1, 2) for acts in effect.follows]
+    if switching := Switching.of(name):
+        orders = (1, len(switching.moments))
+        return [switched(acts, switching, order) for order in orders for acts in effect.switches]
+    return []
+
+
 def _coefficients(effect: FreeForm, machine: Machine) -> set[str]:
-    """Names of the coefficients of what follows signals."""
+    """Names of its coefficients; signals need not be known for that."""
     probe = probe_state(machine)
-    none = {name: np.zeros(len(probe)) for name in effect.spans}
+    none = {n: np.zeros(len(probe)) for n in effect.spans if n.startswith(SIGNAL)}
     return set(effect.terms(replace(probe, more=none), {}).names)
 
 
@@ -102,6 +113,8 @@ def empirical_of(fields: Fields) -> AppliedEffect:
     name = fields.text('name') if fields.has('name') else EMPIRICAL
     acts = _acts_of(fields)
     nodes, table = _ranges(fields, 'nodes'), fields.take('table')
+    if switching := next((n for n in nodes if Switching.of(n)), None):
+        fields.fail('nodes', f"'{switching}' is no input of a table; write time")
     fields.done()
     if not isinstance(table, dict) or not table:
         fields.fail('table', 'expected the values of each direction or rotation')

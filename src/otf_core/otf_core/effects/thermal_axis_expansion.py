@@ -84,6 +84,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('S', 4e-6)))
 
     follows: ClassVar[tuple[Acting, ...]] = (strained, strained_anywhere)
+    switches: ClassVar[tuple[Acting, ...]] = (strained,)
     free: ClassVar[tuple[Free, ...]] = (
         Free(
             ('time',),

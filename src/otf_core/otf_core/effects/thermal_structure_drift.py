@@ -48,6 +48,7 @@ class ThermalStructureDrift(drift.DriftingEffect):
     trial: ClassVar[Trial] = Trial((*drift.DRAWN, Axes('D')))
 
     follows: ClassVar[tuple[Acting, ...]] = (vector,)
+    switches: ClassVar[tuple[Acting, ...]] = (vector,)
     free: ClassVar[tuple[Free, ...]] = (
         Free(
             ('time',),

@@ -49,6 +49,7 @@ class TrackerPoseDrift(drift.DriftingEffect):
     )
 
     follows: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)
+    switches: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)
     free: ClassVar[tuple[Free, ...]] = (
         Free(
             ('time',),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from otf_core.diagnosis.engine.courses import courses_tried
 from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, search
@@ -109,7 +110,8 @@ def search_catalogue(rows: Rows, exclude: Sequence[str], own: Sequence[Effect] =
     """Search rows for effects of the catalogue less the excluded ones, for ``own``, and decoys."""
     shapes = shapes_from_lines(spectral_lines(rows))
     tried, visible = tried_effects(rows, [*effects_without(exclude), *own, *DECOYS], shapes)
-    causes, considered = search(rows, tried)
+    switching = courses_tried(rows, [*effects_without(exclude), *DECOYS])
+    causes, considered = search(rows, {**tried, **switching})
     sight = {name: v for name, v in visible.items() if name in REGISTRY}
     return Found(tuple(causes), tuple(considered), sight)
 

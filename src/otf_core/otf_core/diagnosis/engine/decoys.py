@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.effects.acting import Acting, rigid_tracker, vector
 from otf_core.effects.base import Effect, Shape, State, Terms
 from otf_core.model.frames import XYZ
 
@@ -38,6 +39,7 @@ class Jump(Effect):
     own_per_run: ClassVar[bool] = True
     refine: ClassVar[str] = 'moment'
     refine_width: ClassVar[float] = 0.02
+    switches: ClassVar[tuple[Acting, ...]] = (vector,)
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Moments spread over the run."""
@@ -57,6 +59,7 @@ class Knock(Jump):
     cause: ClassVar[str] = 'somebody knocked against the tracker or its table'
     equation: ClassVar[str] = '(D + W x r) [t > moment]'
     signature: ClassVar[str] = 'everything lies shifted and turned from a moment on'
+    switches: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return J_X, J_Y, J_Z, and the turns W_X, W_Y, W_Z."""
@@ -86,6 +89,7 @@ class SlowWave(Effect):
     own_per_run: ClassVar[bool] = True
     refine: ClassVar[str] = 'period'
     refine_width: ClassVar[float] = 0.05
+    switches: ClassVar[tuple[Acting, ...]] = (vector,)
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Periods evenly spaced in frequency, half a turn of the run apart."""

@@ -26,6 +26,7 @@ from otf_core.diagnosis.engine.followers import (
     with_lags,
 )
 from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.switched import with_switches
 from otf_core.diagnosis.engine.tried import Tried
 from otf_core.solving.columns import column_size
 from otf_core.solving.residual_check import check_residuals
@@ -118,8 +119,9 @@ def _worth(entry: tuple[float, Tried, Index]) -> float:
 
 
 def is_free(tried: Tried) -> bool:
-    """Tell whether this is the free form of an effect."""
-    return bool(tried.terms.orders) and not in_proportion(tried)
+    """Tell whether this is the free form of an effect; decoys, which have no name, have none."""
+    free = bool(tried.terms.orders) and not in_proportion(tried)
+    return free and tried.effect.name not in DECOY_NAMES
 
 
 def _trace(basis: Array, tried: Tried, take: Index, variance: float) -> Array:
@@ -204,6 +206,7 @@ def _found(
     causes, considered = list(causes), []
     while len(causes) < MAX_CAUSES:
         beside = with_lags(pool.beside([c.option for c in causes]), 1.0)
+        beside = with_switches(beside, 1.0)
         first = _ranking(beside.candidates, 1.0)
         if not first:
             break
@@ -229,6 +232,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
     for cause in causes:
         others = [c for c in causes if c is not cause]
         beside = with_lags(pool.beside([c.option for c in others]), variance)
+        beside = with_switches(beside, variance)
         ranking = _ranking(beside.candidates, variance)
         (own,) = [e for e in ranking if e[1].effect.name == cause.option.effect.name]
         if own[0] < NEEDED_EVIDENCE and own[0] - NEEDED_EVIDENCE < worst:

@@ -81,6 +81,8 @@ class Tried:
     source : Source
     shared : ndarray, shape (q, k)
         Products with the orthonormal columns that were left out.
+    price : float
+        Logarithm of the number of shapes that it was chosen from.
     """
 
     effect: Effect
@@ -93,14 +95,15 @@ class Tried:
     takes: tuple[Index, ...]
     source: Source
     shared: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    price: float = 0.0
 
     def axes(self, take: Index) -> tuple[str, ...]:
         """Machine axes of some terms."""
         return tuple(sorted({self.terms.axes[i] for i in take} - {''}))
 
     def odds(self, take: Index, variance: float) -> float:
-        """Evidence of an option, see ``log_evidence``."""
-        return log_evidence(*self._products(take), variance, self.orders(take))
+        """Evidence of an option, see ``log_evidence``, less its price."""
+        return log_evidence(*self._products(take), variance, self.orders(take)) - self.price
 
     def orders(self, take: Index) -> Array:
         """Orders of some terms as functions; empty for a formula."""

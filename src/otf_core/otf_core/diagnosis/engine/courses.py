@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Any course in time, by the products of piecewise linear functions of time.
+
+They are tried as effects are, and never named: their products with each other and with the
+residual hold those of every course in time, to the width of their nodes. So thousands of courses
+are judged without a column of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.engine.evidence import SPREADS
+from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.tried import Tried, tried_shapes
+from otf_core.effects.acting import Acting
+from otf_core.effects.base import Effect, Shape, State, Terms
+
+Array = NDArray[np.float64]
+
+NODES = 64
+"""Of the piecewise linear functions."""
+FINE = 8 * NODES
+"""Times at which a course is fitted by them."""
+
+
+class CourseInTime(Effect):
+    """Piecewise linear function of time times a way to act; never named."""
+
+    name: ClassVar[str] = 'course_in_time'
+    cause: ClassVar[str] = 'any'
+    equation: ClassVar[str] = 'sum of c_jk h_k(t) A_j'
+    typical: ClassVar[str] = 'any'
+    source: ClassVar[str] = 'not of the catalogue'
+    signature: ClassVar[str] = 'any course in time'
+    needs: ClassVar[str] = ''
+    own_per_run: ClassVar[bool] = True
+
+    def __init__(self, acts: Acting, drivers: Sequence[Effect]) -> None:
+        self.acts, self.drivers = acts, tuple(drivers)
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return every term of the way to act at every node, one after the other."""
+        base, hats = self.acts(state, {}), _hats(state.time, state.end)
+        columns = base.columns[:, :, :, None] * hats[:, None, None, :]
+        names = tuple(f'{n}_{k}' for n in base.names for k in range(NODES))
+        units = tuple(u for u in base.units for _ in range(NODES))
+        whole = columns.reshape(len(state), 3, -1)
+        return Terms(names, units, ('',) * len(names), whole)
+
+
+def _hats(time: Array, end: float) -> Array:
+    """Piecewise linear functions, each one at its node and zero at all others, (n, NODES)."""
+    nodes = np.linspace(0.0, end, NODES)
+    return np.asarray(np.maximum(1.0 - np.abs(time[:, None] - nodes) / nodes[1], 0.0))
+
+
+def courses_tried(rows: Rows, effects: Sequence[Effect]) -> dict[str, list[Tried]]:
+    """Piecewise linear functions of time for every way to act in which effects may switch.
+
+    Of one run alone: every run has moments of its own.
+    """
+    if len(rows.states) > 1 or not rows.states[0].end > 0.0:
+        return {}
+    ways = dict.fromkeys(acts for e in effects for acts in e.switches)
+    found = {}
+    for acts in ways:
+        course = CourseInTime(acts, [e for e in effects if acts in e.switches])
+        (tried,) = tried_shapes(rows, course, [{}])
+        found[f'{course.name} {acts.__name__}'] = [tried.only(())]
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Courses:
+    """Products of piecewise linear functions of time, by which every course is judged.
+
+    Attributes
+    ----------
+    time : ndarray, shape (f,), s
+        Evenly spaced from the start to the end.
+    fitted : ndarray, shape (n, f)
+        Values at the nodes that fit a course at these times best.
+    normal : ndarray, shape (k, n, k, n)
+    right : ndarray, shape (k, n)
+    size : ndarray, shape (k,), m
+        Displacement by a unit of each term of the way to act.
+    variance : float
+    """
+
+    time: Array
+    fitted: Array
+    normal: Array
+    right: Array
+    size: Array
+    variance: float
+
+    @classmethod
+    def of(cls, tried: Tried, end: float, variance: float) -> Courses:
+        """Take the products of a ``CourseInTime``."""
+        count, time = len(tried.size) // NODES, np.linspace(0.0, end, FINE)
+        return cls(
+            time,
+            np.asarray(np.linalg.pinv(_hats(time, end)), np.float64),
+            tried.normal.reshape(count, NODES, count, NODES),
+            tried.right.reshape(count, NODES),
+            tried.size.reshape(count, NODES).max(axis=1),
+            variance,
+        )
+
+    def evidence(self, courses: Array) -> Array:
+        """Evidence of sets of courses, each together, at the nodes (n, m, c), shape (m,)."""
+        turned = np.tensordot(self.normal, courses, axes=(3, 0))
+        normal = np.einsum('imp,aibmq->mapbq', courses, turned)
+        right = np.einsum('ai,imp->map', self.right, courses)
+        sets, terms, count = right.shape
+        length = np.sqrt(np.mean(courses**2, axis=0))[:, None, :] * self.size[None, :, None]
+        scale = (1.0 / np.maximum(length, 1e-300)).reshape(sets, terms * count)
+        whole = normal.reshape(sets, terms * count, terms * count)
+        unit = whole * scale[:, :, None] * scale[:, None, :] / self.variance
+        pull = right.reshape(sets, -1) * scale / self.variance
+        found = []
+        for spread in SPREADS:
+            factor = np.linalg.cholesky(spread**2 * unit + np.eye(terms * count))
+            half = np.linalg.solve(factor, spread * pull[:, :, None])[:, :, 0]
+            volume = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+            found.append(0.5 * np.sum(half**2, axis=1) - volume)
+        return np.asarray(np.logaddexp.reduce(found, axis=0) - np.log(len(SPREADS)))

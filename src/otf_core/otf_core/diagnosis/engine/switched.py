@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drifts of what is switched on and off: moments and lag that make the data most likely.
+
+A spindle that is on and off lets the structure grow and shrink: a course with a kink at every
+switch, which a polynomial follows only far enough to look like a wave. Switches are added one by
+one, the best sets of them kept, each of them and the lag moved until nothing improves: with the
+same size each time, on and off in turn, and with any size at every switch. The best of both are
+made exactly; they pay for the choice, the logarithm of the number of moments that each switch
+could have. The same with no lag, jumps, is a decoy: what jumps several times is no drift. So is a
+wave of any period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.diagnosis.engine.beside import Beside
+from otf_core.diagnosis.engine.courses import CourseInTime, Courses
+from otf_core.diagnosis.engine.decoys import DECOY_NAMES, SlowWave
+from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.tried import Tried, tried_shapes
+from otf_core.effects.base import Effect, Shape
+from otf_core.effects.free import FreeForm, switched
+from otf_core.effects.switching import Switching, response
+
+Array = NDArray[np.float64]
+Moments = tuple[float, ...]
+
+MOST_TURNS, TURN = 16.0, 0.2
+"""Turns of a slow wave in a run, and the distance of those that are tried first."""
+MOMENTS = 40
+"""Moments at which a switch is looked for first."""
+LAGS = (0.06, 0.1, 0.18, 0.35, 0.7)
+"""Shares of the recording."""
+SHORTEST, LONGEST = 0.05, 1.5
+"""Shares of the recording between which the lag of a drift lies; what is faster is a jump."""
+APART, JUMPS_APART = 1.0 / 9.0, 0.005
+"""Share of the recording between two switches, and jumps: what switches faster is a swing."""
+SWITCHES, UNLIKE = 6, 4
+"""At most, the start among them: alike each time it is on, or by any amount each time."""
+BEAM = 6
+"""Sets of moments that are kept while switches are added."""
+MADE = 2
+"""Numbers of switches, the likeliest first, that are made exactly."""
+HALVINGS = 7
+"""Of the steps by which moments and lag are improved."""
+WORTH = 9.0
+"""Evidence of some function of time from which switches are looked for."""
+
+
+def with_switches(beside: Beside, variance: float) -> Beside:
+    """The same with drifts and jumps of what switches, and waves, at their likeliest moments."""
+    groups = {n: list(g) for n, g in beside.candidates.items()}
+    courses = [t for g in groups.values() for t in g if isinstance(t.effect, CourseInTime)]
+    if not courses or not _something_in_time(groups, variance):
+        return beside
+    rows = beside.rows
+    pulled = rows.pulled(beside.basis) if beside.basis.shape[1] else None
+    amount = beside.basis.T @ rows.residual
+    for tried in courses:
+        for effect, shape, price in _likely(tried, groups, rows, variance):
+            (made,) = tried_shapes(rows, effect, [shape])
+            made = made.without(pulled, amount) if pulled else made
+            groups[effect.name].append(replace(made, price=price))
+    return replace(beside, candidates=groups)
+
+
+def _likely(
+    tried: Tried, groups: Mapping[str, Sequence[Tried]], rows: Rows, variance: float
+) -> Iterator[tuple[Effect, Shape, float]]:
+    """Effects that act as a ``CourseInTime`` does, at their likeliest moments, and their price."""
+    assert isinstance(tried.effect, CourseInTime)
+    acts, drivers = tried.effect.acts, [e for e in tried.effect.drivers if e.name in groups]
+    courses = Courses.of(tried, rows.states[0].end, variance)
+    for jumps, alike in product((False, True), repeat=2):
+        named = [
+            e for e in drivers if (e.name in DECOY_NAMES) == jumps and not isinstance(e, SlowWave)
+        ]
+        for switching, price in likeliest(courses, jumps=jumps, alike=alike) if named else ():
+            free = switched(acts, switching, 1 if alike else len(switching.moments))
+            for effect in named:
+                yield FreeForm.bound(effect, free, rows.states), {}, price
+    for effect in (e for e in drivers if isinstance(e, SlowWave)):
+        yield effect, {'period': swing(courses)}, float(np.log(MOST_TURNS / TURN))
+
+
+def _something_in_time(groups: Mapping[str, Sequence[Tried]], variance: float) -> bool:
+    """Tell whether any effect that may switch, or a decoy, has the odds to be named."""
+    drivers = {
+        e.name
+        for g in groups.values()
+        for t in g
+        if isinstance(t.effect, CourseInTime)
+        for e in t.effect.drivers
+    }
+    own = (t for n in (drivers | DECOY_NAMES) & set(groups) for t in groups[n])
+    return any(t.odds(take, variance) > WORTH for t in own for take in t.takes)
+
+
+def likeliest(courses: Courses, *, jumps: bool, alike: bool) -> list[tuple[Switching, float]]:
+    """Find the likeliest moments and lags of what switches, and the price of having looked."""
+    end = float(courses.time[-1])
+    lags = (0.0,) if jumps else tuple(end * share for share in LAGS)
+    grid = np.linspace(0.0, end, MOMENTS + 1)[int(jumps) : -1].tolist()
+    found: list[tuple[float, Switching, float]] = []
+    kept: list[Moments] = [()]
+    for _ in range(SWITCHES if alike else UNLIKE):
+        tried = {tuple(sorted((*known, m))) for known in kept for m in grid}
+        sets = [(m, lag) for m in sorted(tried) for lag in lags if _apart(m, lag, end)]
+        if not sets:
+            break
+        scores = judged(courses, sets, alike=alike)
+        order = np.argsort(scores)[::-1]
+        kept = list(dict.fromkeys(sets[k][0] for k in order[: BEAM * len(lags)]))[:BEAM]
+        score, moments, lag = _improved(courses, *sets[order[0]], alike=alike)
+        kept, price = [moments, *kept], _price(moments, jumps)
+        # one switch at the start is the formula of a drift; one alone is alike each time
+        if moments != (0.0,) and (alike or len(moments) > 1):
+            found.append((score - price, Switching(lag, moments), price))
+    best = sorted(found, key=lambda one: -one[0])[:MADE]
+    return [(switching, price) for _, switching, price in best]
+
+
+def judged(courses: Courses, sets: Sequence[tuple[Moments, float]], *, alike: bool) -> Array:
+    """Evidence of what switches at equally many moments and is followed with a lag.
+
+    On and off by the same amount each time, or by any other.
+    """
+    known = {one: np.zeros(0) for moments, lag in sets for one in ((m, lag) for m in moments)}
+    for moment, lag in known:
+        known[moment, lag] = courses.fitted @ response(courses.time, moment, lag)
+    single = np.array([[known[m, lag] for m in moments] for moments, lag in sets])
+    signs = (-1.0) ** np.arange(single.shape[1])
+    whole = np.einsum('mcn,c->mn', single, signs)[:, None] if alike else single
+    return courses.evidence(np.moveaxis(whole, 2, 0))
+
+
+def swing(courses: Courses) -> float:
+    """Period of the likeliest slow wave, s."""
+    end = float(courses.time[-1])
+
+    def worth(turns: Array) -> Array:
+        phase = 2.0 * np.pi * courses.time[:, None] / end * turns
+        waves = np.stack([courses.fitted @ np.sin(phase), courses.fitted @ np.cos(phase)], axis=2)
+        return courses.evidence(waves)
+
+    turns = np.arange(2.0, MOST_TURNS, TURN)
+    best = float(turns[int(np.argmax(worth(turns)))])
+    near = best + np.linspace(-TURN, TURN, 41)
+    return end / float(near[int(np.argmax(worth(near)))])
+
+
+def _price(moments: Moments, jumps: bool) -> float:
+    """Logarithm of the number of choices; a drift that begins with the run has no moment."""
+    chosen = sum(m > 0.0 for m in moments)
+    return chosen * float(np.log(MOMENTS)) + (0.0 if jumps else float(np.log(len(LAGS))))
+
+
+def _apart(moments: Moments, lag: float, end: float) -> bool:
+    """Tell whether moments are far enough from each other and from the end."""
+    least = end * (APART if lag else JUMPS_APART)
+    return bool(np.all(np.diff(moments) >= least) and moments[-1] < end * (1.0 - JUMPS_APART))
+
+
+def _improved(
+    courses: Courses, moments: Moments, lag: float, *, alike: bool
+) -> tuple[float, Moments, float]:
+    """Move moments and lag, by steps that are halved, while the evidence rises."""
+    end = float(courses.time[-1])
+    best = float(judged(courses, [(moments, lag)], alike=alike)[0])
+    for halving in range(HALVINGS):
+        step, factor = 0.5**halving * end / MOMENTS, 1.3 ** (0.5**halving)
+        while sets := _near(moments, lag, step, factor, end):
+            scores = judged(courses, sets, alike=alike)
+            place = int(np.argmax(scores))
+            if scores[place] <= best + 1e-3:
+                break
+            best, (moments, lag) = float(scores[place]), sets[place]
+    return best, moments, lag
+
+
+def _near(
+    moments: Moments, lag: float, step: float, factor: float, end: float
+) -> list[tuple[Moments, float]]:
+    """Sets that differ in one moment or in the lag."""
+    moved = [
+        (*moments[:k], max(m + float(by), 0.0), *moments[k + 1 :])
+        for k, m in enumerate(moments)
+        for by in step * np.array([-3, -2, -1, 1, 2, 3])
+    ]
+    lags = [own for own in (lag * factor, lag / factor) if SHORTEST * end <= own <= LONGEST * end]
+    return [(m, lag) for m in moved if m != moments and _apart(m, lag, end)] + [
+        (moments, own) for own in lags
+    ]
