@@ -21,11 +21,17 @@ from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentence_of
 from otf_core.diagnosis.corrected import with_causes
 from otf_core.diagnosis.engine.assess import Residuals, gap_um
-from otf_core.diagnosis.engine.catalogue import Found, Visibility, search_catalogue
+from otf_core.diagnosis.engine.catalogue import (
+    Found,
+    Visibility,
+    search_catalogue,
+    spectral_lines,
+)
 from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose, straight_instead
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.shaken import calmed
 from otf_core.diagnosis.engine.unnamed import (
     AS_RIVALS,
     SCREENED,
@@ -154,13 +160,17 @@ def _searched(
     progress('simulating', 0.0)
     simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
     progress('diagnosing', 0.0)
-    found = search_catalogue(rows, exclude, own)
+    lines = spectral_lines(rows)
+    found, first = search_catalogue(rows, exclude, own, lines), rows
     straight = straight_instead(rows, found.causes, *plain, seen.nodes, config)
-    if straight is None:
-        return rows, found, simulated_um
-    progress('diagnosing', 0.2)
-    simulated_um = simulated_residual_um(straight, seen.nodes, config, twin)
-    return straight, search_catalogue(straight, exclude, own), simulated_um
+    if straight is not None:
+        rows, found = straight, search_catalogue(straight, exclude, own, lines)
+    calm = calmed(rows, found.causes, config)
+    if calm is not None:
+        rows, found = calm, search_catalogue(calm, exclude, own, lines)
+    if rows is not first:
+        simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
+    return rows, found, simulated_um
 
 
 @dataclass(frozen=True)
