@@ -21,11 +21,17 @@ from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentence_of
 from otf_core.diagnosis.corrected import with_causes
 from otf_core.diagnosis.engine.assess import Residuals, gap_um
-from otf_core.diagnosis.engine.catalogue import Visibility, search_catalogue
-from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose
+from otf_core.diagnosis.engine.catalogue import (
+    Found,
+    Visibility,
+    search_catalogue,
+    spectral_lines,
+)
+from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose, straight_instead
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.shaken import calmed
 from otf_core.diagnosis.engine.unnamed import (
     AS_RIVALS,
     SCREENED,
@@ -91,11 +97,7 @@ def diagnose(
     plain = assemble(solved.solution, config)
     solved = _without_reversal(solved)
     seen = _as_recorded(solved, recordings, config)
-    rows = rows_to_diagnose(*seen.solution.plain, seen.nodes, config, exclude)
-    progress('simulating', 0.0)
-    simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
-    progress('diagnosing', 0.0)
-    found = search_catalogue(rows, exclude, own)
+    rows, found, simulated_um = _searched(seen, twin, exclude, config, progress, own)
     progress('diagnosing', 0.5)
     judged = _judged(rows, explain(rows, found.causes, simulated_um), config, exclude)
     explained, noise, nameless = judged.explained, judged.noise, judged.nameless
@@ -142,6 +144,33 @@ def diagnose(
         origin=plain.origin,
         shown=Shown(views, _conditions(solved, plain)),
     )
+
+
+def _searched(
+    seen: SolvedRecordings,
+    twin: Twin,
+    exclude: Sequence[str],
+    config: CalibrationConfig,
+    progress: Progress,
+    own: Sequence[Effect],
+) -> tuple[Rows, Found, float]:
+    """Rows, what is found in them, and the residual of their simulation."""
+    plain = seen.solution.plain
+    rows = rows_to_diagnose(*plain, seen.nodes, config, exclude)
+    progress('simulating', 0.0)
+    simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
+    progress('diagnosing', 0.0)
+    lines = spectral_lines(rows)
+    found, first = search_catalogue(rows, exclude, own, lines), rows
+    straight = straight_instead(rows, found.causes, *plain, seen.nodes, config)
+    if straight is not None:
+        rows, found = straight, search_catalogue(straight, exclude, own, lines)
+    calm = calmed(rows, found.causes, config)
+    if calm is not None:
+        rows, found = calm, search_catalogue(calm, exclude, own, lines)
+    if rows is not first:
+        simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
+    return rows, found, simulated_um
 
 
 @dataclass(frozen=True)

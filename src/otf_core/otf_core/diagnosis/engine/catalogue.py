@@ -106,9 +106,17 @@ class Found:
     visible: dict[str, Visibility]
 
 
-def search_catalogue(rows: Rows, exclude: Sequence[str], own: Sequence[Effect] = ()) -> Found:
-    """Search rows for effects of the catalogue less the excluded ones, for ``own``, and decoys."""
-    shapes = shapes_from_lines(spectral_lines(rows))
+def search_catalogue(
+    rows: Rows,
+    exclude: Sequence[str],
+    own: Sequence[Effect] = (),
+    lines: Sequence[SpectralLine] | None = None,
+) -> Found:
+    """Search rows for effects of the catalogue less the excluded ones, for ``own``, and decoys.
+
+    ``lines`` are spectral lines of the runs; those of the rows where they are not given.
+    """
+    shapes = shapes_from_lines(spectral_lines(rows) if lines is None else lines)
     tried, visible = tried_effects(rows, [*effects_without(exclude), *own, *DECOYS], shapes)
     switching = courses_tried(rows, [*effects_without(exclude), *DECOYS])
     causes, considered = search(rows, {**tried, **switching})

@@ -11,6 +11,10 @@ explanations of the same pieces,
 
 with all coefficients integrated out, those of the functions with their roughness, and the noise
 as measured. The diagnosis starts from the likelier of both.
+
+A strong effect also misleads the choice between smooth functions and straight lines between nodes:
+what it leaves drowns the kinks of the tables, and once it is found, these look like waves between
+nodes. So where both are found, the choice is made again, with the effect taken off.
 """
 
 from __future__ import annotations
@@ -32,6 +36,7 @@ from otf_core.diagnosis.engine.evidence import TOGETHER, Option, likeliest_width
 from otf_core.diagnosis.engine.noise_check import heard
 from otf_core.diagnosis.engine.rows import Rows, build_rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, search
+from otf_core.diagnosis.engine.tried import tried_shapes
 from otf_core.effects import BelongsTo, Effect
 from otf_core.errors import InputError
 from otf_core.pieces.runs import Run
@@ -91,6 +96,47 @@ def rows_to_diagnose(
         if _likelihood(others[k], causes) + max(allowed, 0.0) > fine + CLEAR:
             return others[k]
     return rows
+
+
+def straight_instead(
+    rows: Rows,
+    causes: Sequence[Cause],
+    runs: Sequence[Run],
+    done: JointSolution,
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+) -> Rows | None:
+    """Rows with straight lines between nodes, where causes found had hidden that they are right.
+
+    Parameters
+    ----------
+    rows : Rows
+        With smooth functions; None is returned for others.
+    causes : sequence of Cause
+        Found in them; None is returned where waves between nodes are not among several.
+    runs, done, nodes, config
+        As of ``rows_to_diagnose``.
+    """
+    others = [c for c in causes if c.option.effect.belongs_to is not BelongsTo.TABLES]
+    bases = rows.done.unknowns.bases
+    smooth = all(b.degree > 1 for b in bases.values()) and not is_finer(bases)
+    if not smooth or not 0 < len(others) < len(causes):
+        return None
+    solved = _solved(runs, done, linear_bases(nodes), config)
+    if solved is None:
+        return None
+    loud = [heard(run, config.standstill_speed) for run in runs]
+    straight = build_rows(loud, solved, config.unidentifiable_above)
+    again = [_again(cause, straight) for cause in others]
+    better = _likelihood(straight, again) > _likelihood(rows, others) + CLEAR
+    return straight if better else None
+
+
+def _again(cause: Cause, rows: Rows) -> Cause:
+    """The same cause in other rows."""
+    option = cause.option
+    (tried,) = tried_shapes(rows, option.effect, [option.shape])
+    return replace(cause, option=tried.made(option.take, 1.0))
 
 
 def _stays_at_places(effect: Effect) -> bool:

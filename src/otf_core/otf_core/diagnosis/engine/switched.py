@@ -41,6 +41,8 @@ SHORTEST, LONGEST = 0.05, 1.5
 """Shares of the recording between which the lag of a drift lies; what is faster is a jump."""
 APART, JUMPS_APART = 1.0 / 9.0, 0.005
 """Share of the recording between two switches, and jumps: what switches faster is a swing."""
+AT_ONCE = 0.005
+"""Share of the recording up to which a first moment is its start."""
 SWITCHES, UNLIKE = 6, 4
 """At most, the start among them: alike each time it is on, or by any amount each time."""
 BEAM = 6
@@ -85,8 +87,12 @@ def _likely(
             free = switched(acts, switching, 1 if alike else len(switching.moments))
             for effect in named:
                 yield FreeForm.bound(effect, free, rows.states), {}, price
-    for effect in (e for e in drivers if isinstance(e, SlowWave)):
-        yield effect, {'period': swing(courses)}, float(np.log(MOST_TURNS / TURN))
+    for effect in drivers:
+        if isinstance(effect, SlowWave):
+            yield effect, {'period': swing(courses)}, float(np.log(MOST_TURNS / TURN))
+        elif effect.name not in DECOY_NAMES:
+            shape = {'tau': lag_from_start(courses), 'until': rows.states[0].end, 'order': 1.0}
+            yield effect, effect.complete_shape(shape), float(np.log(len(LAGS)))
 
 
 def _something_in_time(groups: Mapping[str, Sequence[Tried]], variance: float) -> bool:
@@ -118,6 +124,8 @@ def likeliest(courses: Courses, *, jumps: bool, alike: bool) -> list[tuple[Switc
         order = np.argsort(scores)[::-1]
         kept = list(dict.fromkeys(sets[k][0] for k in order[: BEAM * len(lags)]))[:BEAM]
         score, moments, lag = _improved(courses, *sets[order[0]], alike=alike)
+        if moments[0] < AT_ONCE * end and not jumps:
+            moments = (0.0, *moments[1:])
         kept, price = [moments, *kept], _price(moments, jumps)
         # one switch at the start is the formula of a drift; one alone is alike each time
         if moments != (0.0,) and (alike or len(moments) > 1):
@@ -138,6 +146,13 @@ def judged(courses: Courses, sets: Sequence[tuple[Moments, float]], *, alike: bo
     signs = (-1.0) ** np.arange(single.shape[1])
     whole = np.einsum('mcn,c->mn', single, signs)[:, None] if alike else single
     return courses.evidence(np.moveaxis(whole, 2, 0))
+
+
+def lag_from_start(courses: Courses) -> float:
+    """Likeliest lag of what is on from the start, the formula of a drift, s."""
+    lags = float(courses.time[-1]) * np.geomspace(SHORTEST, LONGEST, 60)
+    scores = judged(courses, [((0.0,), lag) for lag in lags.tolist()], alike=True)
+    return float(lags[int(np.argmax(scores))])
 
 
 def swing(courses: Courses) -> float:
