@@ -133,7 +133,7 @@ def test_steps_are_the_residuals_with_one_cause_more_each():
 def test_without_causes_only_the_first_step_is_left():
     cause = single(BACKLASH, 'X')
     found = explain(holding(leaving(cause, 3.0) + noise(3)), [cause], 0.5)
-    bare = found.without_causes()
+    bare = found.without_causes(found.simulated_um)
     assert (bare.causes, bare.steps) == ((), found.steps[:1])
     assert bare.fitted is found.steps[0]
     assert bare.after_um == bare.before_um == found.before_um > found.after_um

@@ -211,7 +211,8 @@ def _judged(
     explained, nameless = _or_something_else(rows, explained, verdict)
     verdict = 'unknown' if nameless else verdict
     if verdict == 'unknown':
-        explained = explained.without_causes()
+        known = nameless.simulated_um if nameless else explained.simulated_um
+        explained = explained.without_causes(known)
     elif noise and verdict == 'none':
         verdict = 'explained'
     return _Judged(verdict, explained, noise, left, nameless)

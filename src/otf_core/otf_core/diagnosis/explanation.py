@@ -35,8 +35,8 @@ class Explanation:
     ----------
     causes : tuple of Cause
         Effects of the catalogue, in the order found.
-    simulated_um : float
-        Residual of the simulation, its noise corrected by what the causes leave.
+    twin_um, simulated_um : float
+        Residual of the simulation, and with its noise corrected by what the causes leave.
     steps : tuple of Residuals
         Without causes, with the first, with the first two ... (held out).
     fitted : Residuals
@@ -53,6 +53,7 @@ class Explanation:
     """
 
     causes: tuple[Cause, ...]
+    twin_um: float
     simulated_um: float
     steps: tuple[Residuals, ...]
     fitted: Residuals
@@ -76,13 +77,13 @@ class Explanation:
         causes = tuple(replace(c, confidence=rival.confidence(c)) for c in self.causes)
         return replace(self, causes=causes)
 
-    def without_causes(self) -> Explanation:
+    def without_causes(self, simulated_um: float) -> Explanation:
         """The same with nothing named: where no effect explains the gap."""
         first = self.steps[0]
-        return replace(self, causes=(), steps=(first,), fitted=first)
+        return replace(self, causes=(), simulated_um=simulated_um, steps=(first,), fitted=first)
 
 
-def explain(rows: Rows, found: Sequence[Cause], simulated_um: float) -> Explanation:
+def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
     """Keep the effects that matter.
 
     Parameters
@@ -90,9 +91,10 @@ def explain(rows: Rows, found: Sequence[Cause], simulated_um: float) -> Explanat
     rows : Rows
     found : sequence of Cause
         What the search found, decoys among them, in its order.
-    simulated_um : float
+    twin_um : float
+        Residual of the simulation.
     """
-    simulated_um *= _noise_level(rows, found)
+    simulated_um = twin_um * noise_level(rows, found)
     causes, steps = _named(rows, found, simulated_um)
     decoyed = _decoyed(causes, steps)
     kept = [c for c in causes if _in_catalogue(c)]
@@ -108,8 +110,9 @@ def explain(rows: Rows, found: Sequence[Cause], simulated_um: float) -> Explanat
         known_um = min(known_um, residuals_with(rows, known).rms_um)
         rest = residuals_with(rows, known, held_out=False)
     structured = _structure(rows, rows.residual) > FREE_OF_STRUCTURE
+    levels = twin_um, simulated_um
     return Explanation(
-        tuple(causes), simulated_um, tuple(steps), fitted, known_um, rest, structured, decoyed
+        tuple(causes), *levels, tuple(steps), fitted, known_um, rest, structured, decoyed
     )
 
 
@@ -134,7 +137,7 @@ def _named(
     return causes, steps
 
 
-def _noise_level(rows: Rows, found: Sequence[Cause]) -> float:
+def noise_level(rows: Rows, found: Sequence[Cause]) -> float:
     """Correction of the twin's noise, from what the causes leave.
 
     How fast noise averages out over a piece is known to some ten percent from short stops. If

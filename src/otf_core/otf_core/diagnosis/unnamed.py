@@ -22,9 +22,10 @@ from otf_core.diagnosis.engine.unnamed import (
     find_another,
     find_structure,
 )
-from otf_core.diagnosis.explanation import Explanation
+from otf_core.diagnosis.explanation import Explanation, noise_level
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.free_curves import Curve, curves_of, range_words
+from otf_core.diagnosis.verdict import matters
 from otf_core.effects import AppliedEffect
 from otf_core.effects.acting import (
     RIGID_TABLE,
@@ -120,6 +121,8 @@ class Nameless:
 
     said: Unnamed
     applied: tuple[tuple[AppliedEffect, ...], ...]
+    simulated_um: float
+    """Residual of the simulation, its noise corrected by what the structures leave."""
 
 
 def find_unnamed(
@@ -153,9 +156,9 @@ def find_unnamed(
     if found.said.shrink_percent < LEAST_SHRINK:
         return None
     enough = (1.0 if rival.wins else FAR_BETTER) * explained.after_um
-    if verdict != 'unknown' and found.said.after_um > enough:
-        return None
-    return found
+    left = found.said.after_um
+    worse = left > enough and (not rival.wins or matters(left, explained.twin_um))
+    return None if verdict != 'unknown' and worse else found
 
 
 def _with_more(
@@ -179,7 +182,7 @@ def _with_more(
 def _said(rows: Rows, explained: Explanation, structures: Sequence[Structure]) -> Nameless:
     causes = [s.cause for s in structures]
     before, after = explained.steps[0], residuals_with(rows, causes)
-    simulated = explained.simulated_um
+    simulated = explained.twin_um * noise_level(rows, causes)
     sizes = [gap_um(r.rms_um, simulated) for r in (before, after)]
     parts = fitted_causes(causes, rows)
     curves = [curves_of(part) for part in parts]
@@ -196,7 +199,8 @@ def _said(rows: Rows, explained: Explanation, structures: Sequence[Structure]) -
         curves=tuple(c for own in curves for c in own),
     )
     runs = range(len(rows.runs))
-    return Nameless(said, tuple(tuple(part.applied(k) for part in parts) for k in runs))
+    applied = tuple(tuple(part.applied(k) for part in parts) for k in runs)
+    return Nameless(said, applied, simulated)
 
 
 def input_words(name: str) -> str:

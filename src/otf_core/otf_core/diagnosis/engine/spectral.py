@@ -167,6 +167,13 @@ def _around(peak: Peak | None) -> list[Peak]:
     return [] if peak is None else [(peak[0] * (1.0 + k * BESIDE), peak[1]) for k in (0, -1, 1)]
 
 
+def _with_twice(peak: Peak | None) -> list[Peak | None]:
+    """A line along an axis and twice its period: a second harmonic may stand out more."""
+    if peak is None or 2.0 * peak[0] > PERIODS[1]:
+        return [peak]
+    return [peak, (2.0 * peak[0], peak[1])]
+
+
 def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> list[SpectralLine]:
     """Lines that effects make, strongest first.
 
@@ -177,7 +184,8 @@ def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> li
         Those that make no lines are passed over.
     """
     in_time = [line_in_time(residuals), *_around(line_since_stop(residuals))]
-    along_axes = [line_along_axis(residuals, a) for a in residuals.state.machine.axis_names]
+    axes = residuals.state.machine.axis_names
+    along_axes = [p for a in axes for p in _with_twice(line_along_axis(residuals, a))]
     lines = [
         SpectralLine(effect.name, effect.wave, *peak)
         for effect in effects
