@@ -35,8 +35,8 @@ def test_no_sample_is_lost(graph, machine_file, rate, time_scale):
 
 
 def hold_up(graph, node, samples):
-    """Stop a node while the driver publishes this many samples."""
-    graph.wait(lambda: graph.state() and graph.state().samples > 1000, 'samples')
+    """Stop a node soon after the start, while the driver publishes this many samples."""
+    graph.wait(lambda: graph.status().samples_published > 1000, 'samples')
     node.interrupt(signal.SIGSTOP)
     until = graph.status().samples_published + samples
     graph.wait(lambda: graph.status().samples_published > until, 'further samples')
@@ -56,7 +56,7 @@ def test_no_sample_is_lost_when_the_calibrator_is_held_up_for_a_while(
 def test_lost_samples_are_counted_and_reported(without_shared_memory, graph, machine_file):
     node = start_cell(graph, machine_file, rate=5000.0, time_scale=2.0, max_rate=10000.0)
     graph.wait_for_status('STREAMING')
-    hold_up(graph, node, 50_000)
+    hold_up(graph, node, 45_000)
     result, state = graph.wait_for_result()
     status = graph.wait_for_status('FINISHED')
     assert result.samples_lost == status.samples_published - state.samples > 0

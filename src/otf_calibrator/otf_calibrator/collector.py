@@ -19,6 +19,7 @@ from otf_core.bags.screening import Screening
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
+from otf_core.tracking.alignment import Followed
 from otf_core.tracking.path_watch import PathWatcher
 
 JUMP_BACK_NS = 1_000_000_000
@@ -253,14 +254,19 @@ class Collector:
         return self.buffer.snapshot(), lap
 
     def end_to_judge(self) -> Samples | None:
-        """Return all samples if ``at_end`` should be asked about them now, once a standstill."""
+        """Return all samples if they should be looked at now, once a standstill."""
         if self.taken or not self._watcher or not self._watcher.worth_judging():
             return None
         return self.buffer.snapshot()
 
-    def at_end(self, samples: Samples) -> bool:
-        """Tell whether the samples end at the end of the path; may take a second."""
-        return self._watcher is not None and self._watcher.at_end(samples)
+    def look(self, samples: Samples) -> Followed | None:
+        """Tell how the samples follow the path, see ``PathWatcher``; may take a second."""
+        return self._watcher.look(samples) if self._watcher else None
+
+    @property
+    def stood(self) -> bool:
+        """Whether the standstill that was looked at is long enough to end a run."""
+        return self._watcher is not None and self._watcher.stood
 
     def complete(self, now: float, at_stream_end: bool, idle_timeout: float) -> str:
         """Say why the run is complete; empty if it is not."""

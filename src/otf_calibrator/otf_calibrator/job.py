@@ -35,9 +35,11 @@ from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import facts_of, write_calibration, write_report
 from otf_core.reports.with_effects import write_reports, write_with_effects
 from otf_core.sim.twin import twin_recording
+from otf_core.tracking.alignment import Followed
 
 Writer = Callable[[Path], object]
 A = TypeVar('A')
+Look = Callable[[Samples], Followed | None]
 
 BAG = 'samples'
 """Name of the bag beside the results, and so of the run in them."""
@@ -98,6 +100,7 @@ class Worker:
         self._pool = ThreadPoolExecutor(1, 'calibration')
         self._stop, self._ahead = threading.Event(), threading.Event()
         self._cancelled = threading.Event()
+        self._seen: Followed | None = None
         self.stage, self.fraction = '', 0.0
 
     def start(self, request: Request) -> Future[Calibrated]:
@@ -140,6 +143,15 @@ class Worker:
             return replace(outcome, problem=problem)
         return outcome
 
+    def follow(self, look: Look, samples: Samples) -> Future[Followed | None]:
+        """Find out how samples follow the path; the next calibration begins with that."""
+
+        def looked() -> Followed | None:
+            self._seen = look(samples)
+            return self._seen
+
+        return self._pool.submit(looked)
+
     def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
         return self._pool.submit(question, samples)
@@ -166,7 +178,7 @@ class Worker:
         return calibrate_runs([recording_of(request)], request.config, progress, prepare)
 
     def _calibrate(self, request: Request) -> Calibrated:
-        recording = recording_of(request)
+        recording = replace(recording_of(request), seen=self._seen)
         result, write, report = self._solved(recording, request)
         base = _base(request.files)
         folder = free_folder(base, result.run_id)

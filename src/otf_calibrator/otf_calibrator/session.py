@@ -21,6 +21,7 @@ from otf_calibrator.params import CalibratorConfig
 from otf_core.calibration.first_sight import FirstSight, first_sight
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
+from otf_core.tracking.alignment import Followed
 
 Ahead = CalibrationResult | FirstSight
 INTERIM = 'interim result: the run goes on, and its samples are still taken'
@@ -55,7 +56,7 @@ class Session:
         self._saving: Future[Calibrated] | None = None
         self._ahead: Future[Ahead] | None = None
         self._glances = Glances()
-        self._verdict: Future[bool] | None = None
+        self._verdict: Future[Followed | None] | None = None
         self._judged_run = 0
         self.diagnosis: DiagnosisJob | None = None
         self._last: Calibrated | None = None
@@ -245,14 +246,17 @@ class Session:
             return ''
         files = self._settings()[0]
         if self._verdict and self._verdict.done():
-            at_end = self._verdict.exception() is None and self._verdict.result()
-            self._verdict = None
-            if at_end and not self.collector.taken and self._judged_run == self.collector.run:
+            seen = None if self._verdict.exception() else self._verdict.result()
+            same = not self.collector.taken and self._judged_run == self.collector.run
+            if not same or seen is None or not seen.to_the_end:
+                self._verdict = None
+            elif self.collector.stood:
+                self._verdict = None
                 return 'standstill at the end point'
-        if files.finish_at_standstill and not self._verdict:
+        if files.finish_at_standstill and (not self._verdict or self._verdict.done()):
             samples = self.collector.end_to_judge()
             if samples is not None:
-                self._verdict = self.worker.ask(self.collector.at_end, samples)
+                self._verdict = self.worker.follow(self.collector.look, samples)
                 self._judged_run = self.collector.run
         now = time.monotonic()
         return self.collector.complete(now, files.finish_at_stream_end, files.idle_timeout)

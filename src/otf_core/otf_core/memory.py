@@ -2,20 +2,37 @@
 """Memory that is free, given back to the operating system.
 
 Large arrays that come and go leave a heap of which half is free but still counts as used; between
-the steps of a calibration of many samples that is as much as the samples themselves.
+the steps of a calibration of many samples that is as much as the samples themselves. Every thread
+has such a heap of its own unless they are told to share one.
 """
 
 from __future__ import annotations
 
 import sys
+from typing import Any
+
+_M_ARENA_MAX = -8
+"""Parameter of ``mallopt`` (malloc.h of the GNU C library): number of heaps."""
 
 
 def give_back() -> None:
     """Give back what is free; does nothing where the C library has no ``malloc_trim``."""
-    if sys.platform != 'linux':
-        return
-    import ctypes  # a few ms
-
-    trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)
+    trim = _of_c('malloc_trim')
     if trim is not None:
         trim(0)
+
+
+def one_heap() -> None:
+    """Let threads that begin later share one heap; does nothing where there is no such thing."""
+    option = _of_c('mallopt')
+    if option is not None:
+        option(_M_ARENA_MAX, 1)
+
+
+def _of_c(name: str) -> Any:
+    """A function of the C library, None if it has none of that name."""
+    if sys.platform != 'linux':
+        return None
+    import ctypes  # a few ms
+
+    return getattr(ctypes.CDLL(None), name, None)

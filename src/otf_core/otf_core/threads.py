@@ -8,6 +8,7 @@ OPENBLAS_NUM_THREADS=1 in the environment does the same.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
@@ -27,11 +28,23 @@ A = TypeVar('A')
 WORKERS = 2
 """Threads; as many as cores are expected. They do not change results, items being independent."""
 
+_here = threading.local()
+
 
 def side_by_side(function: Callable[[A], R], items: Sequence[A]) -> list[R]:
-    """Results of a function for all items, in their order; arrays are worked on at once."""
-    with ThreadPoolExecutor(WORKERS) as pool:
+    """Results of a function for all items, in their order; arrays are worked on at once.
+
+    What is side by side already goes on one by one: more threads than cores are in each
+    other's way.
+    """
+    if len(items) < 2 or getattr(_here, 'beside_another', False):
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(WORKERS, initializer=_begin) as pool:
         return list(pool.map(function, items))
+
+
+def _begin() -> None:
+    _here.beside_another = True
 
 
 def one_thread() -> AbstractContextManager[Any]:

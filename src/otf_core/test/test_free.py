@@ -12,16 +12,25 @@ from engine_cells import holding, noise, solved_rows
 
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.search import search
-from otf_core.diagnosis.engine.unnamed import find_structure, try_structures
+from otf_core.diagnosis.engine.unnamed import find_another, find_structure, try_structures
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.acting import Along, rigid_tracker, vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
 from otf_core.effects.empirical import of_table, tabulated
+from otf_core.effects.found_inputs import (
+    DIRECTION,
+    MOMENT,
+    PLACE,
+    cycle_period,
+    head_of,
+    numbers_of,
+)
 from otf_core.effects.free import Free, FreeForm, free_forms
-from otf_core.effects.history import lap_numbers, travel_at_start
-from otf_core.effects.inputs import cycle_period, scaled_input, unscaled_input
+from otf_core.effects.history import lap_numbers, path_history, travel_at_start
+from otf_core.effects.inputs import scaled_input, unscaled_input
 from otf_core.effects.taken import taken
 from otf_core.errors import ConfigError
+from otf_core.tracking.curves import Lines, straight_shape
 
 EVERY = [(name, k) for name, e in REGISTRY.items() for k in range(len(e.free))]
 every_form = pytest.mark.parametrize(('name', 'number'), EVERY)
@@ -99,6 +108,23 @@ def test_travel_since_a_reversal_is_carried_across_corners():
 def test_laps_are_counted_in_either_sense():
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0.0]])
     assert lap_numbers(corners).tolist() == [0, 0, 1, 1, 2]
+
+
+def test_acceleration_is_known_up_to_both_ends_of_every_leg():
+    """Two legs of 0.2 m: 2 m/s^2 up to 0.2 m/s, and down again."""
+    moment = np.linspace(0.01, 1.09, 109)
+    speed = np.minimum(0.2, 2.0 * np.minimum(moment, 1.1 - moment))
+    along = np.interp(moment, moment, np.cumsum(speed) * 0.01)
+    leg = np.repeat([0, 1], len(moment))
+    q = np.zeros((len(leg), 3))
+    q[:, 0] = np.concatenate([along, 0.2 - along])
+    corners = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.0, 0, 0]])
+    lines = Lines.of(straight_shape(corners))
+    time = np.concatenate([moment, 2.0 + moment])
+    found = path_history(lines, leg, q, np.tile(speed, 2), time)['acceleration']
+    for one in np.split(found, 2):
+        assert one[0] == pytest.approx(2.0) and one[-1] == pytest.approx(-2.0)
+        assert np.allclose(one[20:-20], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize('name', ['time', 'x', 'since_stop', 'from_corner', 'azimuth'])
@@ -264,6 +290,67 @@ def test_what_comes_and_goes_in_turn_is_found_with_its_period():
 
     (name,) = find_structure(try_structures(gap_of(pump, 8))).effect.form.inputs
     assert cycle_period(name) == pytest.approx(period, rel=2e-3)
+
+
+def place_of(structure):
+    """Head and numbers of the one input of a structure."""
+    (name,) = structure.effect.form.inputs
+    return head_of(name), np.array(numbers_of(name))
+
+
+def test_a_jolt_is_found_with_its_moment_and_its_run():
+    moment = 0.6 * solved_rows().states[1].end
+
+    def jolt(s):
+        hit = len(s) == len(solved_rows().states[1])
+        return (5e-6 * hit * (s.time > moment))[:, None] * [0.0, 0.6, 0.8]
+
+    found = find_structure(try_structures(gap_of(jolt, 11)))
+    head, (at,) = place_of(found)
+    assert head == MOMENT
+    assert at == pytest.approx(moment, abs=1.0)
+    assert found.effect.own_per_run
+
+
+def test_a_place_that_is_off_is_found():
+    machine = solved_rows().states[0].machine
+    place = machine.lower + np.array([0.4, 0.55, 0.5]) * (machine.upper - machine.lower)
+
+    def dent(s):
+        distance = np.linalg.norm(s.q - place, axis=1)
+        return (25e-6 / (1.0 + (distance / 0.05) ** 4))[:, None] * [0.7, 0.0, -0.7]
+
+    head, at = place_of(find_structure(try_structures(gap_of(dent, 12))))
+    assert head == PLACE
+    assert np.linalg.norm(at - place) < 0.03
+
+
+def test_a_direction_of_the_beam_that_is_off_is_found():
+    beam = np.concatenate([s.beam for s in solved_rows().states])
+    towards = beam.mean(axis=0)
+
+    def plume(s):
+        cosine = s.beam @ towards / np.linalg.norm(s.beam, axis=1) / np.linalg.norm(towards)
+        return (12e-6 / (1.0 + (np.arccos(cosine) / 0.1) ** 4))[:, None] * [0.0, 0.5, 0.9]
+
+    head, (azimuth, elevation) = place_of(find_structure(try_structures(gap_of(plume, 13))))
+    found = [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
+             np.sin(elevation)]  # fmt: skip
+    assert head == DIRECTION
+    assert np.arccos(found @ towards / np.linalg.norm(towards)) < 0.1
+
+
+def test_what_a_structure_leaves_may_follow_another_input():
+    def clamps(s):
+        stands = np.abs(s.direction) < 1e-6
+        return stands * [6e-6, -8e-6, 5e-6]
+
+    tried = try_structures(gap_of(clamps, 14))
+    first = find_structure(tried)
+    second = find_another(tried, [first])
+    named = {n for f in (first, second) for n in f.effect.form.inputs}
+    assert named == {'sense_x', 'sense_y', 'sense_z'}
+    assert find_another(tried, [first, second]) is None
 
 
 def test_what_switches_now_and_then_is_a_function_of_time():

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Score test: quick ways to a gain agree with the plain one, and that with a fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from engine_cells import holding, noise
@@ -41,17 +43,45 @@ def test_waves_gain_what_their_columns_gain(scores_and_time, count):
         assert found[k] == pytest.approx(scores.gain(waves), rel=1e-9)
 
 
-def test_gain_is_that_of_weighted_least_squares(scores_and_time):
-    """Half the fall of the squares by shifts of all pieces, each direction with its own."""
+def whitened_gain(rows, functions):
+    """Half the fall of the squares by shifts of all pieces, from the rows themselves."""
+    matrix, right = 0.0, 0.0
+    ends = np.cumsum([len(s) for s in rows.states])[:-1]
+    for run, whitener, pulled, own in zip(
+        rows.done.runs,
+        rows.whiteners,
+        rows.pulled_residual.turned,
+        np.split(functions, ends),
+        strict=True,
+    ):
+        columns = np.einsum('cpi,pk->cpik', run.system.axes, own)
+        white = whitener.whiten(columns).reshape(-1, 3 * functions.shape[1])
+        matrix = matrix + white.T @ white
+        right = right + np.einsum('pi,pk->ik', pulled[:, :, 0], own).ravel()
+    return 0.5 * right @ np.linalg.solve(matrix, right)
+
+
+@pytest.mark.parametrize('per_leg', [0.0, 0.5, 1.0, 3.0])
+def test_gain_is_about_that_of_rows_freed_of_correlation(per_leg):
+    """Be it slow, or be it that it changes along the legs, which noise allows much less."""
+    rows = holding(noise(5))
+    scores = Scores.of(rows)
+    sizes = np.concatenate([np.bincount(r.pieces.leg) for r in rows.runs])
+    along = np.arange(sizes.sum()) / sizes[sizes > 0].mean()
+    if per_leg:
+        columns = np.stack([np.sin(2 * np.pi * per_leg * along), np.cos(5 * per_leg * along)], 1)
+    else:
+        columns = functions(2.0 * along / along.max() - 1.0, 2)[:, 1:]
+    assert scores.gain(columns) == pytest.approx(whitened_gain(rows, columns), rel=1 / 3)
+
+
+def test_gain_of_each_is_that_beside_a_constant(scores_and_time):
     scores, time = scores_and_time
-    columns = functions(2.0 * time / time.max() - 1.0, 2)
-    whole = np.zeros((9, 9))
-    right = np.zeros(9)
-    for piece, row in enumerate(columns):
-        both = np.kron(np.eye(3), row[None, :])
-        whole += both.T @ scores.information[:, :, piece] @ both
-        right += both.T @ scores.pull[piece]
-    scale = 1.0 / np.sqrt(np.diag(whole))
-    whole = whole * np.outer(scale, scale) + 1e-4 * np.eye(9)
-    expected = 0.5 * (scale * right) @ np.linalg.solve(whole, scale * right)
-    assert scores.gain(columns) == pytest.approx(expected, rel=1e-9)
+    steps = (time[:, None] > [20.0, 50.0, 70.0]).astype(float)
+    found = scores.gains_of_each(steps)
+    for k in range(3):
+        both = np.stack([np.ones(len(time)), steps[:, k]], axis=1)
+        pull = scores.pull - scores.pull.mean(axis=0)  # a constant gains nothing
+        alone = replace(scores, pull=pull)
+        assert alone.gains_of_each(steps)[k] == pytest.approx(alone.gain(both), rel=1e-3)
+    assert len(found) == 3

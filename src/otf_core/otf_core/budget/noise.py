@@ -15,7 +15,6 @@ splits in a factor per piece, so the sum over all pairs of legs is one pass over
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -27,7 +26,8 @@ from numpy.typing import NDArray
 from otf_core.noise.model import MISFIT_TIME, NoiseModel, covariance_parts, noise_covariance
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
-from otf_core.solving.normal import side_by_side, white_rows
+from otf_core.solving.normal import shares_of, white_rows
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -168,9 +168,8 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
     size = done.unknowns.full
     within, between, corners, lasting = (np.zeros((size, size)) for _ in range(4))
     for run, solved in zip(runs, done.runs, strict=True):
-        shares = side_by_side(solved.system, solved.whitener)
-        with ThreadPoolExecutor(len(shares)) as pool:
-            parts = list(pool.map(partial(_summed, run, solved), shares))
+        shares = shares_of(solved.system, solved.whitener)
+        parts = side_by_side(partial(_summed, run, solved), shares)
         for sums in parts:
             within += sums.within
             between += sums.between

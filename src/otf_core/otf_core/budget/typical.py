@@ -29,7 +29,7 @@ from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.solving.joint import JointSolution
-from otf_core.threads import one_thread
+from otf_core.threads import one_thread, side_by_side
 
 Array = NDArray[np.float64]
 
@@ -104,8 +104,13 @@ def _changes(
 ) -> Array:
     """Changes of squareness and nodes per standard uncertainty, shape (m, coefficients)."""
     assumed = typical_runs(runs, values)
-    parts = [rows @ systematic_sensitivity(s, assumed, done, tables) for s in sources]
-    return np.concatenate(parts, axis=1)
+    for solved in done.runs:  # shared by both threads
+        solved.system.rows.prepare()
+
+    def change(source: Systematic) -> Array:
+        return np.asarray(rows @ systematic_sensitivity(source, assumed, done, tables))
+
+    return np.concatenate(side_by_side(change, sources), axis=1)
 
 
 def typical_systematic(

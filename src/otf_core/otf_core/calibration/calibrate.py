@@ -22,7 +22,7 @@ from otf_core.contradictions.examine import examine
 from otf_core.contradictions.left_out import LeftOut, findings, left_out
 from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.effects.stated import TakenOff
-from otf_core.memory import give_back
+from otf_core.memory import give_back, one_heap
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
@@ -184,6 +184,7 @@ def solve_recordings(
         Mend what can be mended, see ``contradictions.examine``.
     """
     progress = progress or (lambda stage, fraction: None)
+    one_heap()
     progress('aligning', 0.0)
     check_recordings(recordings)
     runs, nodes = prepare(recordings, config)

@@ -136,8 +136,10 @@ def left_out(run: Run, kept: Run) -> LeftOut:
     kept : Run
         With those that were not far from the solution.
     """
-    lost = np.setdiff1d(run.pieces.samples, kept.pieces.samples)
-    lost = np.concatenate([lost, run.pieces.far]).astype(np.int64)
+    gone = np.zeros(len(run.samples), dtype=bool)
+    gone[run.pieces.samples] = True
+    gone[kept.pieces.samples] = False
+    lost = np.concatenate([np.flatnonzero(gone), run.pieces.far]).astype(np.int64)
     if run.pieces.standstill or not len(lost):  # stops lie at points, on no line
         return LeftOut(run.name, len(lost), run.pieces.used, 0, 0.0, 0.0, 0.0, ())
     step = max(1, len(kept.pieces.samples) // ENOUGH)

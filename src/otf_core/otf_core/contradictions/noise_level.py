@@ -85,14 +85,15 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
     level, where = measured_noise(run.recording.samples, config.standstill_speed)
     ratios = level / np.array([spec.u_range, spec.u_angle, spec.u_angle])
     name = f'{run.recording.name}: ' if run.recording.name else ''
-    share, size = outlying(run.recording.samples)
-    if max(ratios) > ABOVE and share > MANY:
+    above = max(ratios) > ABOVE
+    share, size = outlying(run.recording.samples) if above else (0.0, 0.0)
+    if share > MANY:
         return Finding('outliers', GATE if share > TOO_MANY else WARNING, (
             f'{name}about {100 * share:.0f} % of the samples are outliers of about '
             f'{1e6 * size:.2g} um; look for reflections, a dirty target or a disturbed beam, and '
             f'record again'
         ))  # fmt: skip
-    if max(ratios) > ABOVE:
+    if above:
         kind = 'larger'
     elif min(ratios) < BELOW and model.fit.ratio < FITS:
         kind = 'smaller'

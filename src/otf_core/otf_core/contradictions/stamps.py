@@ -28,6 +28,8 @@ STRIDES = 50
 """Steps between neighbours of two streams, in steps of one of them."""
 LOOKED_AT = 20000
 """Samples that are told apart one by one at most."""
+ENOUGH = 100_000
+"""Samples around which speed and roughness are looked at; of more, spread evenly."""
 
 
 def check_stamps(recordings: Sequence[Recording]) -> None:
@@ -69,9 +71,15 @@ def top_speed(samples: Samples) -> float:
     """Speed that the fast half of the motion exceeds, m/s; 0 for too few samples."""
     if len(samples) < 4 * WINDOW:
         return 0.0
-    moved = np.linalg.norm(samples.xyz[WINDOW:] - samples.xyz[:-WINDOW], axis=1)
-    span = 1e-9 * (samples.stamp_ns[WINDOW:] - samples.stamp_ns[:-WINDOW])
+    at = _spread(0, len(samples) - WINDOW)
+    moved = np.linalg.norm(samples.xyz[at + WINDOW] - samples.xyz[at], axis=1)
+    span = 1e-9 * (samples.stamp_ns[at + WINDOW] - samples.stamp_ns[at])
     return float(np.percentile(moved / span, 75))
+
+
+def _spread(low: int, high: int) -> NDArray[np.int64]:
+    """Places from low to high - 1, at most about ``ENOUGH``."""
+    return np.arange(low, high, -(-(high - low) // ENOUGH))
 
 
 def two_streams(samples: Samples) -> str:
@@ -79,17 +87,18 @@ def two_streams(samples: Samples) -> str:
     xyz = samples.xyz
     if len(xyz) < 4 * WINDOW:
         return ''
-    moved = np.linalg.norm(xyz[2 * WINDOW :] - xyz[: -2 * WINDOW], axis=1)
-    fast = np.flatnonzero(moved >= np.percentile(moved, 50)) + WINDOW
+    at = _spread(WINDOW, len(xyz) - WINDOW)
+    moved = np.linalg.norm(xyz[at + WINDOW] - xyz[at - WINDOW], axis=1)
+    fast = at[moved >= np.percentile(moved, 50)]
     one = np.median(np.linalg.norm(xyz[fast + 1] - 2 * xyz[fast] + xyz[fast - 1], axis=1))
     two = np.median(np.linalg.norm(xyz[fast + 2] - 2 * xyz[fast] + xyz[fast - 2], axis=1))
-    apart = float(np.median(np.linalg.norm(np.diff(xyz, axis=0), axis=1)))
     if one > TO_AND_FRO * max(float(two), 1e-7):
         return (
             f'every second sample lies {_length(0.5 * float(one))} beside its neighbours: two '
             f'streams, with clocks or places apart, are mixed on one topic; record one tracker'
         )
     if _traced(xyz[:LOOKED_AT]):
+        apart = float(np.median(np.linalg.norm(np.diff(xyz, axis=0), axis=1)))
         return (
             f'the samples jump between two tracks {_length(apart)} apart: two trackers publish '
             f'on one topic; record one of them'

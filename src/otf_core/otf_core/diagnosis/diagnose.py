@@ -139,7 +139,7 @@ def diagnose(
         contradictions=solved.runs[0].remarks,
         table_change_um=_table_change_um(calibration),
         unnamed=said,
-        applied=tuple((e,) for e in nameless.applied) if nameless else applied,
+        applied=nameless.applied if nameless else applied,
         calibration=calibration,
         origin=plain.origin,
         shown=Shown(views, _conditions(solved, plain)),

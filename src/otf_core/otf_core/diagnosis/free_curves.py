@@ -14,8 +14,8 @@ from otf_core.diagnosis.fitted import FittedCause
 from otf_core.effects.free import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
     SIGNAL,
-    cycle_period,
     label_of,
+    shown_places,
     unit_of_input,
     unscaled_input,
 )
@@ -25,7 +25,7 @@ Index = NDArray[np.int64]
 
 NO_UNITS: Mapping[str, str] = MappingProxyType({})
 POINTS = 41
-"""Points of a curve."""
+"""Points of a curve; fewer where the input has few values."""
 LEAST_SHARE = 0.1
 """Curves smaller than this share of the largest one are left out."""
 SCALES = {'m': (1e6, 'um'), 'rad': (1e6, 'urad'), 'm/m': (1e6, 'um/m'), 's': (1e3, 'ms')}
@@ -102,11 +102,11 @@ def _curves(
     axis = option.terms.axes[option.take[place[0]]]
     inputs = effect.inputs_of(term, axis)
     value, covariance = part.value[place], part.covariance[np.ix_(place, place)]
-    along = np.linspace(-1.0, 1.0, POINTS)
+    along = shown_places(inputs[0], POINTS)
     levels = (0.0,) if len(inputs) == 1 else (-1.0, 0.0, 1.0)
     curves = []
     for level in levels:
-        places = [along, *(np.full(POINTS, level) for _ in inputs[1:])]
+        places = [along, *(np.full(len(along), level) for _ in inputs[1:])]
         table = effect.functions(places)
         u = np.sqrt(np.maximum(np.einsum('ij,jk,ik->i', table, covariance, table), 0.0))
         held = {
@@ -177,4 +177,4 @@ def _at_words(name: str, value: float) -> str:
     """An input and its value in words."""
     unit = unit_of_input(name)
     words = f'{1e3 * value:.3g} mm' if unit == 'm' else f'{value:.3g} {unit}'.rstrip()
-    return f'{words} of the cycle' if cycle_period(name) else f'{label_of(name)} = {words}'
+    return f'{label_of(name)} = {words}'

@@ -16,7 +16,12 @@ from otf_core.diagnosis.engine.assess import (
 )
 from otf_core.diagnosis.engine.rival import Rival
 from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.unnamed import Structure, Structures, find_structure
+from otf_core.diagnosis.engine.unnamed import (
+    Structure,
+    Structures,
+    find_another,
+    find_structure,
+)
 from otf_core.diagnosis.explanation import Explanation
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.free_curves import Curve, curves_of, range_words
@@ -28,13 +33,24 @@ from otf_core.effects.acting import (
     Along,
     acting_name,
 )
-from otf_core.effects.inputs import CYCLE, SIGNAL, cycle_period
+from otf_core.effects.found_inputs import (
+    CYCLE,
+    MOMENT,
+    PLACE,
+    found_kind,
+    head_of,
+    numbers_of,
+    stands_for,
+)
+from otf_core.effects.inputs import SIGNAL
 from otf_core.model.frames import XYZ
 
 FAR_BETTER = 0.5
 """Share of the gap that the named causes leave, below which a cause without a name beats them."""
 LEAST_SHRINK = 20.0
 """Percent; a structure that takes less of the gap is not worth stating."""
+MOST, LEAST_BESIDES = 3, 0.15
+"""Structures at most, and the share of the squared gap that each but the first must take."""
 WORDS = {
     'time': 'time', 'x': 'the position of X', 'y': 'the position of Y', 'z': 'the position of Z',
     'feed': 'the feed', 'acceleration': 'the acceleration along the path',
@@ -59,11 +75,15 @@ MECHANISMS = (
     ({'since_stop', 'acceleration'}, 'inertia and settling after changes of speed'),
     ({'feed'}, 'forces or films that grow with speed: oil film, air drag, control'),
     ({'lap'}, 'something that changed between the laps'),
+    ({PLACE}, 'a fault of a guideway or of the structure at one place'),
+    ({MOMENT}, 'a jolt: something slipped, gave way or was knocked'),
     ({CYCLE}, 'what switches in turn: cooling, coolant, air conditioning, a pump'),
     ({'time'}, 'warming, settling or something that switches while the run lasts'),
     ({'x', 'y', 'z'}, 'a structure that bends with the place of its slides'),
 )
 """Kinds of mechanism that depend on any of some inputs."""
+WITH_WORDS = {CYCLE, MOMENT, PLACE}
+"""Inputs with numbers that have kinds of mechanism of their own."""
 
 
 @dataclass(frozen=True)
@@ -96,10 +116,10 @@ class Unnamed:
 
 @dataclass(frozen=True)
 class Nameless:
-    """A cause without a name, and the empirical effect that reproduces it in every run."""
+    """A cause without a name, and the empirical effects that reproduce it in every run."""
 
     said: Unnamed
-    applied: tuple[AppliedEffect, ...]
+    applied: tuple[tuple[AppliedEffect, ...], ...]
 
 
 def find_unnamed(
@@ -126,10 +146,10 @@ def find_unnamed(
     """
     if verdict not in ('unknown', 'partly_explained') and not rival.wins:
         return None
-    structure = find_structure(tried)
-    if structure is None:
+    first = find_structure(tried)
+    if first is None:
         return None
-    found = _said(rows, explained, structure)
+    found = _with_more(rows, explained, tried, first)
     if found.said.shrink_percent < LEAST_SHRINK:
         return None
     enough = (1.0 if rival.wins else FAR_BETTER) * explained.after_um
@@ -138,31 +158,53 @@ def find_unnamed(
     return found
 
 
-def _said(rows: Rows, explained: Explanation, structure: Structure) -> Nameless:
-    before, after = explained.steps[0], residuals_with(rows, [structure.cause])
+def _with_more(
+    rows: Rows, explained: Explanation, tried: Structures, first: Structure
+) -> Nameless:
+    """Add to a structure those that take enough of the gap besides."""
+    structures = [first]
+    found = _said(rows, explained, structures)
+    least = LEAST_BESIDES * found.said.before_um**2
+    while len(structures) < MOST and found.said.after_um**2 > least:
+        other = find_another(tried, structures)
+        if other is None:
+            break
+        more = _said(rows, explained, [*structures, other])
+        if found.said.after_um**2 - more.said.after_um**2 < least:
+            break
+        structures, found = [*structures, other], more
+    return found
+
+
+def _said(rows: Rows, explained: Explanation, structures: Sequence[Structure]) -> Nameless:
+    causes = [s.cause for s in structures]
+    before, after = explained.steps[0], residuals_with(rows, causes)
     simulated = explained.simulated_um
     sizes = [gap_um(r.rms_um, simulated) for r in (before, after)]
-    (part,) = fitted_causes([structure.cause], rows)
-    form, curves = structure.effect.form, curves_of(part)
+    parts = fitted_causes(causes, rows)
+    curves = [curves_of(part) for part in parts]
+    words = [_words(s, own) for s, own in zip(structures, curves, strict=True)]
+    inputs = (n for s in structures for own in s.effect.form.inputs for n in stands_for(own))
     said = Unnamed(
-        depends_on=tuple(dict.fromkeys('time' if cycle_period(n) else n for n in form.inputs)),
-        acts_as=acting_name(form.acts),
-        words=_words(form.inputs, structure, curves),
+        depends_on=tuple(dict.fromkeys(inputs)),
+        acts_as=acting_name(structures[0].effect.form.acts),
+        words='; and besides it '.join(words),
         before_um=sizes[0],
         after_um=sizes[1],
         shrink_percent=shrink_percent(*sizes),
         shrink_interval_percent=shrink_interval(before, after, simulated),
-        curves=curves,
+        curves=tuple(c for own in curves for c in own),
     )
-    return Nameless(said, tuple(part.applied(k) for k in range(len(rows.runs))))
+    runs = range(len(rows.runs))
+    return Nameless(said, tuple(tuple(part.applied(k) for part in parts) for k in runs))
 
 
 def input_words(name: str) -> str:
     """Name of an input in words."""
     if name.startswith(SIGNAL):
         return f'the signal {name.removeprefix(SIGNAL)}'
-    if period := cycle_period(name):
-        return f'time, over and over every {period:.3g} s'
+    if kind := found_kind(name):
+        return kind.words(numbers_of(name))
     head, _, axis = name.rpartition('_')
     of_axis = {
         'sense': 'the sense of travel of',
@@ -171,14 +213,16 @@ def input_words(name: str) -> str:
     return WORDS.get(name) or f'{of_axis[head]} {axis.upper()}'
 
 
-def _words(inputs: Sequence[str], structure: Structure, curves: Sequence[Curve]) -> str:
+def _words(structure: Structure, curves: Sequence[Curve]) -> str:
+    inputs = structure.effect.form.inputs
     depends = ' and '.join(input_words(n) for n in inputs)
     acts = structure.effect.form.acts
     moved = f'a shift along {_direction_words(acts)}' if isinstance(acts, Along) else ''
     moved = moved or ACTS[acting_name(acts)]
     sizes = f', {range_words(curves[0])}' if curves else ''
     signals = any(n.startswith(SIGNAL) for n in inputs)
-    kinds_of = {CYCLE if cycle_period(n) else n for n in inputs}
+    kinds_of = {head_of(n) or n for n in inputs}
+    kinds_of |= {plain for n in inputs if head_of(n) not in WITH_WORDS for plain in stands_for(n)}
     kinds = [words for names, words in MECHANISMS if names & kinds_of][:2]
     kinds = ['what that signal measures'] if signals else kinds
     return f'depends on {depends}: {moved}{sizes}; what behaves so: {", or ".join(kinds)}'

@@ -88,14 +88,22 @@ def path_history(
     if starts is not None:
         known = starts[leg[bounds]]
         began = np.where(np.isfinite(known), known, began)
-    change = (
-        np.gradient(speed, time) if len(time) > 1 and np.all(np.diff(time) > 0) else 0.0 * time
-    )
-    change[bounds], change[np.append(bounds[1:], len(leg)) - 1] = 0.0, 0.0
     return {
         **{f'since_reversal_{a.lower()}': since[:, k] for k, a in enumerate(XYZ)},
         'since_stop': np.maximum(time - np.repeat(began, count), 0.0),
-        'acceleration': change,
+        'acceleration': _acceleration(speed, time, bounds, bounds + count - 1),
         'lap': lap_numbers(lines.corners)[leg],
         'leg': leg.astype(np.float64),
     }
+
+
+def _acceleration(speed: Array, time: Array, first: Index, last: Index) -> Array:
+    """Change of speed along the legs between first and last points, shape (n,), m/s^2."""
+    if len(time) < 2 or not np.all(np.diff(time) > 0.0):
+        return np.zeros(len(time))
+    found = np.gradient(speed, time)
+    for ends, step in ((first, 1), (last, -1)):  # the next leg tells nothing of this one
+        inside = np.where(last > first, ends + step, ends)
+        width = np.where(last > first, time[inside] - time[ends], 1.0)
+        found[ends] = (speed[inside] - speed[ends]) / width
+    return found

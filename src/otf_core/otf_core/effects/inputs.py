@@ -2,10 +2,10 @@
 """Inputs that a smooth function may depend on, by name, and how they are scaled to [-1, 1].
 
 Time, axis positions, sense of travel, feed, what happened since the last stop or reversal, place
-in the path, direction and length of the beam, signals recorded beside the samples, the phase of a
-cycle in time, time as what switches feels it (``switching``). A distance or a time since something
-is compressed to s / (s + s0), so that what dies out needs few functions. Functions are Legendre
-polynomials; of a phase they are harmonics.
+in the path, direction and length of the beam, signals recorded beside the samples, time as what
+switches feels it (``switching``), and those with numbers of their own (``found_inputs``). A
+distance or a time since something is compressed to s / (s + s0), so that what dies out needs few
+functions. Functions are Legendre polynomials; of a phase they are harmonics.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from otf_core.effects.base import Array, State
+from otf_core.effects.found_inputs import cycle_period, found_kind, numbers_of
 from otf_core.effects.switching import Switching
 from otf_core.errors import ConfigError
 from otf_core.model.frames import XYZ
@@ -23,8 +24,6 @@ from otf_core.model.path import MOVING
 
 SIGNAL = 'signal:'
 """Head of the names of signals recorded beside the samples."""
-CYCLE = 'cycle:'
-"""Head of the name of the phase of a cycle in time; its period in s follows."""
 CORNER_LENGTH, REVERSAL_LENGTH, STOP_TIME = 0.03, 0.03, 0.5
 """m, m and s; s0 of distances from corners, of travel since a reversal, of time since a stop."""
 UNITS = {
@@ -41,7 +40,8 @@ _LETTERS = {a.lower(): k for k, a in enumerate(XYZ)}
 def known_input(name: str) -> bool:
     """Tell whether a name is one of an input."""
     head, _, axis = name.rpartition('_')
-    own = (head in OF_AXIS and axis in _LETTERS) or in_time(name)
+    numbered = found_kind(name) is not None or Switching.of(name) is not None
+    own = (head in OF_AXIS and axis in _LETTERS) or numbered
     return own or name in UNITS or name in _LETTERS or name.startswith(SIGNAL)
 
 
@@ -49,34 +49,24 @@ def unit_of_input(name: str) -> str:
     """Unit of an input; signals have those of their topic, which are not known here."""
     if name in _LETTERS:
         return 'm'
-    if in_time(name):
+    if kind := found_kind(name):
+        return kind.unit
+    if Switching.of(name):
         return 's'
     return UNITS.get(name, OF_AXIS.get(name.rpartition('_')[0], ''))
 
 
-def cycle_period(name: str) -> float:
-    """Period in s if an input is the phase of a cycle in time, else 0."""
-    try:
-        period = float(name.removeprefix(CYCLE)) if name.startswith(CYCLE) else 0.0
-    except ValueError:
-        return 0.0
-    return period if 0.0 < period < np.inf else 0.0
-
-
-def in_time(name: str) -> bool:
-    """Tell whether an input is time in other words: a phase, or what switches."""
-    return cycle_period(name) > 0.0 or Switching.of(name) is not None
-
-
 def label_of(name: str) -> str:
     """Name of an input for pictures."""
-    if cycle_period(name):
-        return 'time in the cycle'
-    return 'time' if in_time(name) else name
+    if kind := found_kind(name):
+        return kind.label
+    return 'time' if Switching.of(name) else name
 
 
 def compression(name: str) -> float:
-    """Distance or time s0 over which an input is compressed; 0 for none."""
+    """Distance, time or angle s0 over which an input is compressed; 0 for none."""
+    if kind := found_kind(name):
+        return kind.length
     if name.endswith('_corner'):
         return CORNER_LENGTH
     if name.startswith('since_reversal'):
@@ -100,9 +90,9 @@ def input_values(state: State, name: str) -> Array:
         return np.where(np.abs(own) > MOVING, np.sign(own), 0.0)
     if name in state.more:
         return state.more[name]
-    if period := cycle_period(name):
-        return np.asarray(np.mod(state.time, period))
-    if in_time(name):
+    if kind := found_kind(name):
+        return kind.values(state, numbers_of(name))
+    if Switching.of(name):
         return state.time
     if name in _PLAIN:
         return np.asarray(_PLAIN[name](state))
@@ -140,7 +130,7 @@ def span_of(states: Sequence[State], name: str) -> Span:
         return float(machine.lower[k]), float(machine.upper[k])
     if period := cycle_period(name):
         return 0.0, period
-    if name == 'time' or in_time(name):
+    if name == 'time' or Switching.of(name):
         return 0.0, max(s.end for s in states)
     values = np.concatenate([input_values(s, name) for s in states])
     if name == 'azimuth':
@@ -188,6 +178,14 @@ def functions_of(name: str, place: Array, order: int, span: Span = (-1.0, 1.0)) 
     number = np.arange(order + 1)
     angle = np.pi * place[:, None] * ((number + 1) // 2)
     return np.where(number % 2, np.cos(angle), np.sin(angle) + (number == 0))
+
+
+def shown_places(name: str, count: int) -> Array:
+    """Places in [-1, 1] at which a function of an input is shown: those that it can have."""
+    if name.startswith('sense_'):
+        return np.array([-1.0, 0.0, 1.0])
+    kind = found_kind(name)
+    return np.linspace(-1.0, 1.0, 2 if kind and kind.order == 1 else count)
 
 
 def nodes_of(name: str, order: int) -> Array:

@@ -24,7 +24,7 @@ from otf_core.noise.standstill import noise_model
 from otf_core.pieces.finding import Finding
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.pieces import BLOCK, Pieces, reduce_to_pieces
-from otf_core.tracking.alignment import Alignment, align, line_step
+from otf_core.tracking.alignment import Alignment, Followed, align, line_step
 from otf_core.tracking.curves import Lines
 from otf_core.tracking.leg_starts import leg_starts
 from otf_core.tracking.matching import OFF_PATH
@@ -52,6 +52,9 @@ class Recording:
         What was repaired or left out of it, in words; warnings of every result.
     signals : mapping of str to Signal
         Recorded beside the samples; possible causes in a diagnosis.
+    seen : Followed, optional
+        What was found of the track before its last samples came; it saves time and changes
+        nothing.
 
     Examples
     --------
@@ -68,6 +71,7 @@ class Recording:
     name: str = ''
     remarks: tuple[str, ...] = ()
     signals: Mapping[str, Signal] = field(default_factory=dict)
+    seen: Followed | None = None
 
 
 @contextmanager
@@ -236,10 +240,11 @@ def prepare_runs(
     alignments, ranges = [], []
     for recording in recordings:
         with blamed(recording.name):
-            alignments.append(found := align(recording.samples, recording.path, config))
+            samples, path = recording.samples, recording.path
+            alignments.append(found := align(samples, path, config, recording.seen))
             check_partial(
-                recording.samples,
-                recording.path,
+                samples,
+                path,
                 found.T_machine_tracker,
                 found.coverage,
                 config.match_tolerance,

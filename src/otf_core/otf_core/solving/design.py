@@ -338,8 +338,12 @@ class _Window:
 
 def crossed(one: Array, other: Array) -> Array:
     """Vector products of vectors (..., 3), several times faster than ``numpy.cross``."""
-    (a, b, c), (x, y, z) = np.moveaxis(one, -1, 0), np.moveaxis(other, -1, 0)
-    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
+    a, b, c = one[..., 0], one[..., 1], one[..., 2]
+    x, y, z = other[..., 0], other[..., 1], other[..., 2]
+    first = b * z - c * y
+    found = np.empty((*first.shape, 3))
+    found[..., 0], found[..., 1], found[..., 2] = first, c * x - a * z, a * y - b * x
+    return found
 
 
 def _window(parts: list[AxisPart]) -> _Window:

@@ -21,6 +21,7 @@ Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,7 @@ from otf_core.noise.model import (
 )
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.system import System
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -98,14 +100,16 @@ def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -
     bounds = [(low, min(high, low + PIECES)) for low, high in leg_bounds(pieces.leg)]
     chosen = np.unique(np.linspace(0, len(bounds) - 1, LINES).round().astype(int))
     low, high = np.array(bounds)[chosen].T
-    found = []
-    for size in np.unique(high - low):
+
+    def of_size(size: int) -> _Lines:
         own = low[high - low == size, None] + np.arange(size)
         dense = [system.rows.dense(line) for line in own]
         explained = np.stack([d @ covariance @ np.swapaxes(d, 1, 2) for d in dense], axis=1)
         windows = (pieces.time[own], pieces.duration[own], pieces.count[own])
-        found.append(_Lines(system.shares[:, :, own], windows, residual[:, own], explained))
-    return found
+        return _Lines(system.shares[:, :, own], windows, residual[:, own], explained)
+
+    system.rows.prepare()
+    return side_by_side(of_size, np.unique(high - low).tolist())
 
 
 def _derivatives(noise: NoiseModel, logs: Array, lines: _Lines) -> list[Array]:
@@ -119,20 +123,26 @@ def _derivatives(noise: NoiseModel, logs: Array, lines: _Lines) -> list[Array]:
 
 def _slopes(noise: NoiseModel, logs: Array, groups: list[_Lines]) -> tuple[Array, Array]:
     """Score and information of the logarithms, prior left out."""
-    score, information = np.zeros(5), np.zeros((5, 5))
-    for lines in groups:
-        parts = _derivatives(noise, logs, lines)
-        inverse = np.linalg.inv(parts[WHITE] + parts[SLOW] + parts[INDEPENDENT] + parts[LASTING])
-        P = inverse - inverse @ lines.explained @ inverse
-        pull = inverse @ lines.residual[..., None]
-        moved = [P @ K for K in parts]
-        for i, K in enumerate(parts):
-            trace = float(np.trace(moved[i], axis1=-2, axis2=-1).sum())
-            score[i] += 0.5 * (float(np.sum(pull * (K @ pull))) - trace)
-            turned = np.swapaxes(moved[i], -1, -2)
-            for j in range(i + 1):
-                information[i, j] += 0.5 * float(np.sum(turned * moved[j]))
+    parts = side_by_side(partial(_slopes_of, noise, logs), groups)
+    score, information = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     return score, information + np.tril(information, -1).T
+
+
+def _slopes_of(noise: NoiseModel, logs: Array, lines: _Lines) -> tuple[Array, Array]:
+    """What some lines add to the score and to the lower triangle of the information."""
+    score, information = np.zeros(5), np.zeros((5, 5))
+    parts = _derivatives(noise, logs, lines)
+    inverse = np.linalg.inv(parts[WHITE] + parts[SLOW] + parts[INDEPENDENT] + parts[LASTING])
+    P = inverse - inverse @ lines.explained @ inverse
+    pull = inverse @ lines.residual[..., None]
+    moved = [P @ K for K in parts]
+    for i, K in enumerate(parts):
+        trace = float(np.trace(moved[i], axis1=-2, axis2=-1).sum())
+        score[i] = 0.5 * (float(np.sum(pull * (K @ pull))) - trace)
+        turned = np.swapaxes(moved[i], -1, -2)
+        for j in range(i + 1):
+            information[i, j] = 0.5 * float(np.sum(turned * moved[j]))
+    return score, information
 
 
 def fit_noise(

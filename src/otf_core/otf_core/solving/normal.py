@@ -9,7 +9,6 @@ this is the paper's weighting (Eq. 4-6).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TypeVar
@@ -21,6 +20,7 @@ from otf_core.solving.repeated import taken_once
 from otf_core.solving.system import System
 from otf_core.solving.unknowns import Unknowns
 from otf_core.solving.whitener import Whitener
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -122,15 +122,13 @@ def sum_groups(
             total[g][np.ix_(columns, columns)] += white.T @ white
         return total
 
-    shares = _shared(system, whitener, batches)
-    with ThreadPoolExecutor(WORKERS) as pool:
-        products = reduce(np.add, pool.map(added, shares))
+    products = reduce(np.add, side_by_side(added, _shared(system, whitener, batches)))
     components, size_of = len(system.deviation), np.array([h - low for low, h in whitener.bounds])
     rows = components * np.bincount(group, size_of, groups).astype(int)
     return [_free(p, unknowns, int(n)) for p, n in zip(products, rows, strict=True)]
 
 
-def side_by_side(system: System, whitener: Whitener) -> list[list[list[int]]]:
+def shares_of(system: System, whitener: Whitener) -> list[list[list[int]]]:
     """Batches of legs for every worker; the same whatever computer it is."""
     group = np.zeros(len(whitener.bounds), dtype=np.int64)
     return _shared(system, whitener, [legs for _, legs in _batches(system, whitener, group)])

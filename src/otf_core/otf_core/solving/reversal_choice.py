@@ -41,6 +41,7 @@ from otf_core.solving.shape_choice import choose_shapes
 from otf_core.solving.solution import estimated, free_columns, identifiable_blocks
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, is_reversal, layout, reversal_order
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -223,15 +224,15 @@ def _held_out_squares(
     loose = unknowns.free - done.unknowns.free + width
     prior = block_diag(done.roughness.precision, TRACE / limit**2 * np.eye(loose))
     held_out = [_folds(*run) for run in zip(lines, fold, rivals, strict=True)]
-    left = {}
-    for model, use in columns.items():
+    for some in (part for folds in held_out for part in folds):
+        some.rows.prepare()
+
+    def left(use: Index) -> Array:
         values = [estimated(total.less(part), use, prior) for part in parts]
-        squares = [
-            _squares(own, folds, unknowns, values)
-            for own, folds in zip(lines, held_out, strict=True)
-        ]
-        left[model] = np.concatenate(squares)
-    return left
+        pairs = zip(lines, held_out, strict=True)
+        return np.concatenate([_squares(own, folds, unknowns, values) for own, folds in pairs])
+
+    return dict(zip(columns, side_by_side(left, list(columns.values())), strict=True))
 
 
 def _motion(block: str) -> str:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import Generic
 
 import numpy as np
@@ -38,10 +39,13 @@ from otf_core.solving.joint import (
     systems_of,
     whiteners_of,
 )
-from otf_core.solving.roughness import Search
-from otf_core.solving.solution import solve
+from otf_core.solving.normal import NormalEquations
+from otf_core.solving.roughness import Roughness, Search
+from otf_core.solving.solution import Solution, solve
+from otf_core.solving.system import System
 from otf_core.solving.unknowns import Unknowns, layout
 from otf_core.solving.whitener import Whitener
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -180,21 +184,19 @@ def _try_all(
     scores : mapping of name to float
         Log likelihoods, less the best.
     """
-    found: dict[str, float] = {}
-    best: JointSolution | None = None
+    poses = [r.pose for r in runs]
+    systems = systems_of(runs, poses, layout(smooth_bases(nodes), len(runs)), start.tables)
+    found: dict[str, _Tried] = {}
     waiting = [SMOOTH, STRAIGHT]
     while waiting:
-        name = waiting.pop(0)
-        done = _tried(runs, _CHOICES[name](nodes), start, whiteners, limit)
-        found[name] = _likelihood(done)
-        if found[name] == max(found.values()):
-            best = done
-        assert best is not None
-        if not waiting and FINER not in found:
-            waiting = [FINER] if any(_steps_unexplained(s) for s in best.runs) else []
-    assert best is not None
-    top = max(found.values())
-    return best, {name: score - top for name, score in found.items()}
+        bases = [_CHOICES[name](nodes) for name in waiting]
+        tried = side_by_side(partial(_tried, systems, start, whiteners, limit), bases)
+        found |= zip(waiting, tried, strict=True)
+        best = max(found.values(), key=attrgetter('likelihood'))
+        done = best.solved(systems, poses, whiteners)
+        steps = FINER not in found and any(_steps_unexplained(s) for s in done.runs)
+        waiting = [FINER] if steps else []
+    return done, {name: one.likelihood - best.likelihood for name, one in found.items()}
 
 
 def _without_legs(run: AnyRun, number: Index, kept: Index) -> AnyRun:
@@ -219,27 +221,47 @@ def _thinned(runs: Sequence[AnyRun]) -> list[AnyRun]:
     return found
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """One linear solution, without what it leaves of the deviations."""
+
+    unknowns: Unknowns
+    solution: Solution
+    roughness: Roughness
+    normal: NormalEquations
+
+    @property
+    def likelihood(self) -> float:
+        """Restricted log likelihood with the size of the residuals free."""
+        rough = self.roughness
+        volume = -2.0 * rough.log_likelihood - rough.square
+        return -0.5 * (self.normal.rows * float(np.log(rough.square)) + volume)
+
+    def solved(
+        self,
+        systems: Sequence[System],
+        poses: Sequence[RigidTransform],
+        whiteners: Sequence[Whitener],
+    ) -> JointSolution:
+        """With what it leaves of the rows of any functions at the same poses and positions."""
+        own = [s.of_unknowns(self.unknowns) for s in systems]
+        left = left_by(own, self.solution)
+        own = [replace(s, rows=s.rows.released()) for s in own]
+        parts = zip(poses, own, whiteners, left, strict=True)
+        runs = tuple(SolvedRun(*p) for p in parts)
+        return JointSolution(self.unknowns, self.solution, self.roughness, self.normal, runs, 1)
+
+
 def _tried(
-    runs: Sequence[Observed],
-    bases: Bases,
+    systems: Sequence[System],
     start: Start,
     whiteners: Sequence[Whitener],
     limit: float,
-) -> JointSolution:
-    """One linear solution at given poses and positions."""
-    unknowns = layout(bases, len(runs))
-    systems = systems_of(runs, [r.pose for r in runs], unknowns, start.tables)
-    normal = summed(systems, unknowns, whiteners)
+    bases: Bases,
+) -> _Tried:
+    """One linear solution at the poses and positions of rows of any functions."""
+    unknowns = layout(bases, len(systems))
+    normal = summed([s.of_unknowns(unknowns) for s in systems], unknowns, whiteners)
     rough = Search(normal, unknowns, start.accepted, limit).run(start.logs)
     solution = solve(normal, unknowns, limit, start.accepted, rough.precision)
-    left = left_by(systems, solution)
-    systems = [replace(s, rows=s.rows.released()) for s in systems]  # several are compared
-    parts = zip([r.pose for r in runs], systems, whiteners, left, strict=True)
-    return JointSolution(unknowns, solution, rough, normal, tuple(SolvedRun(*p) for p in parts), 1)
-
-
-def _likelihood(done: JointSolution) -> float:
-    """Restricted log likelihood with the size of the residuals free."""
-    rough = done.roughness
-    volume = -2.0 * rough.log_likelihood - rough.square
-    return -0.5 * (done.normal.rows * float(np.log(rough.square)) + volume)
+    return _Tried(unknowns, solution, rough, normal)

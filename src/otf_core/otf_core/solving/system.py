@@ -7,7 +7,7 @@ path, the error model e of ``kinematics`` and the pose correction dt, dr solved 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,10 @@ class System:
             self.rows.at(pieces),
             self.shares[:, :, pieces],
         )
+
+    def of_unknowns(self, unknowns: Unknowns) -> System:
+        """Return the same rows for other functions of the error motions."""
+        return replace(self, rows=replace(self.rows, unknowns=unknowns))
 
     @property
     def design(self) -> sparse.csr_array:

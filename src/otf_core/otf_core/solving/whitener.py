@@ -20,6 +20,7 @@ from otf_core.model.path import leg_bounds
 from otf_core.noise.model import Misfit, NoiseModel, Windows, covariance_parts
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.system import System
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -140,16 +141,22 @@ class Whitener:
         low, high = np.array(bounds, dtype=np.int64).reshape(-1, 2).T
         windows = (pieces.time, pieces.duration, pieces.count)
         covariances = Covariances(noise, misfit, system.shares, windows)
-        alike, held = [], 0
-        for legs in _alike(high - low):
+        groups = list(_alike(high - low))
+        size = [system.deviation.itemsize * len(system.deviation) * len(legs) *
+                int(high[legs[0]] - low[legs[0]]) ** 2 for legs in groups]  # fmt: skip
+        held = (np.cumsum(size) <= HELD).tolist()
+
+        def alike(k: int) -> Alike:
+            legs = groups[k]
             own = low[legs, None] + np.arange(high[legs[0]] - low[legs[0]])
             try:
                 inverse = covariances.inverse(own)
             except np.linalg.LinAlgError:
                 raise _two_passes(pieces, own, covariances.among(own)) from None
-            held += inverse.nbytes
-            alike.append(Alike(legs, own, inverse if held <= HELD else covariances))
-        return cls(bounds, tuple(alike), _first_passes(pieces, system.q, bounds))
+            return Alike(legs, own, inverse if held[k] else covariances)
+
+        found = side_by_side(alike, range(len(groups)))
+        return cls(bounds, tuple(found), _first_passes(pieces, system.q, bounds))
 
     @classmethod
     def from_factors(

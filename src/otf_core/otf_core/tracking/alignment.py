@@ -234,7 +234,50 @@ def _spans(match: Match, legs: Legs) -> dict[int, list[tuple[float, float]]]:
     return found
 
 
-def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Alignment:
+@dataclass(frozen=True)
+class Followed:
+    """How a measured track follows a path: all of an alignment but the legs of single samples.
+
+    What is known of a run whose target only stands since.
+
+    Attributes
+    ----------
+    measured : Track
+    path : NominalPath
+    config : CalibrationConfig
+    guide : Guide
+    match : Match
+        With the track as it was matched.
+    driven : Driven
+    rounded : ndarray, shape (m, 2), m
+        See ``Alignment``.
+    pose : RigidTransform
+        Tracker to machine.
+    """
+
+    measured: Track
+    path: NominalPath
+    config: CalibrationConfig
+    guide: Guide
+    match: Match
+    driven: Driven
+    rounded: Array
+    pose: RigidTransform
+
+    @property
+    def to_the_end(self) -> bool:
+        """True if the track ends at the end of the path."""
+        return _reaches_end(self.match, self.guide.vertices, self.config.match_tolerance)
+
+    def is_of(self, track: Track, path: NominalPath, config: CalibrationConfig) -> bool:
+        """Tell whether this is what such a track, path and configuration give."""
+        same = config == self.config and np.array_equal(path.points, self.path.points)
+        return same and track.same_as(self.measured)
+
+
+def align(
+    samples: Samples, path: NominalPath, config: CalibrationConfig, seen: Followed | None = None
+) -> Alignment:
     """Find the tracker's pose and the leg of every sample.
 
     Parameters
@@ -242,6 +285,8 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     samples : Samples
     path : NominalPath
     config : CalibrationConfig
+    seen : Followed, optional
+        Of the same run before its last samples; saves time if the target has not moved since.
 
     Returns
     -------
@@ -252,8 +297,33 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
     InputError
         If samples and path do not belong together, or the pose is not determined; says why.
     """
+    known = followed(samples, path, config, seen)
+    tolerance, driven, pose = config.match_tolerance, known.driven, known.pose
+    exclusion = config.corner_exclusion
+    found = Alignment(
+        pose,
+        driven.shape.corners,
+        sample_chords(known.match, driven, pose, samples.xyz, exclusion, 4 * tolerance),
+        _coverage(known.match, known.guide, 4 * tolerance),
+        known.to_the_end,
+        driven.shape,
+        driven.published,
+        known.rounded,
+    )
+    if driven.shape.straight:
+        return found
+    return _on_arcs(found, pose.apply(samples.xyz), SHORT_CURVE * exclusion)
+
+
+def followed(
+    samples: Samples, path: NominalPath, config: CalibrationConfig, seen: Followed | None = None
+) -> Followed:
+    """Find the tracker's pose and the leg of every part of the track; see ``align``."""
     tolerance = config.match_tolerance
-    guide, track = Guide.of(path, tolerance), measured_track(samples, tolerance)
+    measured = measured_track(samples, tolerance)
+    if seen is not None and seen.is_of(measured, path, config):
+        return seen
+    guide, track = Guide.of(path, tolerance), measured
     match = _match(track, guide, tolerance)
     if match is None or match.explained < LEAST:
         raise InputError(
@@ -278,19 +348,7 @@ def align(samples: Samples, path: NominalPath, config: CalibrationConfig) -> Ali
         driven = driven_path(match, guide.shape, guide.vertex, 4 * tolerance)
         rounded = _rounded(match, driven, config)
     pose = _refine(match, driven, rounded, config)
-    found = Alignment(
-        pose,
-        driven.shape.corners,
-        sample_chords(match, driven, pose, samples.xyz, config.corner_exclusion, 4 * tolerance),
-        _coverage(match, guide, 4 * tolerance),
-        _reaches_end(match, guide.vertices, tolerance),
-        driven.shape,
-        driven.published,
-        rounded,
-    )
-    if driven.shape.straight:
-        return found
-    return _on_arcs(found, pose.apply(samples.xyz), SHORT_CURVE * config.corner_exclusion)
+    return Followed(measured, path, config, guide, match, driven, rounded, pose)
 
 
 def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:

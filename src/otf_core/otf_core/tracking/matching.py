@@ -20,6 +20,7 @@ from otf_core.tracking.arc_windows import dense_points, propose
 from otf_core.tracking.order import OFF_PATH as OFF_PATH
 from otf_core.tracking.order import Match as Match
 from otf_core.tracking.order import follow as follow
+from otf_core.tracking.order import follow_within
 from otf_core.tracking.track import Track
 
 Array = NDArray[np.float64]
@@ -150,18 +151,45 @@ def cut_track(track: Track, pose: RigidTransform, cuts: Array, reach: float) -> 
     return track.cut_at(np.array(sorted(found), dtype=np.int64))
 
 
+def _until_all(
+    poses: list[RigidTransform], track: Track, corners: Array, cuts: Array, tolerance: float
+) -> list[Match]:
+    """Follow the path as planned under one pose after another until one explains all."""
+    planned: list[Match] = []
+    for pose in poses:
+        whole = cut_track(track, pose, cuts, 2 * tolerance)
+        planned.append(follow(pose, whole, corners, tolerance, False))
+        if planned[-1].explained > ALL:
+            break
+    return planned
+
+
+def _all_planned(
+    poses: list[RigidTransform], track: Track, corners: Array, tolerance: float
+) -> list[Match]:
+    """Follow the path as planned under all poses; under the best alone if that is enough."""
+    best = follow(poses[0], track, corners, tolerance, False)
+    found: list[Match | None] = [best]
+    for pose in poses[1:]:
+        found.append(match := follow_within(best.cost, pose, track, corners, tolerance))
+        if match is not None and match.cost < best.cost:
+            best = match
+    if best.explained > ENOUGH:
+        return [best]
+    pairs = zip(found, poses, strict=True)
+    return [m or follow(p, track, corners, tolerance, False) for m, p in pairs]
+
+
 def best_match(
     poses: list[RigidTransform], track: Track, corners: Array, cuts: Array, tolerance: float
 ) -> Match | None:
     """Follow the path under every pose; as planned if that explains nearly all, else freely."""
     if not poses:
         return None
-    planned: list[Match] = []
-    for pose in poses:
-        whole = cut_track(track, pose, cuts, 2 * tolerance)
-        planned.append(follow(pose, whole, corners, tolerance, False))
-        if len(cuts) and planned[-1].explained > ALL:
-            break
+    if len(cuts):
+        planned = _until_all(poses, track, corners, cuts, tolerance)
+    else:
+        planned = _all_planned(poses, track, corners, tolerance)
     planned.sort(key=_cost)
     if planned[0].explained > ENOUGH:
         return planned[0]

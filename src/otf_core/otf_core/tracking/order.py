@@ -193,6 +193,26 @@ def follow(
     free : bool
         Allow jumps and the other sense; without, legs only advance, which takes half the time.
     """
+    found = _follow(pose, track, corners, tolerance, free, np.inf)
+    assert found is not None, 'given up for nothing'
+    return found
+
+
+def follow_within(
+    most: float, pose: RigidTransform, track: Track, corners: Array, tolerance: float
+) -> Match | None:
+    """Follow as planned, see ``follow``; None once that is sure to cost more than ``most``."""
+    return _follow(pose, track, corners, tolerance, False, most)
+
+
+def _follow(
+    pose: RigidTransform,
+    track: Track,
+    corners: Array,
+    tolerance: float,
+    free: bool,
+    most: float,
+) -> Match | None:
     count, legs = len(track.start), len(corners) - 1
     number = np.arange(legs)
     # states: 0 before the path, then the legs driven forward, then those driven backward
@@ -211,6 +231,8 @@ def follow(
                     choice
                 ]
                 jump = float(best[choice]) + JUMP_COST
+            elif min(start, ahead.score.min()) > most:
+                return None  # costs only grow
             here = (emission.forward[row], emission.anew[row])
             ahead.step(low + row, *here, off, start + entry, jump, at)
             if free:
@@ -221,6 +243,13 @@ def follow(
     final = np.concatenate([[np.inf], ahead.score + left, back.score + left])
     state = int(np.argmin(final))
     cost = float(final[state])
+    leg, sense = _traced(state, ahead, back)
+    return Match(pose, leg, cost, track, sense, free)
+
+
+def _traced(state: int, ahead: _Chain, back: _Chain) -> tuple[Index, Index]:
+    """Leg and sense of every measured leg, from the last state back to the first."""
+    count, legs = ahead.came.shape
     leg, sense = np.full(count, OFF_PATH, dtype=np.int64), np.ones(count, dtype=np.int64)
     for k in range(count - 1, -1, -1):
         if not state:
@@ -230,4 +259,4 @@ def follow(
             leg[k] = j if chain is ahead else legs - 1 - j
             sense[k] = FORWARD if chain is ahead else BACKWARD
         state = int(chain.came[k, j])
-    return Match(pose, leg, cost, track, sense, free)
+    return leg, sense

@@ -7,13 +7,15 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.tracking.alignment import align
+from otf_core.tracking.alignment import Followed, followed
 from otf_core.tracking.track import HOP
 
 END_STANDSTILL = 1.0
 """s; standstill at the end point that ends a run."""
 MIN_TRAVEL = 0.5
 """Share of the path length before which no end is looked for (gaps shorten the travel)."""
+SOON, NEARLY = 0.4, 0.98
+"""s; a standstill after nearly the whole path is looked at so soon: it may become the end."""
 
 STRAY, AT_ONCE_NS = 0.05, 50_000_000
 """m, ns; no target travels so far at once: a stray point, or the way back from one."""
@@ -23,7 +25,7 @@ class PathWatcher:
     """Follows the travelled length and recognises standstill at the end point.
 
     Travel and standstill are counted sample by sample; only a standstill after enough travel is
-    compared with the path (by ``at_end``, which aligns and takes a fraction of a second).
+    compared with the path (by ``look``, which aligns and takes a fraction of a second).
 
     Parameters
     ----------
@@ -37,7 +39,7 @@ class PathWatcher:
         self._last: tuple[float, float, float] | None = None
         self._still_since_ns: int | None = None
         self._newest_ns = 0
-        self._judged = False
+        self._judged = self._stood = False
 
     def add(self, stamp_ns: int, x: float, y: float, z: float) -> None:
         """Take one sample: stamp in ns, tracker frame, m."""
@@ -52,6 +54,7 @@ class PathWatcher:
             stray = square > STRAY * STRAY and stamp_ns - self._newest_ns < AT_ONCE_NS
             self.travelled += 0.0 if stray else square**0.5
         self._last = (x, y, z)
+        self._stood = self.stood
         self._still_since_ns = self._newest_ns = stamp_ns
         self._judged = False
 
@@ -63,18 +66,22 @@ class PathWatcher:
         return (self._newest_ns - self._still_since_ns) * 1e-9
 
     def worth_judging(self) -> bool:
-        """Tell, once per standstill, that ``at_end`` should be asked."""
-        ready = (
-            self.standstill >= END_STANDSTILL and self.travelled >= MIN_TRAVEL * self._path.length
-        )
-        if not ready or self._judged:
+        """Tell, once per standstill, that the samples should be looked at."""
+        share = self.travelled / self._path.length
+        ready = self.standstill >= (SOON if share >= NEARLY else END_STANDSTILL)
+        if not ready or share < MIN_TRAVEL or self._judged:
             return False
-        self._judged = True
+        self._judged, self._stood = True, False
         return True
 
-    def at_end(self, samples: Samples) -> bool:
-        """Tell whether the samples end at the end point, after the last leg of the path."""
+    @property
+    def stood(self) -> bool:
+        """Whether the standstill that was last worth judging is long enough to end a run."""
+        return self._stood or (self._judged and self.standstill >= END_STANDSTILL)
+
+    def look(self, samples: Samples) -> Followed | None:
+        """Tell how the samples follow the path, and whether to its end; None if they do not."""
         try:
-            return align(samples, self._path, self._config).last_leg_driven
+            return followed(samples, self._path, self._config)
         except InputError:
-            return False
+            return None

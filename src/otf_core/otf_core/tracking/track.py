@@ -71,6 +71,11 @@ class Track:
         """Lengths of the legs, shape (k,), m."""
         return np.asarray(np.linalg.norm(self.ends - self.starts, axis=1))
 
+    def same_as(self, other: Track) -> bool:
+        """Tell whether another track is the same in every bit."""
+        names = ('hops', 'points', 'start', 'stop', 'joined')
+        return all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
+
     @cached_property
     def tree(self) -> Any:
         """The points as a k-d tree."""
@@ -101,8 +106,10 @@ def _hop_selection(points: Array) -> NDArray[np.int64]:
     x0, y0, z0 = points[0].tolist()
     limit = HOP * HOP
     for start in range(0, len(points), BLOCK):
-        for i, (x, y, z) in enumerate(points[start : start + BLOCK].tolist(), start):
-            if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 >= limit:
+        columns = points[start : start + BLOCK].T.tolist()
+        for i, (x, y, z) in enumerate(zip(*columns, strict=True), start):
+            dx, dy, dz = x - x0, y - y0, z - z0
+            if dx * dx + dy * dy + dz * dz >= limit:
                 kept.append(i)
                 x0, y0, z0 = x, y, z
     return np.array(kept, dtype=np.int64)

@@ -113,7 +113,7 @@ def test_corners_rounded_over_whole_legs_are_refused():
 
 def at_end(points):
     samples = record(CELL, drive(points, FEED, rate=RATE), rate=RATE).samples
-    return PathWatcher(CELL.path, CONFIG).at_end(samples)
+    return PathWatcher(CELL.path, CONFIG).look(samples).to_the_end
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
+from itertools import chain, combinations_with_replacement
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy import sparse
 
 from otf_core.diagnosis.engine.rows import Rows
-from otf_core.effects.inputs import CYCLE, functions_of
 from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
@@ -24,51 +25,58 @@ Index = NDArray[np.int64]
 
 RIDGE = 1e-4
 """Of the scaled information, against functions that the data hardly tell apart."""
-SLOWEST, FASTEST = 1.5, 1.0
-"""Cycles in a run, and Hz, between which a cycle in time is looked for; see ``spectral``."""
-FINENESS = 4
-"""Trial frequencies for every cycle in a run."""
-HARMONICS = 6
-"""Cosines and sines by which the period is refined."""
+SLOW = 5
+"""Polynomials along a leg whose own weights are known."""
 TOGETHER = 64
-"""Frequencies looked at together."""
-CLEAR = 16.0
-"""Gain, less the logarithm of the number of frequencies, from which a cycle is an input."""
+"""Functions looked at together."""
 
 
 @dataclass(frozen=True)
 class Scores:
     """Scores of shifts of all pieces.
 
+    The noise of a leg is correlated, so what changes from piece to piece along it weighs more
+    than what stays: information is that about single pieces, and for what is slow along a leg what
+    is beyond.
+
     Attributes
     ----------
     pull : ndarray, shape (p, 3), 1/m
     information : ndarray, shape (3, 3, p), 1/m^2
+    slow : sparse array, shape (s, p)
+        Polynomials over every leg, sum of squares 1.
+    beyond : ndarray, shape (3, 3, s), 1/m^2
+        Information about these, less what it would be by that about single pieces.
     """
 
     pull: Array
     information: Array
+    slow: sparse.csr_array
+    beyond: Array
 
     @classmethod
     def of(cls, rows: Rows) -> Scores:
         """Of the residual of rows."""
         pull = np.concatenate(rows.pulled_residual.turned)[:, :, 0]
-        axes = [s.system.axes for s in rows.done.runs]
-        weights = np.concatenate([_weights(w) for w in rows.whiteners], axis=1)
-        whole = np.concatenate(axes, axis=1)
-        return cls(pull, np.einsum('cpi,cpj,cp->ijp', whole, whole, weights))
+        axes = np.concatenate([s.system.axes for s in rows.done.runs], axis=1)
+        weights = _weights(rows.whiteners)
+        information = np.einsum('cpi,cpj,cp->ijp', axes, axes, weights.pieces)
+        middle = axes[:, weights.middle]
+        beyond = np.einsum('cli,clj,cl->ijl', middle, middle, weights.beyond)
+        return cls(pull, information, weights.slow, beyond)
 
     def gain(self, functions: Array) -> float:
         """Half the fall of the sum of squares by functions (p, k), each along X, Y and Z."""
         right = (functions.T @ self.pull).T.ravel()
-        weights = self.information
-        parts = {
-            (i, j): functions.T @ (weights[i, j][:, None] * functions)
-            for i in range(3)
-            for j in range(i, 3)
-        }
-        matrix = np.block([[parts[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
+        whole = np.einsum('pa,ijp,pb->iajb', functions, self.information, functions, optimize=True)
+        matrix = whole.reshape(len(right), -1) + self._beyond(functions)
         return float(_gains(matrix[None], right[None])[0])
+
+    def _beyond(self, functions: Array) -> Array:
+        """Information about functions (p, k) beyond that by single pieces, shape (3 k, 3 k)."""
+        own = self.slow @ functions
+        whole = np.einsum('la,ijl,lb->iajb', own, self.beyond, own, optimize=True)
+        return np.asarray(whole.reshape(3 * own.shape[1], -1))
 
     def gains_of_products(self, first: Array, others: Sequence[Array]) -> list[float]:
         """The same of products of functions (p, a) of one input with those (p, b) of others.
@@ -94,27 +102,52 @@ class Scores:
                 own.place,
             ]
             matrix = whole.transpose(2, 0, 4, 3, 1, 5).reshape(3 * count, -1)
+            both = (first[:, :, None] * other[:, None, :]).reshape(len(first), -1)
+            matrix = matrix + self._beyond(both)
             right = (pulled.T @ other).reshape(first.shape[1], 3, -1).transpose(1, 0, 2).ravel()
             kept = np.flatnonzero(np.arange(3 * count) % count)
             found.append(float(_gains(matrix[np.ix_(kept, kept)][None], right[kept][None])[0]))
         return found
 
+    def gains_of_each(self, functions: Array) -> Array:
+        """The same of each function (p, f) alone, beside a constant that gains nothing."""
+        count = functions.shape[1]
+        return np.concatenate(
+            [
+                self._gains_of_each(functions[:, k : k + TOGETHER])
+                for k in range(0, count, TOGETHER)
+            ]
+        )
+
+    def _gains_of_each(self, functions: Array) -> Array:
+        one = np.ones_like(functions)
+        matrix = self._of_pairs(one, functions)
+        right = np.zeros((functions.shape[1], 2, 3))
+        right[:, 1] = functions.T @ self.pull
+        return _gains(matrix, right.reshape(-1, 6))
+
+    def _of_pairs(self, first: Array, second: Array) -> Array:
+        """Information about pairs of functions, (p, f) each, shape (f, 6, 6)."""
+        parts = ((first, second, self.information),
+                 (self.slow @ first, self.slow @ second, self.beyond))  # fmt: skip
+        found = []
+        for a, b, known in parts:
+            flat = known.reshape(9, -1).T
+            both = (a * b).T @ flat
+            found.append(np.array([[(a * a).T @ flat, both], [both, (b * b).T @ flat]]))
+        whole = (found[0] + found[1]).reshape(2, 2, -1, 3, 3)
+        return np.asarray(whole.transpose(2, 0, 3, 1, 4).reshape(-1, 6, 6))
+
     def gains_of_waves(self, time: Array, frequency: Array) -> Array:
         """The same of cosine and sine of time (p,) at evenly spaced frequencies (f,), Hz."""
-        flat, turned = self.information.reshape(9, -1).T, None
-        found = []
+        turned, found = None, []
         for part in np.array_split(frequency, max(1, len(frequency) // TOGETHER)):
             if turned is None:
-                turned = np.exp(2j * np.pi * (part - part[0])[:, None] * time)
-            turn = turned[: len(part)] * np.exp(2j * np.pi * part[0] * time)
-            waves = np.stack([turn.real, turn.imag])
-            right = (waves @ self.pull).transpose(1, 2, 0).reshape(len(part), 6)
-            both = waves[0] * waves[1] @ flat
-            squares = waves[0] ** 2 @ flat
-            products = [[squares, both], [both, flat.sum(axis=0) - squares]]
-            matrix = np.array(products).reshape(2, 2, -1, 3, 3).transpose(2, 3, 0, 4, 1)
-            matrix = matrix.reshape(-1, 6, 6)
-            found.append(_gains(matrix, right))
+                turned = np.exp(2j * np.pi * time[:, None] * (part - part[0]))
+            turn = turned[:, : len(part)] * np.exp(2j * np.pi * part[0] * time)[:, None]
+            waves = turn.real, turn.imag
+            right = np.stack([wave.T @ self.pull for wave in waves], axis=1)
+            found.append(_gains(self._of_pairs(*waves), right.reshape(-1, 6)))
         return np.concatenate(found)
 
 
@@ -148,33 +181,50 @@ def _gains(matrix: Array, right: Array) -> Array:
     return np.asarray(0.5 * np.sum(scaled * solved, axis=1))
 
 
-def _weights(whitener: Whitener) -> Array:
-    """Weight of a slow displacement of every piece, shape (c, p), 1/m^2."""
-    bounds, inverses = whitener.bounds, whitener.inverses
-    found = np.empty((len(inverses[0]), bounds[-1][1]))
-    for (low, high), leg in zip(bounds, inverses, strict=True):
-        for component, inverse in enumerate(leg):
-            found[component, low:high] = np.sum(inverse.sum(axis=1) ** 2) / (high - low)
-    return found
+@dataclass(frozen=True)
+class _Weights:
+    """Weights of displacements of the pieces of all runs.
+
+    Attributes
+    ----------
+    pieces : ndarray, shape (c, p), 1/m^2
+        Of what changes from piece to piece.
+    slow : sparse array, shape (s, p)
+        Polynomials over every leg, sum of squares 1.
+    beyond : ndarray, shape (c, s), 1/m^2
+        What these weigh beyond that.
+    middle : ndarray of int64, shape (s,)
+        Piece in the middle of the leg of each.
+    """
+
+    pieces: Array
+    slow: sparse.csr_array
+    beyond: Array
+    middle: Index
 
 
-def strongest_cycle(rows: Rows, scores: Scores) -> float | None:
-    """Period in s of the strongest cycle in time; None if there is no clear one."""
-    time = np.concatenate([s.time for s in rows.states])
-    length = max(s.end for s in rows.states)
-    step = 1.0 / (FINENESS * length)
-    frequency = np.arange(SLOWEST / length, FASTEST, step)
-    if not len(frequency):
-        return None
-    gains = scores.gains_of_waves(time, frequency)
-    if gains.max() - np.log(len(frequency)) < CLEAR:
-        return None
-    best = float(frequency[int(np.argmax(gains))])
-    near = 1.0 / (best + step * np.linspace(-1.0, 1.0, 8 * FINENESS + 1))
-    harmonics = [scores.gain(_harmonics(time, float(period))) for period in near]
-    return float(near[int(np.argmax(harmonics))])
-
-
-def _harmonics(time: Array, period: float) -> Array:
-    name = f'{CYCLE}{period!r}'
-    return functions_of(name, 2.0 * np.mod(time, period) / period - 1.0, HARMONICS)[:, 1:]
+def _weights(whiteners: Sequence[Whitener]) -> _Weights:
+    """Weights of the pieces, and of what is slow along each leg."""
+    pieces, slow, beyond, middle = [], [], [], []
+    known: dict[int, Array] = {}
+    start = 0
+    for inverse in chain(*(w.inverses for w in whiteners)):
+        size = inverse.shape[-1]
+        if size not in known:
+            place = np.linspace(-1.0, 1.0, size) if size > 1 else np.zeros(1)
+            known[size] = np.linalg.qr(legendre.legvander(place, min(SLOW, size) - 1))[0]
+        shapes = known[size]
+        own = np.sum((inverse @ shapes) ** 2, axis=1)
+        whole = np.sum(inverse**2, axis=(1, 2))
+        rest = (whole - own.sum(axis=1)) / (size - SLOW) if size > SLOW else own[:, 0]
+        pieces.append(np.repeat(rest[:, None], size, axis=1))
+        slow.append(shapes.T)
+        beyond.append(own - rest[:, None])
+        middle += [start + size // 2] * shapes.shape[1]
+        start += size
+    return _Weights(
+        np.concatenate(pieces, axis=1),
+        sparse.csr_array(sparse.block_diag(slow)),
+        np.concatenate(beyond, axis=1),
+        np.array(middle),
+    )

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Structure of a gap that no effect explains: which inputs it depends on, and how it acts.
 
-Smooth functions of every input, and of every two, are compared; a cycle in time is an input where
-there is a clear one. A score test screens them (``score``). The best are fitted exactly and
-priced as effects are; then the way to act, the same for all until then, is chosen in the same
-way. Looking at many costs the logarithm of their number.
+Smooth functions of every input, and of every two, are compared; a cycle in time, a moment, a
+place or a direction of the beam is an input where there is a clear one (``sought``). A score test
+screens them (``score``). The best are fitted exactly and priced as effects are; then the way to
+act, the same for all until then, is chosen in the same way. Looking at many costs the logarithm
+of their number. What a structure leaves may follow another input besides.
 """
 
 from __future__ import annotations
@@ -16,15 +17,17 @@ from itertools import combinations, groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.diagnosis.engine.beside import Pool
 from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.score import Scores, strongest_cycle
+from otf_core.diagnosis.engine.score import Scores
 from otf_core.diagnosis.engine.search import Cause, noise_variance
+from otf_core.diagnosis.engine.sought import sought_inputs
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.acting import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.empirical import Empirical
+from otf_core.effects.found_inputs import MOMENT, cycle_period, found_kind, head_of, stands_for
 from otf_core.effects.free import Free, FreeForm
 from otf_core.effects.inputs import (
-    CYCLE,
     SIGNAL,
     Span,
     functions_of,
@@ -45,7 +48,7 @@ ALONE, IN_PAIR = 6, 3
 """Highest order of a function of one input, and of each of two."""
 LONG = 60
 """Order of a function of time alone that is tried as well: what switches every few legs."""
-ORDERS = {'time': 20, 'feed': 2, 'acceleration': 3, 'sense_x': 2, 'sense_y': 2, 'sense_z': 2}
+ORDERS = {'time': 20, 'feed': 2, 'acceleration': 6, 'sense_x': 2, 'sense_y': 2, 'sense_z': 2}
 """Highest orders of functions of one input, where they differ."""
 SCREENED = 14
 """Pairs of inputs that are fitted exactly; single inputs all are."""
@@ -112,10 +115,9 @@ class Structures:
 def try_structures(rows: Rows, pairs_tried: int = SCREENED) -> Structures:
     """Fit every structure of one input, and those of two that a score test prefers."""
     scores = Scores.of(rows)
-    inputs = _inputs(rows)
-    if period := strongest_cycle(rows, scores):
-        inputs.append(f'{CYCLE}{period:.6g}')
-    alone = [_form((name,)) for name in inputs]
+    sought = sought_inputs(rows, scores)
+    inputs = [*_inputs(rows), *(name for name in sought if cycle_period(name))]
+    alone = [_form((name,)) for name in dict.fromkeys([*inputs, *sought])]
     alone.append(Free(('time',), (LONG,), acts=vector))
     pairs = [_form(names) for names in combinations(inputs, 2)]
     spans = {name: span_of(rows.states, name) for name in inputs}
@@ -130,8 +132,32 @@ def find_structure(tried: Structures) -> Structure | None:
     rows, ranked = tried.rows, tried.ranked
     variance = noise_variance(rows, _left(_likeliest(ranked, 1.0), rows))
     first = _simplest(ranked, variance)
-    ways = [first, *(tried.tried(f) for f in _ways(first, variance))]
-    found = _likeliest(ways, variance)
+    # what turns all that the tracker sees looks as a vector as if it depended on places as well
+    inner = [t for t in ranked if set(plain_inputs(t)) <= set(plain_inputs(first))]
+    kinds = {inputs_of(t): t for t in sorted(inner, key=lambda t: tried.score(t, variance))}
+    ways = [tried.tried(form) for t in kinds.values() for form in _ways(t, variance)]
+    return _clear(tried, _simplest([*kinds.values(), first, *ways], variance), variance)
+
+
+def find_another(tried: Structures, known: Sequence[Structure]) -> Structure | None:
+    """Find another input that what structures leave depends on; None if none has the odds."""
+    rows, options = tried.rows, [s.cause.option for s in known]
+    taken = {n for s in known for own in s.effect.form.inputs for n in stands_for(own)}
+    single = [t for t in tried.ranked if len(inputs_of(t)) == 1]
+    pool = Pool.of(rows, {'': [t for t in single if not taken & set(plain_inputs(t))]})
+    for option in options:
+        pool = pool.joined(option)
+    beside = pool.beside(options)
+    left = beside.candidates['']
+    best = _likeliest(left, 1.0)
+    trace = best.trace(np.arange(len(best.size)), 1.0)
+    trace = trace - beside.basis @ (beside.basis.T @ trace)
+    variance = noise_variance(rows, beside.residual - trace)
+    return _clear(tried, _likeliest(left, variance), variance)
+
+
+def _clear(tried: Structures, found: Tried, variance: float) -> Structure | None:
+    """A structure, if it has the odds."""
     score = tried.score(found, variance)
     if score < NEEDED:
         return None
@@ -154,11 +180,17 @@ def _inputs(rows: Rows) -> list[str]:
 
 def _form(names: tuple[str, ...], acts: Acting = vector) -> Free:
     most = ALONE if len(names) == 1 else IN_PAIR
-    orders = (ORDERS.get(n, most) if len(names) == 1 else min(ORDERS.get(n, most), most)
-              for n in names)  # fmt: skip
+    orders = (_order(n, most) if len(names) == 1 else min(_order(n, most), most) for n in names)
     # cosine and sine of a cycle belong together
-    whole = (o - o % 2 if n.startswith(CYCLE) else o for n, o in zip(names, orders, strict=True))
-    return Free(names, tuple(whole), acts=acts)
+    whole = (o - o % 2 if cycle_period(n) else o for n, o in zip(names, orders, strict=True))
+    own = True if head_of(names[0]) == MOMENT else None  # a jolt belongs to its run
+    return Free(names, tuple(whole), acts=acts, own_per_run=own)
+
+
+def _order(name: str, most: int) -> int:
+    """Highest order of a function of an input."""
+    kind = found_kind(name)
+    return (kind.order or most) if kind else ORDERS.get(name, most)
 
 
 def _screened(rows: Rows, scores: Scores, forms: Sequence[Free], spans: dict[str, Span]) -> Array:
@@ -168,7 +200,7 @@ def _screened(rows: Rows, scores: Scores, forms: Sequence[Free], spans: dict[str
             name,
             np.concatenate([scaled_input(name, input_values(s, name), spans[name])
                             for s in rows.states]),
-            ORDERS.get(name, ALONE),
+            _order(name, ALONE),
         )
         for name in spans
     }  # fmt: skip
@@ -204,8 +236,8 @@ def _simplest(ranked: Sequence[Tried], variance: float) -> Tried:
     """The likeliest, or one of its inputs alone where that is about as good."""
     best = _likeliest(ranked, variance)
     score = best.odds(np.arange(len(best.size)), variance)
-    names = set(inputs_of(best))
-    inner = [t for t in ranked if set(inputs_of(t)) < names]
+    names = set(plain_inputs(best))
+    inner = [t for t in ranked if set(plain_inputs(t)) < names]
     enough = [t for t in inner if t.odds(np.arange(len(t.size)), variance) > ENOUGH * score]
     return _likeliest(enough, variance) if enough else best
 
@@ -215,6 +247,11 @@ def inputs_of(tried: Tried) -> tuple[str, ...]:
     effect = tried.effect
     assert isinstance(effect, FreeForm)
     return effect.form.inputs
+
+
+def plain_inputs(tried: Tried) -> tuple[str, ...]:
+    """The same, a place or a moment as the inputs that it says more of."""
+    return tuple(dict.fromkeys(plain for n in inputs_of(tried) for plain in stands_for(n)))
 
 
 def _left(tried: Tried, rows: Rows) -> Array:
@@ -227,7 +264,7 @@ def _ways(first: Tried, variance: float) -> list[Free]:
     assert isinstance(first.effect, FreeForm)
     ways: list[Acting] = [ACTING[RIGID_TRACKER], ACTING[RIGID_TABLE]]
     main, share = _main_direction(first, variance)
-    if share > ONE_DIRECTION:
+    if share > ONE_DIRECTION and not first.effect.own_per_run:
         ways.append(Along((float(main[0]), float(main[1]), float(main[2]))))
     return [replace(first.effect.form, acts=way) for way in ways]
 

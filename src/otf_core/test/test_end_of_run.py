@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The end of a run: what is found of the track before it is known changes nothing later."""
+
+from dataclasses import replace
+
+import numpy as np
+from core_cells import record, small_plan, some_machine
+
+from otf_core.config import CalibrationConfig
+from otf_core.model.observation import Samples
+from otf_core.tracking.alignment import align, followed
+from otf_core.tracking.path_watch import PathWatcher
+
+CONFIG = CalibrationConfig()
+MACHINE = some_machine()
+RECORDING = record(MACHINE, small_plan(MACHINE))
+
+
+def standing(samples, seconds):
+    """A run whose target stands at its end for longer, by the noise of its last samples."""
+    step = int(samples.step_ns)
+    count = round(seconds / samples.step)
+    noise = np.random.default_rng(8).normal(scale=2e-6, size=(count, 3))
+    stamps = samples.stamp_ns[-1] + step * np.arange(1, count + 1)
+    xyz = np.concatenate([samples.xyz, samples.xyz[-1] + noise])
+    return Samples(np.concatenate([samples.stamp_ns, stamps]), xyz)
+
+
+def test_what_was_seen_of_a_run_before_its_last_samples_changes_nothing():
+    path, early = RECORDING.path, RECORDING.measured(seed=3)
+    late = standing(early, 1.0)
+    seen = followed(early, path, CONFIG)
+    assert seen.to_the_end and followed(late, path, CONFIG, seen) is seen
+    plain, found = (align(late, path, CONFIG, known) for known in (None, seen))
+    for name in ('rotation', 'translation'):
+        one, other = (getattr(a.T_machine_tracker, name) for a in (plain, found))
+        assert one.tobytes() == other.tobytes()
+    assert found.leg.tobytes() == plain.leg.tobytes() and found.coverage == plain.coverage
+    other = replace(CONFIG, corner_exclusion=0.01)
+    assert followed(early, path, other, seen).config == other
+    again = followed(early.part(0, len(early) // 2), path, CONFIG, seen)
+    assert again is not seen and not again.to_the_end
+
+
+def test_standstill_after_the_whole_path_is_looked_at_before_it_ends_the_run():
+    path, samples = RECORDING.path, RECORDING.measured(seed=3)
+    samples = standing(samples, 1.5)
+    watcher, asked = PathWatcher(path, CONFIG), []
+    for stamp, point in zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True):
+        watcher.add(stamp, *point)
+        if watcher.worth_judging():
+            asked.append(watcher.standstill)
+        assert not watcher.stood or watcher.standstill >= 1.0
+    assert asked and max(asked) < 0.5 and watcher.stood
+    watcher.add(stamp + 2_000_000, point[0] + 0.002, *point[1:])
+    assert watcher.standstill == 0.0 and watcher.stood  # it stood, though it has moved on
