@@ -34,8 +34,9 @@ from otf_core.diagnosis.engine.search import (
 )
 from otf_core.diagnosis.engine.unnamed import Structures, inputs_of
 from otf_core.effects.acting import vector
+from otf_core.effects.found_inputs import stands_for
 from otf_core.effects.free import FreeForm
-from otf_core.effects.inputs import SIGNAL, in_time
+from otf_core.effects.inputs import SIGNAL
 
 Array = NDArray[np.float64]
 
@@ -123,7 +124,7 @@ def _says_more(inputs: Sequence[str], causes: Sequence[Cause]) -> bool:
     """Tell whether a function of time and more stands against shifts by free functions of time."""
     effects = [c.option.effect for c in causes]
     alike = all(isinstance(e, FreeForm) and e.form.acts is vector for e in effects)
-    return alike and not all(n == 'time' or in_time(n) or n.startswith(SIGNAL) for n in inputs)
+    return alike and not all(stands_for(n) == ('time',) or n.startswith(SIGNAL) for n in inputs)
 
 
 def _same(trace: Array, other: Array) -> bool:
