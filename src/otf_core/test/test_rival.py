@@ -54,6 +54,17 @@ def test_a_cause_that_only_follows_something_else_is_doubted():
     assert rival.confidence(causes[0]) < 1e-3
 
 
+def test_a_shift_of_all_places_gives_way_where_the_place_matters_as_well():
+    def growing(s):
+        away = 1.0 + s.q[:, 2] / (s.machine.upper[2] - s.machine.lower[2])
+        return (12e-6 * np.sqrt(s.time / s.end) * away)[:, None] * [0, 0, 1]
+
+    rows = held(growing)
+    causes = found_in(rows, 'thermal_structure_drift')
+    rival = rival_of(causes, try_structures(rows))
+    assert 'time' in rival.inputs and len(rival.inputs) == 2 and rival.wins
+
+
 @pytest.mark.parametrize(
     ('own', 'score', 'odds', 'stated'),
     [

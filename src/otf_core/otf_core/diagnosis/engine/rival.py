@@ -8,6 +8,8 @@ causes together, E_s that of the rival, both for the noise that the better of th
     P(causes) : P(something else) = exp(E_c) : exp(E_s).
 
 A function that leaves the trace of the causes is no rival: it is what they do, in other words.
+Unless they shift all places alike in the course of time, and it is likelier and says that the
+place, or what else, matters: then they only come near.
 
 The odds that an effect needs before it is named are odds of "nothing, and noise other than
 assumed"; they count in its confidence as well.
@@ -31,6 +33,10 @@ from otf_core.diagnosis.engine.search import (
     noise_variance,
 )
 from otf_core.diagnosis.engine.unnamed import Structures, inputs_of
+from otf_core.effects.acting import vector
+from otf_core.effects.found_inputs import stands_for
+from otf_core.effects.free import FreeForm
+from otf_core.effects.inputs import SIGNAL
 
 Array = NDArray[np.float64]
 
@@ -85,11 +91,11 @@ def rival_of(causes: Sequence[Cause], structures: Structures) -> Rival:
     likeliest = sorted(structures.ranked, key=lambda t: -structures.score(t, variance))
     for tried in likeliest[:RIVALS]:
         other = tried.trace(np.arange(len(tried.size)), variance)
-        if _same(trace, other):
-            continue
         least = min(variance, noise_variance(rows, rows.residual - other))
         odds = structures.score(tried, least) - together(causes, rows, least)
-        return Rival(odds, inputs_of(tried))
+        found = Rival(odds, inputs_of(tried))
+        if not _same(trace, other) or (found.wins and _says_more(found.inputs, causes)):
+            return found
     return Rival()
 
 
@@ -112,6 +118,13 @@ def together(causes: Sequence[Cause], rows: Rows, variance: float) -> float:
         basis = np.concatenate([basis, taken], axis=1)
         residual = residual - taken @ (taken.T @ residual)
     return total
+
+
+def _says_more(inputs: Sequence[str], causes: Sequence[Cause]) -> bool:
+    """Tell whether a function of time and more stands against shifts by free functions of time."""
+    effects = [c.option.effect for c in causes]
+    alike = all(isinstance(e, FreeForm) and e.form.acts is vector for e in effects)
+    return alike and not all(stands_for(n) == ('time',) or n.startswith(SIGNAL) for n in inputs)
 
 
 def _same(trace: Array, other: Array) -> bool:
