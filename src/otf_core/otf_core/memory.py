@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory that is free, given back to the operating system.
+"""Little memory: arrays worked on some values at a time, and what is free given back.
 
 Large arrays that come and go leave a heap of which half is free but still counts as used; between
 the steps of a calibration of many samples that is as much as the samples themselves. Every thread
@@ -9,10 +9,20 @@ has such a heap of its own unless they are told to share one.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 _M_ARENA_MAX = -8
 """Parameter of ``mallopt`` (malloc.h of the GNU C library): number of heaps."""
+
+
+BLOCK = 65536
+"""Samples worked on at a time."""
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Samples, some at a time: what is made of all at once would be large."""
+    return (slice(low, min(low + BLOCK, count)) for low in range(0, count, BLOCK))
 
 
 def give_back() -> None:

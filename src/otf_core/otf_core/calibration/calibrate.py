@@ -189,7 +189,8 @@ def solve_recordings(
     check_recordings(recordings)
     runs, nodes = prepare(recordings, config)
     give_back()
-    runs = _with_remarks(recordings, examine(runs, nodes, config, mend=mend))
+    read = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
+    runs = _remarked(examine(runs, nodes, config, mend=mend), before=read)
     give_back()
     progress('solving', 0.0)
     solution = solve_with_reversal(runs, nodes, config, progress)
@@ -202,17 +203,12 @@ def solve_recordings(
     return SolvedRecordings(_remarked(runs, said), nodes, solution, left)
 
 
-def _remarked(runs: Sequence[Run], said: Sequence[Finding]) -> list[Run]:
-    """Let the first run carry what was found as well."""
+def _remarked(
+    runs: Sequence[Run], after: Sequence[Finding] = (), before: Sequence[Finding] = ()
+) -> list[Run]:
+    """Let the first run carry what was found of all, before and after its own remarks."""
     first, *others = runs
-    return [replace(first, remarks=(*first.remarks, *said)), *others]
-
-
-def _with_remarks(recordings: Sequence[Recording], runs: Sequence[Run]) -> list[Run]:
-    """Let the first run carry what was said of the recordings when they were read."""
-    said = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
-    first, *others = runs
-    return [replace(first, remarks=(*said, *first.remarks)), *others]
+    return [replace(first, remarks=(*before, *first.remarks, *after)), *others]
 
 
 def _run_result(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.memory import blocks
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
 from otf_core.noise.colour import fit_colour
@@ -18,8 +19,6 @@ from otf_core.noise.tails import Tails, tails
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-BLOCK = 65536
-"""Samples that are looked at at once."""
 MIN_DURATION = 0.25
 """s; shorter stops are not used."""
 GUARD = 0.05
@@ -70,12 +69,11 @@ def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_D
         return np.zeros((0, 2), dtype=np.int64)
     count = len(samples) - 2 * half
     still = np.zeros(count + 2, dtype=bool)
-    for low in range(0, count, BLOCK):
-        early = slice(low, min(low + BLOCK, count))
+    for early in blocks(count):
         late = slice(early.start + 2 * half, early.stop + 2 * half)
         span = (samples.stamp_ns[late] - samples.stamp_ns[early]) * 1e-9
         moved = np.linalg.norm(samples.xyz[late] - samples.xyz[early], axis=1)
-        still[low + 1 : early.stop + 1] = (moved < speed * span) & (span < 4 * half * step)
+        still[early.start + 1 : early.stop + 1] = (moved < speed * span) & (span < 4 * half * step)
     edges = np.flatnonzero(np.diff(still.astype(np.int8)))
     runs = edges.reshape(-1, 2) + half
     guard = max(0, round(GUARD / step) - half)

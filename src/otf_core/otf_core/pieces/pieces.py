@@ -17,6 +17,7 @@ from scipy.ndimage import maximum_filter1d
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
+from otf_core.memory import blocks
 from otf_core.model.observation import Samples
 from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.pieces.boundaries import all_boundaries
@@ -31,8 +32,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Small = NDArray[np.int32]
 
-BLOCK = 65536
-"""samples that are looked at in the machine frame at once: copies of all would be large."""
 SPEED_WINDOW = 0.04
 """s; the speed of a sample is taken over this time."""
 
@@ -155,7 +154,7 @@ def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfi
     speed = np.zeros(len(samples))
     if len(samples) <= 2 * half:
         return speed
-    for part in _blocks(len(samples) - 2 * half):
+    for part in blocks(len(samples) - 2 * half):
         middle, late = (slice(part.start + k, part.stop + k) for k in (half, 2 * half))
         span = (samples.stamp_ns[late] - samples.stamp_ns[part]) * 1e-9
         advance = np.where(leg[late] == leg[part], along[late] - along[part], 0.0)
@@ -201,7 +200,7 @@ def samples_on_lines(
     leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
     pose, lines = alignment.T_machine_tracker, Lines.of(alignment.shape)
     on_chord, along = np.empty((2, len(samples)))
-    for part in _blocks(len(samples)):
+    for part in blocks(len(samples)):
         on_chord[part] = lines.along(pose.apply(samples.xyz[part]), leg[part])
         along[part] = lines.start[leg[part]] + on_chord[part]
     stretch = np.where(
@@ -210,7 +209,7 @@ def samples_on_lines(
     speed = _moving(samples, along, stretch, config)
     low, high = _margins(lines, alignment, config)
     keep = (alignment.leg != OFF_PATH) & (speed > 0)
-    for part in _blocks(len(samples)):
+    for part in blocks(len(samples)):
         here, own = leg[part], along[part]
         keep[part] &= (own > low[here]) & (own < lines.total[here] - high[here])
         if not lines.shape.straight:
@@ -231,10 +230,6 @@ def samples_on_lines(
     out = outlying(offset_of, leg_bounds(stretch[chosen]), config.outlier_limit)
     far, chosen = chosen[out], chosen[~out]
     return chosen, on_chord[chosen], speed[chosen], far
-
-
-def _blocks(count: int) -> list[slice]:
-    return [slice(low, min(low + BLOCK, count)) for low in range(0, count, BLOCK)]
 
 
 def _margins(lines: Lines, alignment: Alignment, config: CalibrationConfig) -> tuple[Array, Array]:
@@ -278,7 +273,7 @@ def reduce_to_pieces(
     shift = np.concatenate([[0.0], np.cumsum([m[-1] + 1.0 for m in marks])])
     bounds = np.concatenate([m + s for m, s in zip(marks, shift[:-1], strict=True)])
     place, piece = np.empty(len(leg)), np.empty(len(leg), dtype=np.int32)
-    for part in _blocks(len(leg)):
+    for part in blocks(len(leg)):
         here = leg[part]
         group = shape.group[here]
         own = (lines.start[here] - lines.start[group]) + along[part]

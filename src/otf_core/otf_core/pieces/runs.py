@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
+from otf_core.memory import blocks
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import Machine
 from otf_core.model.nodes import table_nodes
@@ -23,7 +24,7 @@ from otf_core.noise.model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.finding import Finding
 from otf_core.pieces.observed import Observed
-from otf_core.pieces.pieces import BLOCK, Pieces, reduce_to_pieces
+from otf_core.pieces.pieces import Pieces, reduce_to_pieces
 from otf_core.tracking.alignment import Alignment, Followed, align, line_step
 from otf_core.tracking.curves import Lines
 from otf_core.tracking.leg_starts import leg_starts
@@ -193,8 +194,7 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
 def _extremes(xyz: Array, alignment: Alignment) -> tuple[Array, Array]:
     """Lowest and highest coordinates of the samples on legs, machine frame, m."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for start in range(0, len(xyz), BLOCK):
-        part = slice(start, start + BLOCK)
+    for part in blocks(len(xyz)):
         on = alignment.leg[part] != OFF_PATH
         if on.any():
             points = alignment.T_machine_tracker.apply(xyz[part][on])

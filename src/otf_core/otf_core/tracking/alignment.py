@@ -9,7 +9,6 @@ in three or four steps instead of hundreds (docs/formulation.md).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
+from otf_core.memory import blocks
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
@@ -28,7 +28,7 @@ from otf_core.tracking.matching import ENOUGH, LEAST, cut_track
 from otf_core.tracking.no_match import MIRRORED, mirrored, why_no_match
 from otf_core.tracking.order import FORWARD, OFF_PATH, Match, follow
 from otf_core.tracking.rounding import rounded_ends, sharpened
-from otf_core.tracking.track import BLOCK, Track, measured_track
+from otf_core.tracking.track import Track, measured_track
 
 Array = NDArray[np.float64]
 
@@ -113,10 +113,10 @@ def line_step(
         If the lines leave a motion free, such as turning about a single line.
     """
     centre = points.mean(axis=0)
-    square = sum(float(np.sum((points[k] - centre) ** 2)) for k in _blocks(len(points)))
+    square = sum(float(np.sum((points[k] - centre) ** 2)) for k in blocks(len(points)))
     size = np.sqrt(square / len(points)) or 1.0
     normal, right = np.zeros((6, 6)), np.zeros(6)
-    for k in _blocks(len(points)):
+    for k in blocks(len(points)):
         local = (points[k] - centre) / size
         share = weight[k] / weight.sum()
         of_rows, of_offsets = _line_sums(local, points[k] - origin[k], direction[k], share)
@@ -147,11 +147,6 @@ def _line_sums(local: Array, offset: Array, direction: Array, share: Array) -> t
     normal[3:, :3] += skew.T
     turned = np.cross(weighted, offset).sum(axis=0)
     return normal, -np.concatenate([share @ offset, turned])
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    """Points, some at a time: what is made of all at once would be large."""
-    return (slice(low, low + BLOCK) for low in range(0, count, BLOCK))
 
 
 def _refine(

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import InputError
+from otf_core.memory import blocks
 from otf_core.model.observation import Samples
 
 Array = NDArray[np.float64]
@@ -30,8 +31,6 @@ GAP_TIME = 0.05
 """s; at least this long without samples, and a hop of movement, is a gap."""
 STRIDE_TIME = 0.005
 """s; samples are looked at this often."""
-BLOCK = 65536
-"""samples that are turned into Python numbers at once."""
 
 
 @dataclass(frozen=True)
@@ -105,9 +104,9 @@ def _hop_selection(points: Array) -> NDArray[np.int64]:
     kept = [0]
     x0, y0, z0 = points[0].tolist()
     limit = HOP * HOP
-    for start in range(0, len(points), BLOCK):
-        columns = points[start : start + BLOCK].T.tolist()
-        for i, (x, y, z) in enumerate(zip(*columns, strict=True), start):
+    for part in blocks(len(points)):
+        columns = points[part].T.tolist()
+        for i, (x, y, z) in enumerate(zip(*columns, strict=True), part.start):
             dx, dy, dz = x - x0, y - y0, z - z0
             if dx * dx + dy * dy + dz * dz >= limit:
                 kept.append(i)
