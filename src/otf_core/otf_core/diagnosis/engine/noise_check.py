@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 
 NAMED = 0.5
 """Probability from which on a departure is named: the more likely of two."""
+SURE = 0.95
+"""The same of slow noise: it makes no gap, as the simulation has the colour of the run's own
+standstills, so nothing calls for a name."""
 SLOW, CORRELATED = 'correlation_time', 'correlated over'
 """Slow noise as a parameter of the effect, and in words."""
 
@@ -74,7 +77,7 @@ def _words(seen: Departure) -> list[str]:
         for name, level, p in zip(QUANTITIES, seen.level, seen.of_level, strict=True)
         if p > NAMED
     ]
-    if seen.of_time > NAMED:
+    if seen.of_time > SURE:
         found.append(f'{CORRELATED} {seen.time:.1f} s')
     if seen.of_dof > NAMED:
         found.append(f"heavy tails (Student's t, {seen.dof:.1f} degrees of freedom)")
@@ -102,7 +105,8 @@ def check_noise(
         for name, (value, probability) in _parameters(seen).items():
             if not gap and name != SLOW:
                 continue
-            if probability > max(NAMED, found.get(name, (0.0, 0.0))[1]):
+            least = SURE if name == SLOW else NAMED
+            if probability > max(least, found.get(name, (0.0, 0.0))[1]):
                 found[name] = (value, probability)
         words += [w for w in _words(seen) if gap or w.startswith(CORRELATED)]
     if not found:
