@@ -136,7 +136,7 @@ def find_structure(tried: Structures) -> Structure | None:
     inner = [t for t in ranked if set(plain_inputs(t)) <= set(plain_inputs(first))]
     kinds = {inputs_of(t): t for t in sorted(inner, key=lambda t: tried.score(t, variance))}
     ways = [tried.tried(form) for t in kinds.values() for form in _ways(t, variance)]
-    return _clear(tried, _simplest([*kinds.values(), first, *ways], variance), variance)
+    return _clear(tried, _likeliest([first, *ways], variance), variance)
 
 
 def find_another(tried: Structures, known: Sequence[Structure]) -> Structure | None:
