@@ -41,7 +41,7 @@ from otf_core.effects.found_inputs import (
     found_kind,
     head_of,
     numbers_of,
-    stands_for,
+    plain_names,
 )
 from otf_core.effects.inputs import SIGNAL
 from otf_core.model.frames import XYZ
@@ -187,9 +187,8 @@ def _said(rows: Rows, explained: Explanation, structures: Sequence[Structure]) -
     parts = fitted_causes(causes, rows)
     curves = [curves_of(part) for part in parts]
     words = [_words(s, own) for s, own in zip(structures, curves, strict=True)]
-    inputs = (n for s in structures for own in s.effect.form.inputs for n in stands_for(own))
     said = Unnamed(
-        depends_on=tuple(dict.fromkeys(inputs)),
+        depends_on=tuple(dict.fromkeys(n for s in structures for n in s.inputs)),
         acts_as=acting_name(structures[0].effect.form.acts),
         words='; and besides it '.join(words),
         before_um=sizes[0],
@@ -226,7 +225,7 @@ def _words(structure: Structure, curves: Sequence[Curve]) -> str:
     sizes = f', {range_words(curves[0])}' if curves else ''
     signals = any(n.startswith(SIGNAL) for n in inputs)
     kinds_of = {head_of(n) or n for n in inputs}
-    kinds_of |= {plain for n in inputs if head_of(n) not in WITH_WORDS for plain in stands_for(n)}
+    kinds_of |= set(plain_names([n for n in inputs if head_of(n) not in WITH_WORDS]))
     kinds = [words for names, words in MECHANISMS if names & kinds_of][:2]
     kinds = ['what that signal measures'] if signals else kinds
     return f'depends on {depends}: {moved}{sizes}; what behaves so: {", or ".join(kinds)}'

@@ -2,18 +2,19 @@
 """Inputs with numbers of their own, which are found in data.
 
 The phase of a cycle in time, before and after a moment, the distance from a place, the angle of
-the beam from a direction. Their names hold the numbers: ``cycle:30``, ``after:341.5``,
-``near:0.1,0.25,-0.2``, ``aside:0.7,0.2``.
+the beam from a direction, time as what switches feels it. Their names hold the numbers:
+``cycle:30``, ``after:341.5``, ``near:0.1,0.25,-0.2``, ``aside:0.7,0.2``, ``switched:58@0,146``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from otf_core.effects.base import Array, State
+from otf_core.effects.switching import SWITCHED, Switching
 
 CYCLE, MOMENT, PLACE, DIRECTION = 'cycle:', 'after:', 'near:', 'aside:'
 """Heads of the names; the numbers follow: period in s; moment in s; axis positions in m; azimuth
@@ -27,6 +28,8 @@ class FoundKind:
 
     Attributes
     ----------
+    count : int
+        Numbers in its name; 0 where the name says how many.
     stands_for : tuple of str
         Plain inputs that it says more of.
     unit, label : str
@@ -39,6 +42,7 @@ class FoundKind:
     words : callable(numbers) -> str
     """
 
+    count: int
     stands_for: tuple[str, ...]
     unit: str
     label: str
@@ -74,27 +78,31 @@ def _direction_words(numbers: Numbers) -> str:
 
 KINDS = {
     CYCLE: FoundKind(
-        ('time',), 's', 'time in the cycle', 0.0, 0,
+        1, ('time',), 's', 'time in the cycle', 0.0, 0,
         lambda state, n: np.asarray(np.mod(state.time, n[0])),
         lambda n: f'time, over and over every {n[0]:.3g} s',
     ),
     MOMENT: FoundKind(
-        ('time',), '', 'after the moment', 0.0, 1,
+        1, ('time',), '', 'after the moment', 0.0, 1,
         lambda state, n: (state.time > n[0]).astype(float),
         lambda n: f'time, before and after {n[0]:.0f} s',
     ),
     PLACE: FoundKind(
-        ('x', 'y', 'z'), 'm', 'distance from the place', 0.05, 0,
+        3, ('x', 'y', 'z'), 'm', 'distance from the place', 0.05, 0,
         lambda state, n: np.asarray(np.linalg.norm(state.q - np.array(n), axis=1)),
         _place_words,
     ),
     DIRECTION: FoundKind(
-        ('azimuth', 'elevation'), 'rad', 'angle from the direction', 0.1, 0,
+        2, ('azimuth', 'elevation'), 'rad', 'angle from the direction', 0.1, 0,
         _angle,
         _direction_words,
     ),
+    SWITCHED: FoundKind(
+        0, ('time',), 's', 'time', 0.0, 0,
+        lambda state, n: state.time,
+        lambda n: f'time: {Switching(n[0], n[1:]).words}',
+    ),
 }  # fmt: skip
-_COUNT = {CYCLE: 1, MOMENT: 1, PLACE: 3, DIRECTION: 2}
 
 
 def head_of(name: str) -> str:
@@ -106,11 +114,14 @@ def head_of(name: str) -> str:
 def numbers_of(name: str) -> Numbers:
     """Numbers in the name of such an input; none for any other, or without proper numbers."""
     head, _, rest = name.partition(':')
+    if switching := Switching.of(name):
+        return switching.lag, *switching.moments
     try:
         numbers = tuple(float(part) for part in rest.split(','))
     except ValueError:
         return ()
-    proper = len(numbers) == _COUNT.get(head + ':', 0) and bool(np.all(np.isfinite(numbers)))
+    kind = KINDS.get(head + ':')
+    proper = kind and len(numbers) == kind.count and np.all(np.isfinite(numbers))
     return numbers if proper and (head + ':' != CYCLE or numbers[0] > 0.0) else ()
 
 
@@ -133,3 +144,8 @@ def stands_for(name: str) -> tuple[str, ...]:
     """Plain inputs of an input: its own name where it has no numbers."""
     kind = found_kind(name)
     return kind.stands_for if kind else (name,)
+
+
+def plain_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Plain inputs of some inputs, each once."""
+    return tuple(dict.fromkeys(plain for name in names for plain in stands_for(name)))

@@ -2,10 +2,10 @@
 """Inputs that a smooth function may depend on, by name, and how they are scaled to [-1, 1].
 
 Time, axis positions, sense of travel, feed, what happened since the last stop or reversal, place
-in the path, direction and length of the beam, signals recorded beside the samples, time as what
-switches feels it (``switching``), and those with numbers of their own (``found_inputs``). A
-distance or a time since something is compressed to s / (s + s0), so that what dies out needs few
-functions. Functions are Legendre polynomials; of a phase they are harmonics.
+in the path, direction and length of the beam, signals recorded beside the samples, and those with
+numbers of their own (``found_inputs``). A distance or a time since something is compressed to
+s / (s + s0), so that what dies out needs few functions. Functions are Legendre polynomials; of a
+phase they are harmonics, of what switches its responses.
 """
 
 from __future__ import annotations
@@ -40,8 +40,7 @@ _LETTERS = {a.lower(): k for k, a in enumerate(XYZ)}
 def known_input(name: str) -> bool:
     """Tell whether a name is one of an input."""
     head, _, axis = name.rpartition('_')
-    numbered = found_kind(name) is not None or Switching.of(name) is not None
-    own = (head in OF_AXIS and axis in _LETTERS) or numbered
+    own = (head in OF_AXIS and axis in _LETTERS) or found_kind(name) is not None
     return own or name in UNITS or name in _LETTERS or name.startswith(SIGNAL)
 
 
@@ -51,16 +50,13 @@ def unit_of_input(name: str) -> str:
         return 'm'
     if kind := found_kind(name):
         return kind.unit
-    if Switching.of(name):
-        return 's'
     return UNITS.get(name, OF_AXIS.get(name.rpartition('_')[0], ''))
 
 
 def label_of(name: str) -> str:
     """Name of an input for pictures."""
-    if kind := found_kind(name):
-        return kind.label
-    return 'time' if Switching.of(name) else name
+    kind = found_kind(name)
+    return kind.label if kind else name
 
 
 def compression(name: str) -> float:
@@ -92,8 +88,6 @@ def input_values(state: State, name: str) -> Array:
         return state.more[name]
     if kind := found_kind(name):
         return kind.values(state, numbers_of(name))
-    if Switching.of(name):
-        return state.time
     if name in _PLAIN:
         return np.asarray(_PLAIN[name](state))
     if name.startswith(SIGNAL):

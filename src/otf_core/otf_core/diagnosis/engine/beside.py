@@ -21,6 +21,7 @@ from otf_core.diagnosis.engine.tried import Tried
 from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Candidates = Mapping[str, Sequence[Tried]]
 
 NEXT_TO_NOTHING = 1e-9
@@ -45,6 +46,11 @@ class Beside:
     candidates: Candidates
     basis: Array
     residual: Array
+
+    def trace(self, tried: Tried, take: Index, variance: float) -> Array:
+        """Best fit of one of the candidates, less what the causes can follow, shape (r,)."""
+        trace = tried.trace(take, variance)
+        return np.asarray(trace - self.basis @ (self.basis.T @ trace))
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,12 +124,6 @@ def is_free(tried: Tried) -> bool:
     return free and tried.effect.name not in DECOY_NAMES
 
 
-def _trace(basis: Array, tried: Tried, take: Index, variance: float) -> Array:
-    """Best fit of one of the candidates beside causes that ``basis`` spans."""
-    trace = tried.trace(take, variance)
-    return np.asarray(trace - basis @ (basis.T @ trace))
-
-
 def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Option:
     """Improve the shape of an option: its spectral line or length is only known to a raster."""
     name = option.effect.refine
@@ -205,13 +199,12 @@ def _found(
     """Find effects beside causes, one after the other."""
     causes, considered = list(causes), []
     while len(causes) < MAX_CAUSES:
-        beside = with_lags(pool.beside([c.option for c in causes]), 1.0)
-        beside = with_switches(beside, 1.0)
+        beside = _beside(pool, causes, 1.0)
         first = _ranking(beside.candidates, 1.0)
         if not first:
             break
         # noise is judged on what the best candidate leaves: its own trace must not count as noise
-        best = _trace(beside.basis, *first[0][1:], 1.0)
+        best = beside.trace(*first[0][1:], 1.0)
         variance = noise_variance(pool.rows, beside.residual - best)
         ranking = _ranking(beside.candidates, variance)
         considered = [(t.effect.name, s) for s, t, _ in ranking]
@@ -220,6 +213,12 @@ def _found(
         causes.append(_cause(ranking, beside, variance))
         pool = pool.joined(causes[-1].option)
     return causes, considered, pool
+
+
+def _beside(pool: Pool, causes: Sequence[Cause], variance: float) -> Beside:
+    """Candidates beside causes, those with lags and moments at their likeliest ones."""
+    beside = pool.beside([c.option for c in causes])
+    return with_switches(with_lags(beside, variance), variance)
 
 
 def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
@@ -231,8 +230,7 @@ def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
     worst, found = 0.0, None
     for cause in causes:
         others = [c for c in causes if c is not cause]
-        beside = with_lags(pool.beside([c.option for c in others]), variance)
-        beside = with_switches(beside, variance)
+        beside = _beside(pool, others, variance)
         ranking = _ranking(beside.candidates, variance)
         (own,) = [e for e in ranking if e[1].effect.name == cause.option.effect.name]
         if own[0] < NEEDED_EVIDENCE and own[0] - NEEDED_EVIDENCE < worst:

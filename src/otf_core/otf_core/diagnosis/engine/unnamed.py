@@ -25,7 +25,7 @@ from otf_core.diagnosis.engine.sought import sought_inputs
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.acting import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.empirical import Empirical
-from otf_core.effects.found_inputs import MOMENT, cycle_period, found_kind, head_of, stands_for
+from otf_core.effects.found_inputs import MOMENT, cycle_period, found_kind, head_of, plain_names
 from otf_core.effects.free import Free, FreeForm
 from otf_core.effects.inputs import (
     SIGNAL,
@@ -85,6 +85,11 @@ class Structure:
         assert isinstance(effect, FreeForm)
         return effect
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Plain inputs that it depends on."""
+        return plain_names(self.effect.form.inputs)
+
 
 @dataclass(frozen=True, eq=False)
 class Structures:
@@ -142,7 +147,7 @@ def find_structure(tried: Structures) -> Structure | None:
 def find_another(tried: Structures, known: Sequence[Structure]) -> Structure | None:
     """Find another input that what structures leave depends on; None if none has the odds."""
     rows, options = tried.rows, [s.cause.option for s in known]
-    taken = {n for s in known for own in s.effect.form.inputs for n in stands_for(own)}
+    taken = {n for s in known for n in s.inputs}
     single = [t for t in tried.ranked if len(inputs_of(t)) == 1]
     pool = Pool.of(rows, {'': [t for t in single if not taken & set(plain_inputs(t))]})
     for option in options:
@@ -150,8 +155,7 @@ def find_another(tried: Structures, known: Sequence[Structure]) -> Structure | N
     beside = pool.beside(options)
     left = beside.candidates['']
     best = _likeliest(left, 1.0)
-    trace = best.trace(np.arange(len(best.size)), 1.0)
-    trace = trace - beside.basis @ (beside.basis.T @ trace)
+    trace = beside.trace(best, np.arange(len(best.size)), 1.0)
     variance = noise_variance(rows, beside.residual - trace)
     return _clear(tried, _likeliest(left, variance), variance)
 
@@ -251,7 +255,7 @@ def inputs_of(tried: Tried) -> tuple[str, ...]:
 
 def plain_inputs(tried: Tried) -> tuple[str, ...]:
     """The same, a place or a moment as the inputs that it says more of."""
-    return tuple(dict.fromkeys(plain for n in inputs_of(tried) for plain in stands_for(n)))
+    return plain_names(inputs_of(tried))
 
 
 def _left(tried: Tried, rows: Rows) -> Array:
