@@ -81,6 +81,7 @@ def test_killed_calibrator_goes_on_with_its_run_and_the_next_run_needs_no_reset(
 
     node = graph.start('calibrator', **given)
     thermometer = Thermometer(graph)
+    graph.wait_for_state('BUFFERING')  # it has its path
     tracker.publish(samples.part(0, part), part)
     thermometer.publish(samples.stamp_ns[:part:500])
     assert graph.trigger('calibrator/calibrate').success
