@@ -64,7 +64,7 @@ class Switching:
 
     def responses(self, time: Array) -> Array:
         """Responses r_k at times (n,), shape (n, k)."""
-        return np.stack([response(time, m, self.lag) for m in self.moments], axis=1)
+        return responses(time, np.array(self.moments), np.array(self.lag))
 
     def functions(self, time: Array, order: int) -> Array:
         """One and the functions up to an order at times (n,), shape (n, order + 1)."""
@@ -74,9 +74,12 @@ class Switching:
         return whole[:, : order + 1]
 
 
-def response(time: Array, moment: float, lag: float) -> Array:
-    """Response of first order to a switch at a moment, at times (n,), shape (n,)."""
-    since = time - moment
-    if lag == 0.0:
-        return (since > 0.0).astype(np.float64)
-    return np.asarray(-np.expm1(-np.maximum(since, 0.0) / lag))
+def responses(time: Array, moments: Array, lags: Array) -> Array:
+    """Responses of first order to switches at moments (k,), at times (n,), shape (n, k).
+
+    Lags (k,) or () of 0 are those of jumps.
+    """
+    since = np.maximum(time[:, None] - moments, 0.0)
+    jumps = lags == 0.0
+    slow = -np.expm1(-since / np.where(jumps, 1.0, lags))
+    return np.asarray(np.where(jumps, since > 0.0, slow))

@@ -313,9 +313,8 @@ def mean_covariance(
     x = np.maximum(duration / correlation_time, 1e-6)
     half = np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x)
     gap = np.abs(time[..., :, None] - time[..., None, :]) / correlation_time
-    matrix = np.exp(-gap) * np.minimum(
-        half[..., :, None] * half[..., None, :], np.exp(0.999 * gap)
-    )
+    matrix = half[..., :, None] * half[..., None, :] * np.exp(-gap)
+    np.minimum(matrix, np.exp(-0.001 * gap), out=matrix)  # windows that overlap by rounding
     own = np.where(x < 1e-3, 1.0 - x / 3.0, 2.0 * (x - 1.0 + np.exp(-x)) / x**2)
     diagonal = np.arange(time.shape[-1])
     matrix[..., diagonal, diagonal] = own

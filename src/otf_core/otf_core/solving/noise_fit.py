@@ -125,24 +125,25 @@ def _slopes(noise: NoiseModel, logs: Array, groups: list[_Lines]) -> tuple[Array
     """Score and information of the logarithms, prior left out."""
     parts = side_by_side(partial(_slopes_of, noise, logs), groups)
     score, information = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-    return score, information + np.tril(information, -1).T
+    return score, information
 
 
 def _slopes_of(noise: NoiseModel, logs: Array, lines: _Lines) -> tuple[Array, Array]:
-    """What some lines add to the score and to the lower triangle of the information."""
-    score, information = np.zeros(5), np.zeros((5, 5))
+    """What some lines add to the score and to the information."""
     parts = _derivatives(noise, logs, lines)
     inverse = np.linalg.inv(parts[WHITE] + parts[SLOW] + parts[INDEPENDENT] + parts[LASTING])
     P = inverse - inverse @ lines.explained @ inverse
     pull = inverse @ lines.residual[..., None]
-    moved = [P @ K for K in parts]
-    for i, K in enumerate(parts):
-        trace = float(np.trace(moved[i], axis1=-2, axis2=-1).sum())
-        score[i] = 0.5 * (float(np.sum(pull * (K @ pull))) - trace)
-        turned = np.swapaxes(moved[i], -1, -2)
-        for j in range(i + 1):
-            information[i, j] = 0.5 * float(np.sum(turned * moved[j]))
-    return score, information
+    moved = np.empty((len(parts), *P.shape))
+    for k, K in enumerate(parts):
+        if k in (WHITE, INDEPENDENT):  # diagonal
+            np.multiply(P, np.diagonal(K, axis1=-2, axis2=-1)[..., None, :], out=moved[k])
+        else:
+            np.matmul(P, K, out=moved[k])
+    trace = np.trace(moved, axis1=-2, axis2=-1).sum(axis=(1, 2))
+    score = 0.5 * (np.array([float(np.sum(pull * (K @ pull))) for K in parts]) - trace)
+    turned = np.ascontiguousarray(np.swapaxes(moved, -1, -2)).reshape(len(parts), -1)
+    return score, 0.5 * (moved.reshape(len(parts), -1) @ turned.T)
 
 
 def fit_noise(
@@ -174,15 +175,17 @@ def fit_noise(
     prior = np.array([0.0, 0.0, 0.0, floor, floor])
     logs = prior.copy() if start is None else start
     lines = _lines(system, pieces, residual, covariance)
+    share, last = 1.0, np.zeros(len(logs))
     for _ in range(STEPS):
         score, information = _slopes(noise, logs, lines)
         score -= (logs - prior) / PRIOR**2
         information += np.diag(1.0 / PRIOR**2)
         step = np.linalg.solve(information, score)
-        step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
+        share *= 0.5 if step @ last < 0.0 else 1.0  # to and fro: too far each time
+        step *= min(share, LONGEST_STEP / float(np.abs(step).max()))
         moved = np.clip(logs + step, LOWEST, HIGHEST)
-        change, logs = np.abs(moved - logs), moved
+        last, logs = moved - logs, moved
         known = np.sqrt(np.diag(np.linalg.inv(information)))
-        if np.all(change < np.maximum(SETTLED, CERTAIN * known)):
+        if np.all(np.abs(last) < np.maximum(SETTLED, CERTAIN * known)):
             break
     return FittedNoise(logs, known)

@@ -22,7 +22,10 @@ from otf_core.effects.acting import Acting
 from otf_core.effects.base import Effect, Shape, State, Terms
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
+NEXT_TO_NOTHING = 1e-9
+"""Share of a square that keeps a matrix positive definite."""
 NODES = 64
 """Of the piecewise linear functions."""
 FINE = 8 * NODES
@@ -113,20 +116,50 @@ class Courses:
             variance,
         )
 
-    def evidence(self, courses: Array) -> Array:
-        """Evidence of sets of courses, each together, at the nodes (n, m, c), shape (m,)."""
-        turned = np.tensordot(self.normal, courses, axes=(3, 0))
-        normal = np.einsum('imp,aibmq->mapbq', courses, turned)
-        right = np.einsum('ai,imp->map', self.right, courses)
-        sets, terms, count = right.shape
-        length = np.sqrt(np.mean(courses**2, axis=0))[:, None, :] * self.size[None, :, None]
-        scale = (1.0 / np.maximum(length, 1e-300)).reshape(sets, terms * count)
-        whole = normal.reshape(sets, terms * count, terms * count)
-        unit = whole * scale[:, :, None] * scale[:, None, :] / self.variance
-        pull = right.reshape(sets, -1) * scale / self.variance
+    @property
+    def most(self) -> float:
+        """Evidence that no course exceeds: half the fall of the sum of squares by all of them."""
+        whole = self.normal.reshape(self.right.size, -1)
+        whole = whole + np.diag(NEXT_TO_NOTHING * whole.diagonal() + np.finfo(np.float64).tiny)
+        right = self.right.reshape(-1)
+        return 0.5 * float(right @ np.linalg.solve(whole, right)) / self.variance
+
+    def evidence(self, values: Array, sets: Index, signs: Array | None = None) -> Array:
+        """Evidence of sets of courses, each together.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, u)
+            Courses at the nodes.
+        sets : ndarray of int, shape (m, c)
+            Which of them belong together.
+        signs : ndarray, shape (c,), optional
+            Of their sum, where they are one course.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+        """
+        turned = np.tensordot(values, np.tensordot(self.normal, values, axes=(3, 0)), axes=(0, 1))
+        pairs = sets[:, :, None], sets[:, None, :]
+        normal = turned.transpose(0, 3, 1, 2)[pairs]
+        right = (self.right @ values).T[sets]
+        square = (values.T @ values / NODES)[pairs]
+        if signs is not None:
+            both = np.outer(signs, signs)
+            normal = np.einsum('cd,mcdab->mab', both, normal)[:, None, None]
+            right = np.einsum('c,mca->ma', signs, right)[:, None]
+            square = np.einsum('cd,mcd->m', both, square)[:, None, None]
+        length = np.sqrt(np.diagonal(square, axis1=1, axis2=2))
+        scale = 1.0 / np.maximum(length[:, :, None] * self.size, 1e-300)
+        count = scale[0].size
+        flat = scale.reshape(-1, count)
+        whole = np.moveaxis(normal, 3, 2).reshape(-1, count, count)
+        unit = whole * flat[:, :, None] * flat[:, None, :] / self.variance
+        pull = (right * scale).reshape(-1, count) / self.variance
         found = []
         for spread in SPREADS:
-            factor = np.linalg.cholesky(spread**2 * unit + np.eye(terms * count))
+            factor = np.linalg.cholesky(spread**2 * unit + np.eye(count))
             half = np.linalg.solve(factor, spread * pull[:, :, None])[:, :, 0]
             volume = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
             found.append(0.5 * np.sum(half**2, axis=1) - volume)

@@ -44,6 +44,8 @@ from it."""
 MAX_CAUSES = 4
 MAX_CHANGES = 3
 """Causes that are left out or exchanged at most."""
+LEAST_POWER = 0.005
+"""Share of the squared trace of all causes from which one is asked again beside the others."""
 CLEARLY_BETTER = 2.0
 """Logarithm of the odds by which another effect must be better to take the place of a cause."""
 DECOY_DOUBT = 10.0
@@ -222,13 +224,19 @@ def _beside(pool: Pool, causes: Sequence[Cause], variance: float) -> Beside:
 
 
 def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:
-    """The causes with the one that is worst placed left out or exchanged; None if all stay."""
+    """The causes with the one that is worst placed left out or exchanged; None if all stay.
+
+    Causes that are next to nothing beside the others are not named, whatever they are: they stay.
+    """
     if len(causes) < 2:
         return None
+    traces = [pool.rows.residual - fit_out(c.option, pool.rows.residual) for c in causes]
+    power = np.array([float(trace @ trace) for trace in traces])
+    questioned = power >= LEAST_POWER * power.sum()
     rest = pool.beside([c.option for c in causes]).residual
     variance = noise_variance(pool.rows, rest)
     worst, found = 0.0, None
-    for cause in causes:
+    for cause in (c for c, large in zip(causes, questioned, strict=True) if large):
         others = [c for c in causes if c is not cause]
         beside = _beside(pool, others, variance)
         ranking = _ranking(beside.candidates, variance)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.base import Effect, Shape
 from otf_core.effects.free import FreeForm, switched
-from otf_core.effects.switching import Switching, response
+from otf_core.effects.switching import Switching, responses
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Moments = tuple[float, ...]
@@ -49,10 +50,14 @@ BEAM = 6
 """Sets of moments that are kept while switches are added."""
 MADE = 2
 """Numbers of switches, the likeliest first, that are made exactly."""
-HALVINGS = 7
-"""Of the steps by which moments and lag are improved."""
+COARSE, FINE = range(2), range(2, 7)
+"""Halvings of the steps by which moments and lag are improved: while switches are added, and of
+the best sets."""
 WORTH = 9.0
 """Evidence of some function of time from which switches are looked for."""
+BEHIND, HOPELESS = 0.9, 30.0
+"""Share of the evidence of the best candidate, less so much, that a course in time needs to be
+looked at: what has less is neither named nor not told from what is."""
 
 
 def with_switches(beside: Beside, variance: float) -> Beside:
@@ -64,35 +69,56 @@ def with_switches(beside: Beside, variance: float) -> Beside:
     rows = beside.rows
     pulled = rows.pulled(beside.basis) if beside.basis.shape[1] else None
     amount = beside.basis.T @ rows.residual
-    for tried in courses:
-        for effect, shape, price in _likely(tried, groups, rows, variance):
+    best = max(t.odds(k, variance) for g in groups.values() for t in g for k in t.takes)
+    least = BEHIND * best - HOPELESS
+
+    def switching(course: Tried) -> list[Tried]:
+        found = []
+        for effect, shape, price in _likely(course, groups, rows, variance, least):
             (made,) = tried_shapes(rows, effect, [shape])
-            made = made.without(pulled, amount) if pulled else made
-            groups[effect.name].append(replace(made, price=price))
+            found.append(replace(made.without(pulled, amount) if pulled else made, price=price))
+        return found
+
+    rows.prepare()
+    for made in [one for found in side_by_side(switching, courses) for one in found]:
+        groups[made.effect.name].append(made)
     return replace(beside, candidates=groups)
 
 
 def _likely(
-    tried: Tried, groups: Mapping[str, Sequence[Tried]], rows: Rows, variance: float
+    tried: Tried,
+    groups: Mapping[str, Sequence[Tried]],
+    rows: Rows,
+    variance: float,
+    least: float,
 ) -> Iterator[tuple[Effect, Shape, float]]:
-    """Effects that act as a ``CourseInTime`` does, at their likeliest moments, and their price."""
+    """Effects that act as a ``CourseInTime`` does, at their likeliest moments, and their price.
+
+    None where no course can have so much evidence as ``least``.
+    """
     assert isinstance(tried.effect, CourseInTime)
     acts, drivers = tried.effect.acts, [e for e in tried.effect.drivers if e.name in groups]
     courses = Courses.of(tried, rows.states[0].end, variance)
+    if courses.most < least:
+        return
     for jumps, alike in product((False, True), repeat=2):
         named = [
             e for e in drivers if (e.name in DECOY_NAMES) == jumps and not isinstance(e, SlowWave)
         ]
-        for switching, price in likeliest(courses, jumps=jumps, alike=alike) if named else ():
+        found = likeliest(courses, jumps=jumps, alike=alike) if named else []
+        for switching, price in (one[1:] for one in found if one[0] > least):
             free = switched(acts, switching, 1 if alike else len(switching.moments))
             for effect in named:
                 yield FreeForm.bound(effect, free, rows.states), {}, price
-    for effect in drivers:
-        if isinstance(effect, SlowWave):
-            yield effect, {'period': swing(courses)}, float(np.log(MOST_TURNS / TURN))
-        elif effect.name not in DECOY_NAMES:
-            shape = {'tau': lag_from_start(courses), 'until': rows.states[0].end, 'order': 1.0}
-            yield effect, effect.complete_shape(shape), float(np.log(len(LAGS)))
+    waves = [e for e in drivers if isinstance(e, SlowWave)]
+    drifts = [e for e in drivers if e.name not in DECOY_NAMES]
+    score, period = swing(courses) if waves else (-np.inf, 0.0)
+    for effect in waves if score > least else ():
+        yield effect, {'period': period}, float(np.log(MOST_TURNS / TURN))
+    score, lag = lag_from_start(courses) if drifts else (-np.inf, 0.0)
+    for effect in drifts if score > least else ():
+        shape = {'tau': lag, 'until': rows.states[0].end, 'order': 1.0}
+        yield effect, effect.complete_shape(shape), float(np.log(len(LAGS)))
 
 
 def _something_in_time(groups: Mapping[str, Sequence[Tried]], variance: float) -> bool:
@@ -108,30 +134,40 @@ def _something_in_time(groups: Mapping[str, Sequence[Tried]], variance: float) -
     return any(t.odds(take, variance) > WORTH for t in own for take in t.takes)
 
 
-def likeliest(courses: Courses, *, jumps: bool, alike: bool) -> list[tuple[Switching, float]]:
-    """Find the likeliest moments and lags of what switches, and the price of having looked."""
+def likeliest(
+    courses: Courses, *, jumps: bool, alike: bool
+) -> list[tuple[float, Switching, float]]:
+    """Find the likeliest moments and lags of what switches.
+
+    Their evidence, they themselves, and the price of having looked, which is taken off.
+    """
     end = float(courses.time[-1])
     lags = (0.0,) if jumps else tuple(end * share for share in LAGS)
     grid = np.linspace(0.0, end, MOMENTS + 1)[int(jumps) : -1].tolist()
-    found: list[tuple[float, Switching, float]] = []
+    found: list[tuple[float, Moments, float]] = []
     kept: list[Moments] = [()]
     for _ in range(SWITCHES if alike else UNLIKE):
         tried = {tuple(sorted((*known, m))) for known in kept for m in grid}
-        sets = [(m, lag) for m in sorted(tried) for lag in lags if _apart(m, lag, end)]
-        if not sets:
+        by_lag = [[(m, lag) for m in sorted(tried) if _apart(m, lag, end)] for lag in lags]
+        if not any(by_lag):
             break
-        scores = judged(courses, sets, alike=alike)
+        sets = [one for own in by_lag for one in own]
+        scores = np.concatenate([judged(courses, own, alike=alike) for own in by_lag if own])
         order = np.argsort(scores)[::-1]
         kept = list(dict.fromkeys(sets[k][0] for k in order[: BEAM * len(lags)]))[:BEAM]
-        score, moments, lag = _improved(courses, *sets[order[0]], alike=alike)
+        score, moments, lag = _improved(courses, sets[order[0]], COARSE, alike=alike)
+        kept = [moments, *kept]
+        found.append((score - _price(moments, jumps), moments, lag))
+    best = []
+    for _, moments, lag in sorted(found, key=lambda one: -one[0])[:MADE]:
+        score, moments, lag = _improved(courses, (moments, lag), FINE, alike=alike)
         if moments[0] < AT_ONCE * end and not jumps:
             moments = (0.0, *moments[1:])
-        kept, price = [moments, *kept], _price(moments, jumps)
         # one switch at the start is the formula of a drift; one alone is alike each time
         if moments != (0.0,) and (alike or len(moments) > 1):
-            found.append((score - price, Switching(lag, moments), price))
-    best = sorted(found, key=lambda one: -one[0])[:MADE]
-    return [(switching, price) for _, switching, price in best]
+            price = _price(moments, jumps)
+            best.append((score - price, Switching(lag, moments), price))
+    return best
 
 
 def judged(courses: Courses, sets: Sequence[tuple[Moments, float]], *, alike: bool) -> Array:
@@ -139,35 +175,37 @@ def judged(courses: Courses, sets: Sequence[tuple[Moments, float]], *, alike: bo
 
     On and off by the same amount each time, or by any other.
     """
-    known = {one: np.zeros(0) for moments, lag in sets for one in ((m, lag) for m in moments)}
-    for moment, lag in known:
-        known[moment, lag] = courses.fitted @ response(courses.time, moment, lag)
-    single = np.array([[known[m, lag] for m in moments] for moments, lag in sets])
-    signs = (-1.0) ** np.arange(single.shape[1])
-    whole = np.einsum('mcn,c->mn', single, signs)[:, None] if alike else single
-    return courses.evidence(np.moveaxis(whole, 2, 0))
+    each = list(dict.fromkeys((m, lag) for moments, lag in sets for m in moments))
+    place = {one: k for k, one in enumerate(each)}
+    places = np.array([[place[m, lag] for m in moments] for moments, lag in sets])
+    values = courses.fitted @ responses(courses.time, *np.array(each).T)
+    signs = np.asarray((-1.0) ** np.arange(places.shape[1])) if alike else None
+    return courses.evidence(values, places, signs)
 
 
-def lag_from_start(courses: Courses) -> float:
-    """Likeliest lag of what is on from the start, the formula of a drift, s."""
+def lag_from_start(courses: Courses) -> tuple[float, float]:
+    """Evidence of what is on from the start, the formula of a drift, and its likeliest lag, s."""
     lags = float(courses.time[-1]) * np.geomspace(SHORTEST, LONGEST, 60)
     scores = judged(courses, [((0.0,), lag) for lag in lags.tolist()], alike=True)
-    return float(lags[int(np.argmax(scores))])
+    best = int(np.argmax(scores))
+    return float(scores[best]), float(lags[best])
 
 
-def swing(courses: Courses) -> float:
-    """Period of the likeliest slow wave, s."""
+def swing(courses: Courses) -> tuple[float, float]:
+    """Evidence of the likeliest slow wave, and its period, s."""
     end = float(courses.time[-1])
 
     def worth(turns: Array) -> Array:
         phase = 2.0 * np.pi * courses.time[:, None] / end * turns
-        waves = np.stack([courses.fitted @ np.sin(phase), courses.fitted @ np.cos(phase)], axis=2)
-        return courses.evidence(waves)
+        waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
+        pairs = np.arange(waves.shape[1]).reshape(2, -1).T
+        return courses.evidence(courses.fitted @ waves, pairs)
 
     turns = np.arange(2.0, MOST_TURNS, TURN)
     best = float(turns[int(np.argmax(worth(turns)))])
     near = best + np.linspace(-TURN, TURN, 41)
-    return end / float(near[int(np.argmax(worth(near)))])
+    scores = worth(near)
+    return float(scores.max()), end / float(near[int(np.argmax(scores))])
 
 
 def _price(moments: Moments, jumps: bool) -> float:
@@ -179,16 +217,17 @@ def _price(moments: Moments, jumps: bool) -> float:
 def _apart(moments: Moments, lag: float, end: float) -> bool:
     """Tell whether moments are far enough from each other and from the end."""
     least = end * (APART if lag else JUMPS_APART)
-    return bool(np.all(np.diff(moments) >= least) and moments[-1] < end * (1.0 - JUMPS_APART))
+    apart = all(after - before >= least for before, after in pairwise(moments))
+    return apart and moments[-1] < end * (1.0 - JUMPS_APART)
 
 
 def _improved(
-    courses: Courses, moments: Moments, lag: float, *, alike: bool
+    courses: Courses, start: tuple[Moments, float], halvings: range, *, alike: bool
 ) -> tuple[float, Moments, float]:
     """Move moments and lag, by steps that are halved, while the evidence rises."""
-    end = float(courses.time[-1])
-    best = float(judged(courses, [(moments, lag)], alike=alike)[0])
-    for halving in range(HALVINGS):
+    end, (moments, lag) = float(courses.time[-1]), start
+    best = float(judged(courses, [start], alike=alike)[0])
+    for halving in halvings:
         step, factor = 0.5**halving * end / MOMENTS, 1.3 ** (0.5**halving)
         while sets := _near(moments, lag, step, factor, end):
             scores = judged(courses, sets, alike=alike)
