@@ -171,6 +171,20 @@ def test_table_of_a_free_function_says_the_same():
 
 
 @pytest.mark.parametrize(
+    ('name', 'last'), [('since_stop', 3.0), ('near:0.1,0.2,-0.1', 0.4), ('from_corner', 0.1)]
+)
+def test_table_of_an_input_that_ends_early_can_be_read_again(name, last):
+    form = Free((name,), (6,), acts=vector)
+    effect = FreeForm(of_table('a', vector, {'time': [0, 1]}, {'X': [0, 0]}).effect.parent, form,
+                      {name: (0.0, last)})  # fmt: skip
+    given = {f'{a}_{k}': 1e-6 * (k - 2.5) for a in 'XYZ' for k in range(7)}
+    nodes, values = tabulated(AppliedEffect(effect, given))
+    again = of_table('a', vector, nodes, values)
+    assert nodes[name][-1] == pytest.approx(last)
+    assert again.parameters == pytest.approx(given, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize(
     ('change', 'words'),
     [
         ({'acts_as': 'wobble'}, "acts_as: 'wobble' is unknown"),

@@ -10,7 +10,9 @@ from scipy.signal import lfilter
 from scipy.stats import binom, gamma
 
 from otf_core.diagnosis.engine.spectral import (
+    LINE_SCORE,
     _improbability,
+    line_across_axis,
     line_along_axis,
     line_in_time,
     line_since_stop,
@@ -138,6 +140,22 @@ def test_cyclic_error_is_found_on_its_axis_at_its_period(axis, period):
         assert score > 20.0
         # lines over 0.3 m are period^2 / 0.3 m wide
         assert place == pytest.approx(period, abs=0.15 * period**2 / LENGTH)
+
+
+@pytest.mark.parametrize(('axis', 'period'), [('X', 0.02), ('Z', 0.0073)])
+def test_what_repeats_along_an_axis_and_displaces_across_it_is_found(axis, period):
+    k = 'XYZ'.index(axis)
+
+    def wave(time, q):
+        return 0.5 * np.sin(2 * np.pi * q[:, k, None] / period) * np.eye(3)[k - 1]
+
+    for tau, white in COLOURS[::2]:
+        found = driven(np.random.default_rng(13), oblique=True, tau=tau, white=white, wave=wave)
+        place, score = line_across_axis(found, axis)
+        assert score > 20.0
+        assert place == pytest.approx(period, abs=0.05 * period**2 / LENGTH)
+    quiet = line_across_axis(driven(np.random.default_rng(14), oblique=True), axis)
+    assert quiet[1] < LINE_SCORE
 
 
 def test_strongest_line_comes_first():

@@ -132,14 +132,14 @@ class _Scene:
 
     def mean(self, one: Taken, function: Callable[[State, int], Array]) -> Array:
         """Values over the pieces, means over their samples where the effect asks for that."""
-        if one.effect.wave is not None and self.samples is not None:
+        if one.effect.changes_within_pieces and self.samples is not None:
             return self.run.pieces.mean_of(function(self.samples, self.number))
         return function(self.pieces, self.number)
 
 
 def _scene(run: Run, number: int, pieces: State, effects: Sequence[Taken]) -> _Scene:
     samples = None
-    if any(e.effect.wave is not None for e in effects) and len(run.pieces.samples):
+    if any(e.effect.changes_within_pieces for e in effects) and len(run.pieces.samples):
         nodes = dict(pieces.nodes)
         samples = sample_state(run, run.pose, pieces.tables, nodes)
     return _Scene(run, number, pieces, samples)

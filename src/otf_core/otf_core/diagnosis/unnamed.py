@@ -38,6 +38,7 @@ from otf_core.effects.found_inputs import (
     CYCLE,
     MOMENT,
     PLACE,
+    TURNS,
     found_kind,
     head_of,
     numbers_of,
@@ -78,12 +79,13 @@ MECHANISMS = (
     ({'lap'}, 'something that changed between the laps'),
     ({PLACE}, 'a fault of a guideway or of the structure at one place'),
     ({MOMENT}, 'a jolt: something slipped, gave way or was knocked'),
+    ({*TURNS}, 'a screw, a gear, a rack or the balls of a guide: what repeats with travel'),
     ({CYCLE}, 'what switches in turn: cooling, coolant, air conditioning, a pump'),
     ({'time'}, 'warming, settling or something that switches while the run lasts'),
     ({'x', 'y', 'z'}, 'a structure that bends with the place of its slides'),
 )
 """Kinds of mechanism that depend on any of some inputs."""
-WITH_WORDS = {CYCLE, MOMENT, PLACE}
+WITH_WORDS = {CYCLE, MOMENT, PLACE, *TURNS}
 """Inputs with numbers that have kinds of mechanism of their own."""
 
 

@@ -147,8 +147,6 @@ class BelongsTo(Enum):
 class Wave:
     """What makes an effect a line in a spectrum; its shapes are looked for there.
 
-    Means over path pieces wash it out, so it is evaluated at the samples.
-
     Attributes
     ----------
     parameter : str
@@ -258,6 +256,11 @@ class Effect(ABC):
     def orders_of(self, names: Sequence[str]) -> Array:
         """Orders of coefficients as functions, see ``Terms``, shape (k,)."""
         return np.zeros(len(names))
+
+    @property
+    def changes_within_pieces(self) -> bool:
+        """True if means over path pieces wash it out: it is evaluated at the samples."""
+        return self.wave is not None
 
     def shapes(self, state: State) -> Sequence[Shape]:
         """Shapes worth trying in this run; one empty shape if there is nothing to choose."""

@@ -21,6 +21,7 @@ from otf_core.effects.found_inputs import cycle_period
 from otf_core.effects.free import Free, FreeForm, coefficient_name
 from otf_core.effects.inputs import (
     Span,
+    compression,
     functions_of,
     nodes_of,
     scaled_input,
@@ -64,7 +65,10 @@ def tabulated(one: AppliedEffect) -> tuple[dict[str, list[float]], dict[str, Arr
     assert isinstance(effect, FreeForm)
     form = effect.form
     names = list(effect.spans)
-    places = [nodes_of(n, order) for n, order in zip(names, form.orders, strict=True)]
+    places = [
+        _reached(n, nodes_of(n, order), effect.spans[n])
+        for n, order in zip(names, form.orders, strict=True)
+    ]
     grid = np.meshgrid(*places, indexing='ij')
     table = effect.functions([g.ravel() for g in grid])
     nodes = {
@@ -77,6 +81,12 @@ def tabulated(one: AppliedEffect) -> tuple[dict[str, list[float]], dict[str, Arr
         own = [one.parameters.get(coefficient_name(term, k), 0.0) for k in form.numbers]
         values[term] = (table @ np.array(own)).reshape([len(p) for p in places])
     return nodes, values
+
+
+def _reached(name: str, places: Array, span: Span) -> Array:
+    """Nodes in [-1, 1] moved to where the values of an input end; only infinity is 1 of some."""
+    top = float(scaled_input(name, np.array([span[1]]), span)[0]) if compression(name) else 1.0
+    return np.asarray(-1.0 + 0.5 * (places + 1.0) * (top + 1.0))
 
 
 def of_table(

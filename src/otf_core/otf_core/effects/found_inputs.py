@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs with numbers of their own, which are found in data.
 
-The phase of a cycle in time, before and after a moment, the distance from a place, the angle of
-the beam from a direction, time as what switches feels it. Their names hold the numbers:
-``cycle:30``, ``after:341.5``, ``near:0.1,0.25,-0.2``, ``aside:0.7,0.2``, ``switched:58@0,146``.
+The phase of a cycle in time or along an axis, before and after a moment, the distance from a
+place, the angle of the beam from a direction, time as what switches feels it. Their names hold the
+numbers: ``cycle:30``, ``cycle_x:0.01``, ``after:341.5``, ``near:0.1,0.25,-0.2``,
+``aside:0.7,0.2``, ``switched:58@0,146``.
 """
 
 from __future__ import annotations
@@ -15,10 +16,13 @@ import numpy as np
 
 from otf_core.effects.base import Array, State
 from otf_core.effects.switching import SWITCHED, Switching
+from otf_core.model.frames import XYZ
 
 CYCLE, MOMENT, PLACE, DIRECTION = 'cycle:', 'after:', 'near:', 'aside:'
 """Heads of the names; the numbers follow: period in s; moment in s; axis positions in m; azimuth
 and elevation in rad."""
+TURNS = {f'cycle_{axis.lower()}:': k for k, axis in enumerate(XYZ)}
+"""Heads of the names of cycles along axes, and number of the axis; the period in m follows."""
 Numbers = tuple[float, ...]
 
 
@@ -76,6 +80,16 @@ def _direction_words(numbers: Numbers) -> str:
     )
 
 
+def _turn(number: int) -> FoundKind:
+    """Phase of a cycle along an axis."""
+    name = XYZ[number]
+    return FoundKind(
+        1, (name.lower(),), 'm', f'{name} in the cycle', 0.0, 0,
+        lambda state, n: np.asarray(np.mod(state.q[:, number], n[0])),
+        lambda n: f'the position of {name}, over and over every {1e3 * n[0]:.4g} mm',
+    )  # fmt: skip
+
+
 KINDS = {
     CYCLE: FoundKind(
         1, ('time',), 's', 'time in the cycle', 0.0, 0,
@@ -102,6 +116,7 @@ KINDS = {
         lambda state, n: state.time,
         lambda n: f'time: {Switching(n[0], n[1:]).words}',
     ),
+    **{head: _turn(number) for head, number in TURNS.items()},
 }  # fmt: skip
 
 
@@ -122,7 +137,8 @@ def numbers_of(name: str) -> Numbers:
         return ()
     kind = KINDS.get(head + ':')
     proper = kind and len(numbers) == kind.count and np.all(np.isfinite(numbers))
-    return numbers if proper and (head + ':' != CYCLE or numbers[0] > 0.0) else ()
+    repeats = head + ':' == CYCLE or head + ':' in TURNS
+    return numbers if proper and (not repeats or numbers[0] > 0.0) else ()
 
 
 def found_name(head: str, *numbers: float) -> str:
@@ -136,8 +152,8 @@ def found_kind(name: str) -> FoundKind | None:
 
 
 def cycle_period(name: str) -> float:
-    """Period in s if an input is the phase of a cycle in time, else 0."""
-    return numbers_of(name)[0] if head_of(name) == CYCLE else 0.0
+    """Period in s or m if an input is the phase of a cycle in time or along an axis, else 0."""
+    return numbers_of(name)[0] if head_of(name) in {CYCLE, *TURNS} else 0.0
 
 
 def stands_for(name: str) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ import numpy as np
 
 from otf_core.effects.acting import Acting
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.found_inputs import TURNS, head_of
 from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
 from otf_core.effects.switching import Switching
 
@@ -116,6 +117,11 @@ class FreeForm(Effect):
     def __hash__(self) -> int:
         """By name and inputs."""
         return hash((self.name, self.form.inputs))
+
+    @property
+    def changes_within_pieces(self) -> bool:
+        """As of the formula, or where it depends on a cycle along an axis."""
+        return self.wave is not None or any(head_of(n) in TURNS for n in self.form.inputs)
 
     @property
     def _key(self) -> tuple[str, Free, dict[str, Span]]:

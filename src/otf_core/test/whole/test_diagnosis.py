@@ -2,6 +2,7 @@
 """The whole diagnosis on small simulated cells: what is named, what is not, what is written."""
 
 import functools
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -35,9 +36,14 @@ GROWTH = AppliedEffect(
 JOLT = AppliedEffect(
     UNKNOWN_EFFECTS['unknown_machine_step'], {'t0': 90.0, 'A_X': 4e-6, 'A_Z': -3e-6}
 )
+PERIOD = 0.0137
+BALLS = AppliedEffect(
+    UNKNOWN_EFFECTS['unknown_ball_passage'], {'p': PERIOD, 'A_X': 12e-6, 'A_Z': 0.0, 'A_Y': 0.0}
+)
 
-
-EFFECTS = {'none': [], 'backlash': [BACKLASH], 'growth': [GROWTH], 'jolt': [JOLT]}
+EFFECTS = {
+    'none': [], 'backlash': [BACKLASH], 'growth': [GROWTH], 'jolt': [JOLT], 'balls': [BALLS]
+}  # fmt: skip
 
 
 @functools.cache
@@ -164,6 +170,15 @@ def test_jolt_is_unknown_and_described():
     answer = diagnosed('jolt')
     assert (answer.verdict, answer.causes) == ('unknown', ())
     assert 'step' in answer.unexplained_where
+
+
+def test_what_repeats_along_an_axis_and_displaces_across_it_is_told_with_its_period():
+    answer = diagnosed('balls')
+    assert (answer.verdict, answer.causes) == ('unknown', ())
+    assert answer.unnamed.depends_on == ('x',)
+    (found,) = re.findall(r'over and over every (\S+) mm', answer.unnamed.words)
+    assert float(found) == pytest.approx(1e3 * PERIOD, rel=2e-3)
+    assert answer.unnamed.after_um < 0.3 * answer.unnamed.before_um
 
 
 def test_drifts_have_coefficients_of_their_own_in_every_run():

@@ -12,7 +12,7 @@ from otf_core.diagnosis.engine.courses import courses_tried
 from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, search
-from otf_core.diagnosis.engine.spectral import SpectralLine, strongest_lines
+from otf_core.diagnosis.engine.spectral import LINE_SCORE, SpectralLine, strongest_lines
 from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
 from otf_core.effects.free import free_forms
@@ -25,8 +25,6 @@ INVISIBLE_SHARE = 0.1
 """Largest share of its amplitude that an effect leaves and still counts as not visible."""
 PLAUSIBLE = 5e-6
 """m; an effect that would have to be larger to be found counts as not visible."""
-LINE_SCORE = 8.0
-"""Least score of a spectral line to be tried as a shape."""
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,7 @@ class Rows:
         Of a free form those of what it acts with, and the functions (n, m) that each is times.
         """
         state = self.states[run]
-        if effect.wave is not None and self.runs:
+        if effect.changes_within_pieces and self.runs:
             yield slice(0, len(state)), self._means(effect, shape, run, count), None
             return
         step = max(1, BLOCK // max(count, 1))

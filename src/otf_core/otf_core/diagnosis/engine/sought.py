@@ -2,7 +2,8 @@
 """Inputs that are sought in a residual: a period, a moment, a place, a direction of the beam.
 
 Trial functions of each are compared by the score test (``score``); the best becomes an input if it
-is clear. What depends on it is fitted exactly afterwards, and priced as all structures are.
+is clear. Cycles along axes are lines in the spectra of single samples. What depends on an input is
+fitted exactly afterwards, and priced as all structures are.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.score import TOGETHER, Scores
-from otf_core.effects.found_inputs import CYCLE, DIRECTION, MOMENT, PLACE, found_name
+from otf_core.diagnosis.engine.spectral import LINE_SCORE, line_across_axis
+from otf_core.effects.found_inputs import CYCLE, DIRECTION, MOMENT, PLACE, TURNS, found_name
 from otf_core.effects.inputs import functions_of
+from otf_core.solving.sample_states import sample_residuals
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -32,14 +35,32 @@ PLACES = 300
 """Places and directions that are tried: those of so many pieces, spread over the path."""
 WIDTHS = (0.06, 0.12, 0.25)
 """Widths of bells about them, as shares of the mean range."""
+CENTRES = 4
+"""Bells that are fitted exactly, none of them within another."""
 REFINED = 120
 """Gains by which centre and width are refined."""
 
 
 def sought_inputs(rows: Rows, scores: Scores) -> list[str]:
     """Names of the inputs with numbers that are clear in a residual."""
-    ways = (strongest_cycle, strongest_moment, strongest_place, strongest_direction)
-    return [name for way in ways if (name := way(rows, scores))]
+    names = [strongest_cycle(rows, scores), strongest_moment(rows, scores)]
+    names += strongest_places(rows, scores) + strongest_directions(rows, scores)
+    return [name for name in names if name] + cycles_along_axes(rows)
+
+
+def cycles_along_axes(rows: Rows) -> list[str]:
+    """Phases of what repeats along an axis and displaces across it, of each axis at most one."""
+    nodes = rows.done.unknowns.knots
+    found: dict[str, tuple[float, float]] = {}
+    for run, solved in zip(rows.runs, rows.done.runs, strict=True):
+        if not len(run.pieces.samples):
+            continue
+        residuals = sample_residuals(run, solved.pose, rows.tables, nodes)
+        for head, k in TURNS.items():
+            peak = line_across_axis(residuals, residuals.state.machine.axis_names[k])
+            if peak is not None and peak[1] > found.get(head, (0.0, LINE_SCORE))[1]:
+                found[head] = peak
+    return [found_name(head, period) for head, (period, _) in found.items()]
 
 
 def strongest_cycle(rows: Rows, scores: Scores) -> str:
@@ -89,24 +110,28 @@ def strongest_moment(rows: Rows, scores: Scores) -> str:
     return found_name(MOMENT, 0.5 * (time[piece] + time[piece - 1]))
 
 
-def strongest_place(rows: Rows, scores: Scores) -> str:
-    """Place in the volume about which something happens; empty if there is no clear one."""
-    place = _strongest_bell(scores, np.concatenate([s.q for s in rows.states]))
-    return '' if place is None else found_name(PLACE, *place)
+def strongest_places(rows: Rows, scores: Scores) -> list[str]:
+    """Places in the volume about which something happens; none if no one is clear."""
+    places = _strongest_bells(scores, np.concatenate([s.q for s in rows.states]))
+    return [found_name(PLACE, *place) for place in places]
 
 
-def strongest_direction(rows: Rows, scores: Scores) -> str:
-    """Direction of the beam about which something happens; empty if there is no clear one."""
+def strongest_directions(rows: Rows, scores: Scores) -> list[str]:
+    """Directions of the beam about which something happens; none if no one is clear."""
     beam = np.concatenate([s.beam for s in rows.states])
-    place = _strongest_bell(scores, beam / np.linalg.norm(beam, axis=1)[:, None])
-    if place is None:
-        return ''
-    x, y, z = place
-    return found_name(DIRECTION, np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)))
+    places = _strongest_bells(scores, beam / np.linalg.norm(beam, axis=1)[:, None])
+    return [
+        found_name(DIRECTION, np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)))
+        for x, y, z in places
+    ]
 
 
-def _strongest_bell(scores: Scores, points: Array) -> Array | None:
-    """Centre of the bell exp(-d^2 / 2 w^2) over points (p, 3) that gains most, if it is clear."""
+def _strongest_bells(scores: Scores, points: Array) -> list[Array]:
+    """Centres of bells exp(-d^2 / 2 w^2) over points (p, 3) that gain most, where one is clear.
+
+    Tables follow a part of a bell, the more the less of it the path meets: the gain of the right
+    one need not be the largest.
+    """
     from scipy.spatial.distance import cdist  # 0.1 s
 
     extent = float(np.mean(np.ptp(points, axis=0)))
@@ -120,17 +145,24 @@ def _strongest_bell(scores: Scores, points: Array) -> Array | None:
     parts = (trials[k : k + TOGETHER] for k in range(0, len(trials), TOGETHER))
     gains = np.concatenate([scores.gains_of_each(bells(part)) for part in parts])
     if not _is_clear(gains):
-        return None
-    place, width = trials[int(np.argmax(gains))]
-
-    def loss(moved: Array) -> float:
-        own = place + width * moved[:3], width * float(np.exp(moved[3]))
-        return -float(scores.gains_of_each(bells([own]))[0])
-
+        return []
     from scipy.optimize import minimize  # 0.1 s
 
-    best = minimize(loss, np.zeros(4), method='Nelder-Mead', options={'maxfev': REFINED})
-    return np.asarray(place + width * best.x[:3])
+    def refined(place: Array, width: float) -> Array:
+        def loss(moved: Array) -> float:
+            own = place + width * moved[:3], width * float(np.exp(moved[3]))
+            return -float(scores.gains_of_each(bells([own]))[0])
+
+        best = minimize(loss, np.zeros(4), method='Nelder-Mead', options={'maxfev': REFINED})
+        return np.asarray(place + width * best.x[:3])
+
+    kept: list[tuple[Array, float]] = []
+    for place, width in (trials[k] for k in np.argsort(gains)[::-1]):
+        if all(np.linalg.norm(place - p) > max(width, w) for p, w in kept):
+            kept.append((place, width))
+        if len(kept) == CENTRES:
+            break
+    return [refined(*one) for one in kept]
 
 
 def _is_clear(gains: Array) -> bool:

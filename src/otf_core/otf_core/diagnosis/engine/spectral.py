@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 Peak = tuple[float, float]
 """Frequency in Hz or period in m of a line, and its score."""
 
+LINE_SCORE = 8.0
+"""Least score of a spectral line to be tried as a shape."""
 NEIGHBOURHOOD = 301
 """Spectral bins that make the local level."""
 NO_POWER = 1e-12
@@ -41,6 +43,8 @@ PERIODS = (0.0015, 0.06)
 """m; longer ones are followed by the tables, shorter ones by no tracker."""
 BIN = 2.5e-4
 """m; raster of axis positions."""
+NEARBY = 33
+"""Wave numbers about that of the raster among which a line is placed."""
 
 
 @dataclass(frozen=True)
@@ -142,24 +146,41 @@ def line_since_stop(residuals: SampleResiduals) -> Peak | None:
 
 
 def line_along_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
-    """Find the strongest line over the position of one axis."""
+    """Find the strongest line over the position of one axis, of displacements along it."""
     k = residuals.state.machine.axis_names.index(axis)
-    moving = np.abs(residuals.state.direction[:, k]) > TRAVELS
     across = 1.0 - residuals.state.direction[:, k] ** 2
-    moving &= across > TRAVELS
+    return _line_over_position(residuals, k, [k], across > TRAVELS)
+
+
+def line_across_axis(residuals: SampleResiduals, axis: str) -> Peak | None:
+    """Find the strongest line over the position of one axis, of displacements across it."""
+    k = residuals.state.machine.axis_names.index(axis)
+    others = [i for i in range(3) if i != k]
+    return _line_over_position(residuals, k, others, np.ones(len(residuals.residual), dtype=bool))
+
+
+def _line_over_position(
+    residuals: SampleResiduals, axis: int, directions: list[int], use: NDArray[np.bool_]
+) -> Peak | None:
+    """Find the strongest line in samples in which an axis moves; None for too few of them."""
+    moving = use & (np.abs(residuals.state.direction[:, axis]) > TRAVELS)
     if moving.sum() < 100:
         return None
-    q = residuals.state.q[moving, k]
+    q = residuals.state.q[moving, axis]
     place = np.rint((q - q.min()) / BIN).astype(np.int64)
-    series = np.bincount(place, residuals.residual[moving, k])
-    length = 1 << int(np.ceil(np.log2(4 * len(series))))
+    series = [np.bincount(place, residuals.residual[moving, k]) for k in directions]
+    length = 1 << int(np.ceil(np.log2(4 * len(series[0]))))
     number = np.asarray(np.fft.rfftfreq(length, BIN), np.float64)
-    use = (number >= 1.0 / PERIODS[1]) & (number <= 1.0 / PERIODS[0])
-    power = np.abs(np.fft.rfft(series, length)[use]) ** 2
-    ratio = _over_level(power, number[use])
+    own = (number >= 1.0 / PERIODS[1]) & (number <= 1.0 / PERIODS[0])
+    power = [np.abs(np.fft.rfft(one, length)[own]) ** 2 for one in series]
+    ratio = np.sum([_over_level(one, number[own]) for one in power], axis=0)
     best = int(np.argmax(ratio))
-    score = _improbability(float(ratio[best]), 1, len(ratio))
-    return float(1.0 / number[use][best]), score
+    score = _improbability(float(ratio[best]), len(series), len(ratio))
+    place_of = np.arange(len(series[0])) * BIN
+    near = number[own][best] + np.linspace(-1.0, 1.0, NEARBY) * number[1]
+    waves = np.exp(-2j * np.pi * near[:, None] * place_of)
+    powers = sum(np.abs(waves @ one) ** 2 for one in series)
+    return float(1.0 / near[int(np.argmax(powers))]), score
 
 
 def _around(peak: Peak | None) -> list[Peak]:

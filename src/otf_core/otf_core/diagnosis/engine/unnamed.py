@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Structure of a gap that no effect explains: which inputs it depends on, and how it acts.
 
-Smooth functions of every input, and of every two, are compared; a cycle in time, a moment, a
-place or a direction of the beam is an input where there is a clear one (``sought``). A score test
-screens them (``score``). The best are fitted exactly and priced as effects are; then the way to
-act, the same for all until then, is chosen in the same way. Looking at many costs the logarithm
-of their number. What a structure leaves may follow another input besides.
+Smooth functions of every input, and of every two, are compared; a cycle in time or along an axis,
+a moment, a place or a direction of the beam is an input where there is a clear one (``sought``). A
+score test screens them (``score``). The best are fitted exactly and priced as effects are; then
+the way to act, the same for all until then, is chosen in the same way. Looking at many costs the
+logarithm of their number. What a structure leaves may follow another input besides.
 """
 
 from __future__ import annotations
@@ -25,7 +25,14 @@ from otf_core.diagnosis.engine.sought import sought_inputs
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.acting import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.empirical import Empirical
-from otf_core.effects.found_inputs import MOMENT, cycle_period, found_kind, head_of, plain_names
+from otf_core.effects.found_inputs import (
+    CYCLE,
+    MOMENT,
+    cycle_period,
+    found_kind,
+    head_of,
+    plain_names,
+)
 from otf_core.effects.free import Free, FreeForm
 from otf_core.effects.inputs import (
     SIGNAL,
@@ -121,7 +128,7 @@ def try_structures(rows: Rows, pairs_tried: int = SCREENED) -> Structures:
     """Fit every structure of one input, and those of two that a score test prefers."""
     scores = Scores.of(rows)
     sought = sought_inputs(rows, scores)
-    inputs = [*_inputs(rows), *(name for name in sought if cycle_period(name))]
+    inputs = [*_inputs(rows), *(name for name in sought if head_of(name) == CYCLE)]
     alone = [_form((name,)) for name in dict.fromkeys([*inputs, *sought])]
     alone.append(Free(('time',), (LONG,), acts=vector))
     pairs = [_form(names) for names in combinations(inputs, 2)]
