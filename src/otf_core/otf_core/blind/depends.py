@@ -87,6 +87,8 @@ def catalogue_depends(applied: AppliedEffect) -> Depends:
             return on('time', besides=(*PLACES, *BEAM))
         case 'servo_mismatch':
             return Depends((senses,), (*SENSES, *SPEED, 'acceleration', 'since_stop'))
+        case 'cyclic_error':
+            return on(*_axes_of(applied))
         case 'corner_rounding':
             return on(('since_stop', 'acceleration'), besides=SENSES)
         case 'cross_coupling' | 'target_incidence' | 'table_tilt' | 'tracker_angles':

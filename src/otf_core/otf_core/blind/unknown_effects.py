@@ -216,6 +216,10 @@ class BallPassage(UnknownEffect):
     shape_units: ClassVar[tuple[str, ...]] = ('m',)
     trial: ClassVar[Trial] = Trial((Number('p', Uniform(0.004, 0.02)),))
 
+    def depends_on(self, state: State, parameters: Shape) -> Depends:
+        """Position of every axis whose slide lifts."""
+        return on(*(p for p, n in zip(PLACES, self.vector, strict=True) if parameters.get(n)))
+
     def factor(self, state: State, shape: Shape) -> Array:
         """Lift of every slide."""
         return np.asarray(np.abs(np.sin(np.pi * state.q / shape['p'])))

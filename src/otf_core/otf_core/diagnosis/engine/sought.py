@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.score import TOGETHER, Scores
-from otf_core.diagnosis.engine.spectral import LINE_SCORE, line_across_axis
+from otf_core.diagnosis.engine.spectral import LINE_SCORE, line_across_axis, line_along_axis
 from otf_core.effects.found_inputs import CYCLE, DIRECTION, MOMENT, PLACE, TURNS, found_name
 from otf_core.effects.inputs import functions_of
 from otf_core.solving.sample_states import sample_residuals
@@ -49,7 +49,7 @@ def sought_inputs(rows: Rows, scores: Scores) -> list[str]:
 
 
 def cycles_along_axes(rows: Rows) -> list[str]:
-    """Phases of what repeats along an axis and displaces across it, of each axis at most one."""
+    """Phases of what repeats along an axis, of each axis at most one."""
     nodes = rows.done.unknowns.knots
     found: dict[str, tuple[float, float]] = {}
     for run, solved in zip(rows.runs, rows.done.runs, strict=True):
@@ -57,9 +57,10 @@ def cycles_along_axes(rows: Rows) -> list[str]:
             continue
         residuals = sample_residuals(run, solved.pose, rows.tables, nodes)
         for head, k in TURNS.items():
-            peak = line_across_axis(residuals, residuals.state.machine.axis_names[k])
-            if peak is not None and peak[1] > found.get(head, (0.0, LINE_SCORE))[1]:
-                found[head] = peak
+            axis = residuals.state.machine.axis_names[k]
+            for peak in (line_along_axis(residuals, axis), line_across_axis(residuals, axis)):
+                if peak is not None and peak[1] > found.get(head, (0.0, LINE_SCORE))[1]:
+                    found[head] = peak
     return [found_name(head, period) for head, (period, _) in found.items()]
 
 
