@@ -12,6 +12,7 @@ from engine_cells import holding, noise, solved_rows
 
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.search import search
+from otf_core.diagnosis.engine.tried import tried_shapes
 from otf_core.diagnosis.engine.unnamed import find_another, find_structure, try_structures
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.acting import Along, rigid_tracker, vector
@@ -282,6 +283,21 @@ def gap_of(displacement, seed):
         for run, state in zip(rows.done.runs, rows.states, strict=True)
     ]
     return holding(noise(seed) + np.concatenate(parts))
+
+
+@pytest.mark.parametrize('number', [1, 2])
+def test_a_shift_that_no_position_changes_is_no_expansion(number):
+    def odds(displacement):
+        form = form_of('thermal_axis_expansion', number, solved_rows().states[0])
+        shape = form.complete_shape({'tau': 60.0}) if form.form.shaped else {}
+        (tried,) = tried_shapes(gap_of(displacement, 21), form, [shape])
+        return max(tried.odds(take, 1.0) for take in tried.takes)
+
+    def shifting(s):
+        return (9e-6 * (1.0 - np.exp(-s.time / 60.0)))[:, None] * [0.0, 0.0, 1.0]
+
+    assert odds(shifting) < 9.0
+    assert odds(lambda s: shifting(s) * (1.0 + s.q[:, 2:] / 0.1)) > 100.0
 
 
 def test_structure_of_a_gap_without_a_name_is_found():

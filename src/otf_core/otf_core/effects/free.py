@@ -59,6 +59,8 @@ class Free:
         0 for nowhere.
     own_per_run, belongs_to : optional
         Where they differ from the effect's.
+    essential : int, optional
+        Number of the input without which it would be another effect.
     """
 
     inputs: tuple[str, ...]
@@ -70,6 +72,7 @@ class Free:
     zero_at: float = 0.0
     own_per_run: bool | None = None
     belongs_to: BelongsTo | None = None
+    essential: int | None = None
 
     @property
     def shaped(self) -> bool:

@@ -100,6 +100,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
             'the axis does not grow in proportion to the distance from its zero position',
             acts=approached,
             of_shape=True,
+            essential=0,
         ),
         Free(
             ('time', '{axis}'),
@@ -109,6 +110,7 @@ class ThermalAxisExpansion(drift.DriftingEffect):
             (1, 0),
             acts=grown,
             zero_at=-1.0,
+            essential=1,
         ),
     )
 

@@ -32,6 +32,7 @@ from otf_core.diagnosis.engine.evidence import (
 )
 from otf_core.diagnosis.engine.rows import Pulled, Rows
 from otf_core.effects import Effect, Shape, Terms
+from otf_core.effects.free import FreeForm
 from otf_core.solving.columns import column_size
 
 Array = NDArray[np.float64]
@@ -42,6 +43,8 @@ NO_TRACE = 1e-9
 FAINT = 1e-6
 """Share of the squares below which products are differences of rounding errors: such columns are
 projected themselves."""
+ADDED = 9.0
+"""Evidence that an input without which a free form would be another effect has to add."""
 NARROW = 32
 """Columns whose sizes are found at once."""
 MEMORY = 16e6
@@ -102,8 +105,24 @@ class Tried:
         return tuple(sorted({self.terms.axes[i] for i in take} - {''}))
 
     def odds(self, take: Index, variance: float) -> float:
-        """Evidence of an option, see ``log_evidence``, less its price."""
-        return log_evidence(*self._products(take), variance, self.orders(take)) - self.price
+        """Evidence of an option, see ``log_evidence``, less its price.
+
+        Of a free form that needs an input to be this effect, only what that adds, if it is little.
+        """
+        found = log_evidence(*self._products(take), variance, self.orders(take)) - self.price
+        rest = self._without_essential(take)
+        if len(rest) in (0, len(take)):
+            return found
+        other = log_evidence(*self._products(rest), variance, self.orders(rest))
+        return found if found - other > ADDED else found - other
+
+    def _without_essential(self, take: Index) -> Index:
+        """Terms that do not depend on the input that a free form needs."""
+        effect = self.effect
+        if not isinstance(effect, FreeForm) or effect.form.essential is None:
+            return take
+        numbers = np.array(effect.form.numbers)[:, effect.form.essential]
+        return np.asarray(take[numbers[take % len(numbers)] == 0])
 
     def orders(self, take: Index) -> Array:
         """Orders of some terms as functions; empty for a formula."""
