@@ -185,26 +185,6 @@ def test_table_of_an_input_that_ends_early_can_be_read_again(name, last):
     assert again.parameters == pytest.approx(given, rel=1e-6, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ('change', 'words'),
-    [
-        ({'acts_as': 'wobble'}, "acts_as: 'wobble' is unknown"),
-        ({'nodes': {'moon': [0, 1]}}, "input 'moon' is unknown"),
-        ({'nodes': {'time': [1, 0]}}, 'must be ascending'),
-        ({'nodes': {'time': [0.0, 0.0]}}, 'too close'),
-        ({'table': {'along': [1.0]}}, 'expected 2 finite numbers'),
-        ({'direction': [0, 0, 0]}, 'not all zero'),
-    ],
-)
-def test_what_is_wrong_in_a_table_is_named(change, words):
-    entry = {
-        'effect': 'empirical', 'acts_as': 'direction', 'direction': [0, 0, 1],
-        'nodes': {'time': [0.0, 10.0]}, 'table': {'along': [0.0, 1e-6]},
-    }  # fmt: skip
-    with pytest.raises(ConfigError, match=words):
-        effects_from_data([entry | change], 'file', some_machine())
-
-
 def test_file_that_asks_for_an_unknown_form_is_refused():
     entry = {'effect': 'backlash', 'form': 'free', 'inputs': {'range': [0, 1]}, 'parameters': {}}
     with pytest.raises(ConfigError, match='no free form of these inputs; possible: time;'):

@@ -310,7 +310,7 @@ class Effect(ABC):
             if name not in known:
                 listed = ', '.join(list(known)[:LISTED])
                 rest = f', ... ({len(known)} in all)' if len(known) > LISTED else ''
-                raise ConfigError(f'{self.name}: {name}: unknown; possible: {listed}{rest}')
+                raise ConfigError(f'{self.name}: {name[:60]}: unknown; possible: {listed}{rest}')
         return {name: known[name] for name in parameters}
 
     def displacement(self, state: State, parameters: Shape) -> Array:

@@ -52,13 +52,13 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
     fields = Fields(data, where)
     name = fields.text('effect')
     if name == EMPIRICAL:
-        return empirical_of(fields)
+        return empirical_of(fields, machine)
     if name not in REGISTRY:
         known = ', '.join((*REGISTRY, EMPIRICAL))
-        fields.fail('effect', f"'{name}' is unknown; possible: {known}")
+        fields.fail('effect', f'{shown(name)} is unknown; possible: {known}')
     given = _mapping(fields.take('parameters'), f'{where}: {name}: parameters')
     effect, where = _form(name, fields, machine, list(given)), f'{where}: {name}'
-    parameters = {k: _number(v, f'{where}: {k}') for k, v in given.items()}
+    parameters = {k: _number(v, f'{where}: {k[:60]}') for k, v in given.items()}
     stated = _mapping(fields.take('units'), f'{where}: units') if 'units' in data else {}
     fields.done()
     try:
@@ -67,7 +67,7 @@ def _entry(data: Any, where: str, machine: Machine) -> AppliedEffect:
         raise ConfigError(f'{where.removesuffix(name)}{error}') from None
     for key, unit in stated.items():
         if key not in units:
-            raise ConfigError(f'{where}: units: {key}: not among the parameters')
+            raise ConfigError(f'{where}: units: {key[:60]}: not among the parameters')
         if unit != units[key]:
             raise ConfigError(f"{where}: units: {key}: {shown(unit)}; its unit is '{units[key]}'")
     return AppliedEffect(effect, parameters)
@@ -77,7 +77,7 @@ def _form(name: str, fields: Fields, machine: Machine, given: Sequence[str]) -> 
     """The formula of an effect, or its free form where the entry says so."""
     form = fields.text('form') if fields.has('form') else FORMULA
     if form not in (FORMULA, FREE):
-        fields.fail('form', f"'{form}' is unknown; possible: {FORMULA}, {FREE}")
+        fields.fail('form', f'{shown(form)} is unknown; possible: {FORMULA}, {FREE}')
     return free_form_of(name, fields, machine, given) if form == FREE else REGISTRY[name]
 
 

@@ -118,7 +118,7 @@ def of_table(
         place = scaled_input(n, np.array(own, dtype=float), spans[n])
         matrix = functions_of(n, place, len(own) - 1)
         if not np.linalg.cond(matrix) < CONDITION:
-            raise ValueError(f'{n}: the nodes are too close to each other or not ascending')
+            raise ValueError(f'{n[:60]}: the nodes are too close to each other or not ascending')
         inverses.append(np.linalg.inv(matrix))
     parameters = {}
     for term, value in values.items():

@@ -30,7 +30,7 @@ from otf_core.effects.free import Free, FreeForm, follower, switched
 from otf_core.effects.inputs import SIGNAL, Span, known_input
 from otf_core.effects.state import probe_state
 from otf_core.effects.switching import Switching
-from otf_core.files.strict_yaml import Fields
+from otf_core.files.strict_yaml import Fields, shown
 from otf_core.model.machine import Machine
 
 FREE = 'free'
@@ -51,7 +51,7 @@ def _ranges(fields: Fields, key: str) -> dict[str, list[float]]:
     found = {}
     for name, own in value.items():
         if not known_input(str(name)):
-            fields.fail(key, f"input '{name}' is unknown")
+            fields.fail(key, f'input {shown(str(name))} is unknown')
         found[str(name)] = _numbers(own, fields, f'{key}: {name}')
         if found[str(name)] != sorted(found[str(name)]):
             fields.fail(f'{key}: {name}', 'the numbers must be ascending')
@@ -108,16 +108,20 @@ def _coefficients(effect: FreeForm, machine: Machine) -> set[str]:
     return set(effect.terms(replace(probe, more=none), {}).names)
 
 
-def empirical_of(fields: Fields) -> AppliedEffect:
+def empirical_of(fields: Fields, machine: Machine) -> AppliedEffect:
     """Read an empirical effect; what is wrong is a ConfigError that names the key."""
     name = fields.text('name') if fields.has('name') else EMPIRICAL
     acts = _acts_of(fields)
     nodes, table = _ranges(fields, 'nodes'), fields.take('table')
     if switching := next((n for n in nodes if Switching.of(n)), None):
-        fields.fail('nodes', f"'{switching}' is no input of a table; write time")
+        fields.fail('nodes', f'{shown(switching)} is no input of a table; write time')
     fields.done()
     if not isinstance(table, dict) or not table:
         fields.fail('table', 'expected the values of each direction or rotation')
+    known = acts(probe_state(machine), {}).names
+    for term in table:
+        if term not in known:
+            fields.fail('table', f'{shown(str(term))} is unknown; possible: {", ".join(known)}')
     shape = tuple(len(v) for v in nodes.values())
     values = {}
     for term, own in table.items():
@@ -145,7 +149,7 @@ def _acts_of(fields: Fields) -> Acting:
         return Along((x, y, z))
     if acts_as not in ACTING:
         known = ', '.join((*ACTING, DIRECTION))
-        fields.fail('acts_as', f"'{acts_as}' is unknown; possible: {known}")
+        fields.fail('acts_as', f'{shown(acts_as)} is unknown; possible: {known}')
     return ACTING[acts_as]
 
 
