@@ -39,6 +39,9 @@ LEAST = 2e-6
 """m; pieces that are off by less are never left out."""
 TRAIL = 0.5
 """Share of the limit from which a piece beside one that is left out is left out as well."""
+STUCK = 0.5
+"""Share of the change before that a change has to fall below, or the normal matrix is made anew:
+once the poses have moved, it is another one for what the data hardly show."""
 NOISE_SETTLED = 0.1
 """Change of the logarithms of noise and misfit below which they count as settled."""
 FINE = 8
@@ -291,16 +294,21 @@ def solve_jointly(
     rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
     left = left_by(systems, solution)
-    change = np.inf
+    change, stuck = np.inf, False
     for iteration in range(2, config.max_iterations + 1):
         motion = [solution.value[unknowns.blocks[pose_block(k)]] for k in range(len(runs))]
         poses = [p.moved_by(m[:3], m[3:]) for p, m in zip(poses, motion, strict=True)]
         solution = _without_poses(solution, unknowns, len(runs))
         del systems  # as large as the next ones
         systems = systems_of(runs, poses, unknowns, tables_of(machine, unknowns, solution))
-        solution = _improved(solution, unknowns, rough, systems, whiteners)
-        before, left = left, left_by(systems, solution)
+        if stuck:
+            normal = summed(systems, unknowns, whiteners)
+            solution = solve(normal, unknowns, limit, accepted, rough.precision)
+        else:
+            solution = _improved(solution, unknowns, rough, systems, whiteners)
+        before, left, last = left, left_by(systems, solution), change
         change = max(float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True))
+        stuck = change > STUCK * last
         progress('solving', iteration / (iteration + 1))
         if not np.isfinite(change):
             break

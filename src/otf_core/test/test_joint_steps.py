@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps of the joint solution that go too far."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from core_cells import record, small_plan, some_machine
+
+from otf_core.config import CalibrationConfig
+from otf_core.pieces.runs import Recording, prepare_runs
+from otf_core.sim.cell import random_tables
+from otf_core.solving import joint
+from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.unknowns import layout
+
+
+@pytest.mark.parametrize('factor', [2.5, 4.0])
+def test_steps_that_grow_make_the_normal_matrix_anew(monkeypatch, factor):
+    """As where the matrix of the first iteration is too small for what the data hardly show."""
+    machine, config = some_machine(pitch=0.1), CalibrationConfig(piece_length=0.024)
+    plan = small_plan(machine)
+    truth = random_tables(machine, 2e-5, np.random.default_rng(3))
+    driven = record(machine, plan, rate=50.0)
+    recording = Recording(driven.measured(truth, seed=0), plan.path, machine)
+    runs, nodes = prepare_runs([recording], config)
+    unknowns = layout(linear_bases(nodes), runs=1)
+
+    def solved():
+        return joint.solve_jointly(runs, unknowns, config, lambda stage, fraction: None)
+
+    right, improved = solved(), joint._improved
+
+    def too_far(solution, *rest):
+        better = improved(solution, *rest)
+        return replace(solution, value=solution.value + factor * (better.value - solution.value))
+
+    monkeypatch.setattr(joint, '_improved', too_far)
+    (found,), (wanted,) = solved().runs, right.runs
+    assert np.abs(found.residual - wanted.residual).max() < 2e-8
