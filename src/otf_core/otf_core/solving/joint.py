@@ -356,16 +356,7 @@ def seen_blocks(
     whiteners: Sequence[Whitener],
     limit: float,
 ) -> tuple[str, ...]:
-    """Blocks of unknowns that the data determine.
-
-    Parameters
-    ----------
-    runs : sequence of Observed
-    unknowns : Unknowns
-    whiteners : sequence of Whitener
-    limit : float
-        m and rad; ``unidentifiable_above``.
-    """
+    """Blocks of unknowns that the data determine, to ``limit``, ``unidentifiable_above``."""
     judged = [
         build_system(run.machine, run.pieces, run.pose, unknowns, run=k, nodal_lever=True)
         for k, run in enumerate(runs)
