@@ -23,6 +23,8 @@ CYCLE, MOMENT, PLACE, DIRECTION = 'cycle:', 'after:', 'near:', 'aside:'
 and elevation in rad."""
 TURNS = {f'cycle_{axis.lower()}:': k for k, axis in enumerate(XYZ)}
 """Heads of the names of cycles along axes, and number of the axis; the period in m follows."""
+CYCLES = {CYCLE, *TURNS}
+"""Heads of all cycles: what depends on them is made of harmonics."""
 Numbers = tuple[float, ...]
 
 
@@ -137,8 +139,7 @@ def numbers_of(name: str) -> Numbers:
         return ()
     kind = KINDS.get(head + ':')
     proper = kind and len(numbers) == kind.count and np.all(np.isfinite(numbers))
-    repeats = head + ':' == CYCLE or head + ':' in TURNS
-    return numbers if proper and (not repeats or numbers[0] > 0.0) else ()
+    return numbers if proper and (head + ':' not in CYCLES or numbers[0] > 0.0) else ()
 
 
 def found_name(head: str, *numbers: float) -> str:
@@ -153,7 +154,7 @@ def found_kind(name: str) -> FoundKind | None:
 
 def cycle_period(name: str) -> float:
     """Period in s or m if an input is the phase of a cycle in time or along an axis, else 0."""
-    return numbers_of(name)[0] if head_of(name) in {CYCLE, *TURNS} else 0.0
+    return numbers_of(name)[0] if head_of(name) in CYCLES else 0.0
 
 
 def stands_for(name: str) -> tuple[str, ...]:

@@ -16,7 +16,6 @@ from otf_core.diagnosis.engine.spectral import LINE_SCORE, SpectralLine, stronge
 from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
 from otf_core.effects.free import free_forms
-from otf_core.solving.sample_states import sample_residuals
 from otf_core.threads import side_by_side
 
 DETECTABLE = 25.0
@@ -71,12 +70,9 @@ def shapes_from_lines(lines: Sequence[SpectralLine]) -> dict[str, list[Shape]]:
 
 def spectral_lines(rows: Rows) -> list[SpectralLine]:
     """Spectral lines of all runs, strongest first."""
-    nodes = rows.done.unknowns.knots
     lines: list[SpectralLine] = []
-    for run, solved in zip(rows.runs, rows.done.runs, strict=True):
-        if len(run.pieces.samples):
-            residuals = sample_residuals(run, solved.pose, rows.tables, nodes)
-            lines += strongest_lines(residuals, list(REGISTRY.values()))
+    for residuals in rows.sample_residuals():
+        lines += strongest_lines(residuals, list(REGISTRY.values()))
     return sorted(lines, key=lambda line: -line.score)
 
 

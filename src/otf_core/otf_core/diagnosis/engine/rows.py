@@ -28,7 +28,7 @@ from otf_core.solving.columns import name_in_run, piece_state, sensitivity
 from otf_core.solving.folds import fold_of, leg_numbers
 from otf_core.solving.joint import JointSolution, settled, summed, tables_of
 from otf_core.solving.normal import rows_by_run
-from otf_core.solving.sample_states import sample_state
+from otf_core.solving.sample_states import SampleResiduals, sample_residuals, sample_state
 from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
 from otf_core.solving.whitener import Whitener
 
@@ -114,6 +114,13 @@ class Rows:
             sample_state(r, s.pose, self.tables, nodes)
             for r, s in zip(self.runs, self.done.runs, strict=True)
         )
+
+    def sample_residuals(self) -> Iterator[SampleResiduals]:
+        """Residuals of the samples of every run that has some; made anew, they are large."""
+        nodes = self.done.unknowns.knots
+        for run, solved in zip(self.runs, self.done.runs, strict=True):
+            if len(run.pieces.samples):
+                yield sample_residuals(run, solved.pose, self.tables, nodes)
 
     def columns_in_run(self, effect: Effect, shape: Shape, run: int, count: int) -> Array:
         """Displacements of one run across the path per unit of its k terms, shape (r of it, k)."""

@@ -16,7 +16,6 @@ from otf_core.diagnosis.engine.score import TOGETHER, Scores
 from otf_core.diagnosis.engine.spectral import LINE_SCORE, line_across_axis, line_along_axis
 from otf_core.effects.found_inputs import CYCLE, DIRECTION, MOMENT, PLACE, TURNS, found_name
 from otf_core.effects.inputs import functions_of
-from otf_core.solving.sample_states import sample_residuals
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -50,12 +49,8 @@ def sought_inputs(rows: Rows, scores: Scores) -> list[str]:
 
 def cycles_along_axes(rows: Rows) -> list[str]:
     """Phases of what repeats along an axis, of each axis at most one."""
-    nodes = rows.done.unknowns.knots
     found: dict[str, tuple[float, float]] = {}
-    for run, solved in zip(rows.runs, rows.done.runs, strict=True):
-        if not len(run.pieces.samples):
-            continue
-        residuals = sample_residuals(run, solved.pose, rows.tables, nodes)
+    for residuals in rows.sample_residuals():
         for head, k in TURNS.items():
             axis = residuals.state.machine.axis_names[k]
             for peak in (line_along_axis(residuals, axis), line_across_axis(residuals, axis)):
