@@ -43,7 +43,7 @@ class Graph:
     def __init__(self, domain, folder):
         self.folder = folder
         self.nodes = []
-        self._environment = {'ROS_DOMAIN_ID': str(domain)}
+        self.environment = {'ROS_DOMAIN_ID': str(domain)}
         self._context = rclpy.Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
         self._ear = rclpy.create_node('test_ear', context=self._context)
@@ -59,7 +59,7 @@ class Graph:
             parameters.setdefault('output_directory', self.folder / 'out')
         label = f'{name}-{len(self.nodes)}'
         module = module_of(name)
-        node = NodeProcess(label, module, parameters, self.folder, self._environment, arguments)
+        node = NodeProcess(label, module, parameters, self.folder, self.environment, arguments)
         self.nodes.append(node)
         return node
 

@@ -2,6 +2,7 @@
 """No sample is lost: at the rate of a fast tracker, beyond it, and when a node is held up."""
 
 import signal
+from pathlib import Path
 
 import pytest
 from cells import SHORT
@@ -9,10 +10,17 @@ from cells import SHORT
 QUICK = {'feed': 2.0, 'corner_dwell': 0.0, 'end_dwell': 1.5}
 
 
+UDP_ONLY = {
+    'FASTRTPS_DEFAULT_PROFILES_FILE': Path(__file__).with_name('udp_only.xml'),
+    'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',  # LOCALHOST brings back shared memory
+}
+
+
 @pytest.fixture
-def without_shared_memory(monkeypatch):
-    """Fast DDS may go deaf to a process that was stopped within its shared memory."""
-    monkeypatch.setenv('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
+def graph_by_udp(graph):
+    """Nodes that may be stopped: within shared memory, Fast DDS may stay deaf to them."""
+    graph.environment.update(UDP_ONLY)
+    return graph
 
 
 def start_cell(graph, machine_file, rate, **driver):
@@ -43,9 +51,8 @@ def hold_up(graph, node, samples):
     node.interrupt(signal.SIGCONT)
 
 
-def test_no_sample_is_lost_when_the_calibrator_is_held_up_for_a_while(
-    without_shared_memory, graph, machine_file
-):
+def test_no_sample_is_lost_when_the_calibrator_is_held_up_for_a_while(graph_by_udp, machine_file):
+    graph = graph_by_udp
     node = start_cell(graph, machine_file, rate=1000.0, time_scale=2.0)
     graph.wait_for_status('STREAMING')
     hold_up(graph, node, 4000)
@@ -53,7 +60,8 @@ def test_no_sample_is_lost_when_the_calibrator_is_held_up_for_a_while(
     assert result.samples_lost == 0
 
 
-def test_lost_samples_are_counted_and_reported(without_shared_memory, graph, machine_file):
+def test_lost_samples_are_counted_and_reported(graph_by_udp, machine_file):
+    graph = graph_by_udp
     node = start_cell(graph, machine_file, rate=5000.0, time_scale=2.0, max_rate=10000.0)
     graph.wait_for_status('STREAMING')
     hold_up(graph, node, 45_000)
