@@ -12,16 +12,18 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
 from otf_core.model.motions import ErrorMotion, unit_of
-from otf_core.solving.basis import cubic
+from otf_core.solving.basis import cubic, linear
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.roughness import (
     HIGHEST,
     LOWEST,
     CoefficientPrior,
     Search,
+    _centres,
     _Point,
     expected_precision,
     kernel,
+    precision_like_others,
     waves_of,
 )
 from otf_core.solving.solution import solve
@@ -123,6 +125,28 @@ def test_prior_of_the_coefficients_is_that_of_the_motion_in_its_gauge(motion):
     np.testing.assert_allclose(np.mean(coefficients**2, axis=1) / size**2, 1.0, atol=0.03)
 
 
+def test_a_motion_without_data_is_as_rough_as_its_like():
+    """Second differences of the motion at its nodes have the size that the others' logs say."""
+    motion, basis = ErrorMotion.of('ECY'), linear(np.linspace(0.0, 0.6, 21))
+    logs = {'EXX': np.array([8.0, 0.0, 8.0])}
+    logs |= {
+        m: np.array([-9.0, np.log(0.2), low])
+        for m, low in zip(['EAX', 'EBX', 'ECX'], (-9, -7, -2), strict=True)
+    }
+    spread = np.linalg.inv(precision_like_others(motion, basis, logs))
+    bend = np.diff(np.eye(20), 2, axis=0)[:15]
+    h, waves = 0.05, np.exp(-0.5 * (np.array([0.05, 0.1]) / 0.2) ** 2)
+    smooth = np.exp(-9.0) * 2.0 * (3.0 - 4.0 * waves[0] + waves[1])
+    kinks = np.exp(-7.0) * quad(lambda x: (h - abs(x)) ** 2, -h, h, points=[0.0])[0]
+    wanted = smooth + kinks
+    np.testing.assert_allclose(np.diag(bend @ spread @ bend.T), wanted, rtol=1e-3)
+
+
+def test_nothing_is_said_of_a_motion_without_its_like():
+    basis = BASES['Y']
+    assert precision_like_others(ErrorMotion.of('ECY'), basis, {'EXX': np.zeros(3)}) is None
+
+
 def covariance(some, logs):
     """Covariance of the solved-for unknowns before any data, written as one dense matrix."""
     search = some.search
@@ -206,7 +230,7 @@ def test_information_is_the_scatter_of_the_score():
 def test_the_search_ends_where_nothing_is_to_be_gained(some):
     found = some.search.run()
     point = _Point(some.search, found.logs)
-    score, information, _ = point.slopes(some.search._centres(found.logs))
+    score, information, _ = point.slopes(_centres(found.logs))
     flat = np.concatenate(list(found.logs.values()))
     inside = (flat > np.tile(LOWEST, len(found.logs))) & (flat < np.tile(HIGHEST, len(found.logs)))
     score, information = score[inside], information[np.ix_(inside, inside)]

@@ -24,6 +24,7 @@ from otf_core.diagnosis.engine.search import (
     MAX_CAUSES,
     fit_jointly,
     fit_out,
+    found_beside,
     noise_variance,
     search,
 )
@@ -363,3 +364,15 @@ def test_refined_columns_are_those_of_the_refined_shape():
     np.testing.assert_allclose(cause.option.plain, anew.plain, atol=1e-12)
     np.testing.assert_allclose(cause.option.own, anew.own, atol=1e-6)
     np.testing.assert_allclose(cause.option.size, anew.size, rtol=1e-9)
+
+
+def test_what_is_known_stays_first_and_the_rest_is_found_beside_it():
+    known, other = cause_of(COUPLING), cause_of(BACKLASH)
+    whole = trace_of(known, Z_X2Y=3e-6) + trace_of(other, B_X=4e-6)
+    rows = holding(whole + noise(7))
+    tried = tried_with(rows, {'backlash': options_of(BACKLASH)})
+    first, *found = found_beside(rows, tried, [known])
+    assert first is known and named(found) == ['backlash']
+    alone = holding(trace_of(known, Z_X2Y=3e-6) + noise(7))
+    tried = tried_with(alone, {'backlash': options_of(BACKLASH)})
+    assert found_beside(alone, tried, [known]) == [known]

@@ -7,7 +7,7 @@ import numpy as np
 from engine_cells import cause_of, solved_rows
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.followed import straight_instead
+from otf_core.diagnosis.engine.followed import straight_rows
 from otf_core.diagnosis.engine.shaken import calmed, measured_again
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.model.observation import Samples
@@ -60,4 +60,4 @@ def test_straight_tables_are_left_as_they_are():
     rows = solved_rows()
     waves = cause_of(REGISTRY['table_resolution'], order=1.0)
     other = cause_of(REGISTRY['backlash'], held=1.0)
-    assert straight_instead(rows, [other, waves], rows.runs, rows.done, {}, CONFIG) is None
+    assert straight_rows(rows, [other, waves], rows.done, {}, CONFIG, ()) is None

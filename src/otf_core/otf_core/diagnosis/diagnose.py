@@ -27,10 +27,11 @@ from otf_core.diagnosis.engine.catalogue import (
     search_catalogue,
     spectral_lines,
 )
-from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose, straight_instead
+from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose, straight_rows
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.engine.shaken import calmed
 from otf_core.diagnosis.engine.unnamed import (
     AS_RIVALS,
@@ -160,14 +161,19 @@ def _searched(
     progress('simulating', 0.0)
     simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
     progress('diagnosing', 0.0)
-    lines = spectral_lines(rows)
-    found, first = search_catalogue(rows, exclude, own, lines), rows
-    straight = straight_instead(rows, found.causes, *plain, seen.nodes, config)
-    if straight is not None:
-        rows, found = straight, search_catalogue(straight, exclude, own, lines)
-    calm = calmed(rows, found.causes, config)
-    if calm is not None:
-        rows, found = calm, search_catalogue(calm, exclude, own, lines)
+    lines, first = spectral_lines(rows), rows
+    found = search_catalogue(rows, exclude, own, lines)
+
+    def straight(rows: Rows, causes: Sequence[Cause]) -> Rows | None:
+        return straight_rows(rows, causes, plain[1], seen.nodes, config, exclude)
+
+    def calm(rows: Rows, causes: Sequence[Cause]) -> Rows | None:
+        return calmed(rows, causes, config)
+
+    for changed in (straight, calm, straight):  # what noise hid may show that lines are right
+        other = changed(rows, found.causes)
+        if other is not None:
+            rows, found = other, search_catalogue(other, exclude, own, lines)
     if rows is not first:
         simulated_um = simulated_residual_um(rows, seen.nodes, config, twin)
     return rows, found, simulated_um

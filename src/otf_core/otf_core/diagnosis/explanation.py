@@ -15,6 +15,7 @@ from otf_core.diagnosis.engine.decoys import DECOY_NAMES
 from otf_core.diagnosis.engine.rival import Rival
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
+from otf_core.diagnosis.verdict import matters
 from otf_core.effects import Effect
 
 Array = NDArray[np.float64]
@@ -116,22 +117,32 @@ def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
     )
 
 
-def _material(effect: Effect, before: Residuals, after: Residuals, whole_um: float) -> bool:
-    """Tell whether a cause matters: by its own trace, and beside the whole gap."""
-    trace = float(np.sqrt(max(0.0, before.rms_um**2 - after.rms_um**2)))
-    return trace > effect.material_um and trace > MATERIAL_SHARE * whole_um
-
-
 def _named(
     rows: Rows, found: Sequence[Cause], simulated_um: float
 ) -> tuple[list[Cause], list[Residuals]]:
     """Causes that matter, and the residuals step by step."""
+    whole = plain_residuals(rows)
+    gap = gap_um(whole.rms_um, simulated_um)
+    causes, steps = _material(rows, found, whole, gap, all_alike=False)
+    if not causes and matters(gap, simulated_um):
+        return _material(rows, found, whole, gap, all_alike=True)
+    return causes, steps
+
+
+def _material(
+    rows: Rows, found: Sequence[Cause], whole: Residuals, gap: float, *, all_alike: bool
+) -> tuple[list[Cause], list[Residuals]]:
+    """Causes whose own trace matters, in itself and beside the whole gap.
+
+    ``all_alike`` asks no more of those that smooth machines have a little of than of others.
+    """
     causes: list[Cause] = []
-    steps = [plain_residuals(rows)]
-    whole = gap_um(steps[0].rms_um, simulated_um)
+    steps = [whole]
     for cause in found:
         after = residuals_with(rows, [*causes, cause])
-        if _material(cause.option.effect, steps[-1], after, whole):
+        trace = float(np.sqrt(max(0.0, steps[-1].rms_um ** 2 - after.rms_um**2)))
+        least = Effect.material_um if all_alike else cause.option.effect.material_um
+        if trace > max(least, MATERIAL_SHARE * gap):
             causes.append(cause)
             steps.append(after)
     return causes, steps

@@ -220,11 +220,6 @@ class Search:
             loose[place] = 0.0
         self.ridge = np.diag(loose)
 
-    def _centres(self, logs: Mapping[str, Array]) -> dict[str, Array]:
-        return {
-            m: np.median([logs[o] for o in logs if unit_of(o) == unit_of(m)], axis=0) for m in logs
-        }
-
     def _moved(self, logs: Mapping[str, Array], step: Array) -> dict[str, Array]:
         parts = step.reshape(-1, len(START))
         return {
@@ -245,7 +240,7 @@ class Search:
         if not self.places:
             return self._answer(point, np.zeros((len(self.use), 0)))
         for _ in range(MAX_STEPS):
-            centres = self._centres(point.logs)
+            centres = _centres(point.logs)
             score, information, _ = point.slopes(centres)
             step = np.asarray(np.linalg.solve(information, score), dtype=float)
             step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
@@ -259,7 +254,7 @@ class Search:
                 point = after
             if gain < SETTLED:
                 break
-        _, information, moves = point.slopes(self._centres(point.logs))
+        _, information, moves = point.slopes(_centres(point.logs))
         root = np.linalg.cholesky(np.linalg.inv(information))
         return self._answer(point, moves @ root)
 
@@ -269,6 +264,37 @@ class Search:
         moved = np.zeros((self.free, drawn.shape[1]))
         moved[self.use] = drawn * self.limit
         return Roughness(point.logs, precision, moved, point.likelihood, point.square)
+
+
+def _centres(logs: Mapping[str, Array]) -> dict[str, Array]:
+    """Median of the logarithms of the motions of one unit, for each motion."""
+    return {
+        m: np.median([logs[o] for o in logs if unit_of(o) == unit_of(m)], axis=0) for m in logs
+    }
+
+
+def precision_like_others(
+    motion: ErrorMotion, basis: Basis, logs: Mapping[str, Array]
+) -> Array | None:
+    """Precision of a motion of which the data say next to nothing: as rough as its like.
+
+    Parameters
+    ----------
+    motion : ErrorMotion
+    basis : Basis
+        Of its axis.
+    logs : mapping of motion to ndarray, shape (3,)
+        Of the motions that the data determine, see ``Roughness``.
+
+    Returns
+    -------
+    ndarray, shape (n, n), 1 / limit^2, or None
+        Of its n free coefficients; None if no other motion of its unit is determined.
+    """
+    like = [values for other, values in logs.items() if unit_of(other) == unit_of(motion)]
+    if not like:
+        return None
+    return Positive(CoefficientPrior(motion, basis).at(np.median(like, axis=0))[0]).inverse
 
 
 def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:

@@ -14,7 +14,7 @@ as measured. The diagnosis starts from the likelier of both.
 
 A strong effect also misleads the choice between smooth functions and straight lines between nodes:
 what it leaves drowns the kinks of the tables, and once it is found, these look like waves between
-nodes. So where both are found, the choice is made again, with the effect taken off.
+nodes. So where both are found, the choice is made again beside the effect.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
+from otf_core.diagnosis.engine.beside import Candidates
 from otf_core.diagnosis.engine.catalogue import (
     effects_without,
     shapes_from_lines,
@@ -35,7 +36,7 @@ from otf_core.diagnosis.engine.catalogue import (
 from otf_core.diagnosis.engine.evidence import TOGETHER, Option, likeliest_width, motions_of
 from otf_core.diagnosis.engine.noise_check import heard
 from otf_core.diagnosis.engine.rows import Rows, build_rows
-from otf_core.diagnosis.engine.search import Cause, fit_jointly, search
+from otf_core.diagnosis.engine.search import Cause, fit_jointly, found_beside, search
 from otf_core.diagnosis.engine.tried import tried_shapes
 from otf_core.effects import BelongsTo, Effect
 from otf_core.errors import InputError
@@ -81,7 +82,7 @@ def rows_to_diagnose(
     limit = config.unidentifiable_above
     loud = [heard(run, config.standstill_speed) for run in runs]
     rows = build_rows(loud, done, limit)
-    effects = [e for e in effects_without(exclude) if _stays_at_places(e)]
+    effects = _at_places(exclude)
     if not is_finer(done.unknowns.bases) or not effects:
         return rows
     fine = _likelihood(rows)
@@ -91,20 +92,20 @@ def rows_to_diagnose(
     others = [build_rows(loud, one, limit) for one in solved if one is not None]
     alone = [_likelihood(other) for other in others]
     for k in sorted(range(len(alone)), key=lambda k: -alone[k]):
-        causes = _found(others[k], effects)
+        causes = search(others[k], _candidates(others[k], effects))[0]
         allowed = NOT_FOLLOWED * (fine - alone[k]) if _in_few_motions(causes) else 0.0
         if _likelihood(others[k], causes) + max(allowed, 0.0) > fine + CLEAR:
             return others[k]
     return rows
 
 
-def straight_instead(
+def straight_rows(
     rows: Rows,
     causes: Sequence[Cause],
-    runs: Sequence[Run],
     done: JointSolution,
     nodes: Mapping[str, Array],
     config: CalibrationConfig,
+    exclude: Sequence[str],
 ) -> Rows | None:
     """Rows with straight lines between nodes, where causes found had hidden that they are right.
 
@@ -114,21 +115,22 @@ def straight_instead(
         With smooth functions; None is returned for others.
     causes : sequence of Cause
         Found in them; None is returned where waves between nodes are not among several.
-    runs, done, nodes, config
+    done, nodes, config, exclude
         As of ``rows_to_diagnose``.
     """
-    others = [c for c in causes if c.option.effect.belongs_to is not BelongsTo.TABLES]
     bases = rows.done.unknowns.bases
     smooth = all(b.degree > 1 for b in bases.values()) and not is_finer(bases)
-    if not smooth or not 0 < len(others) < len(causes):
+    waves = any(c.option.effect.belongs_to is BelongsTo.TABLES for c in causes)
+    known = [c for c in causes if not _stays_at_places(c.option.effect)]
+    if not (smooth and waves and known):
         return None
-    solved = _solved(runs, done, linear_bases(nodes), config)
+    solved = _solved(rows.runs, done, linear_bases(nodes), config)
     if solved is None:
         return None
-    loud = [heard(run, config.standstill_speed) for run in runs]
-    straight = build_rows(loud, solved, config.unidentifiable_above)
-    again = [_again(cause, straight) for cause in others]
-    better = _likelihood(straight, again) > _likelihood(rows, others) + CLEAR
+    straight = build_rows(rows.runs, solved, config.unidentifiable_above)
+    candidates = _candidates(straight, _at_places(exclude))
+    beside = found_beside(straight, candidates, [_again(cause, straight) for cause in known])
+    better = _likelihood(straight, beside) > _likelihood(rows, causes) + CLEAR
     return straight if better else None
 
 
@@ -137,6 +139,11 @@ def _again(cause: Cause, rows: Rows) -> Cause:
     option = cause.option
     (tried,) = tried_shapes(rows, option.effect, [option.shape])
     return replace(cause, option=tried.made(option.take, 1.0))
+
+
+def _at_places(exclude: Sequence[str]) -> list[Effect]:
+    """Effects that stay at fixed places, less those excluded."""
+    return [e for e in effects_without(exclude) if _stays_at_places(e)]
 
 
 def _stays_at_places(effect: Effect) -> bool:
@@ -214,7 +221,6 @@ def _width(option: Option, residual: Array) -> Array:
     return likeliest_width(*products, option.size, 1.0, np.zeros(len(option.take)))
 
 
-def _found(rows: Rows, effects: Sequence[Effect]) -> list[Cause]:
-    """What is found of some effects."""
-    tried, _ = tried_effects(rows, effects, shapes_from_lines(spectral_lines(rows)))
-    return search(rows, tried)[0]
+def _candidates(rows: Rows, effects: Sequence[Effect]) -> Candidates:
+    """What some effects may be."""
+    return tried_effects(rows, effects, shapes_from_lines(spectral_lines(rows)))[0]

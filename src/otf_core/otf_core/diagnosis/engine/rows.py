@@ -21,6 +21,7 @@ from scipy import linalg
 
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.free import FreeForm
+from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.runs import Run
@@ -28,6 +29,7 @@ from otf_core.solving.columns import name_in_run, piece_state, sensitivity
 from otf_core.solving.folds import fold_of, leg_numbers
 from otf_core.solving.joint import JointSolution, settled, summed, tables_of
 from otf_core.solving.normal import rows_by_run
+from otf_core.solving.roughness import precision_like_others
 from otf_core.solving.sample_states import SampleResiduals, sample_residuals, sample_state
 from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
 from otf_core.solving.whitener import Whitener
@@ -295,9 +297,20 @@ class Rows:
 
     @cached_property
     def ridge(self) -> Array:
-        """Tie-breaker for what the data do not determine, shape (b, b)."""
-        smooth = smoothness(self.done.unknowns)
-        return np.asarray(TIE_BREAK * smooth[np.ix_(self.use, self.use)])
+        """What is known before the data of what they do not determine, shape (b, b).
+
+        A tie-breaker; and rotations that the calibration does not solve for are as rough as those
+        that it does. Left free, they turn by some 0.1 mrad to and fro from node to node, where
+        waves between the nodes of a translation would explain the same.
+        """
+        unknowns, logs = self.done.unknowns, self.done.roughness.logs
+        known = TIE_BREAK * smoothness(unknowns)
+        for motion in [m for m in MOTIONS if m not in self.done.solution.accepted]:
+            block = unknowns.free_blocks[motion]
+            like = precision_like_others(motion, unknowns.bases[motion.axis], logs)
+            if like is not None and block.stop > block.start:
+                known[block, block] += like
+        return np.asarray(known[np.ix_(self.use, self.use)])
 
     def project(self, columns: Array) -> Array:
         """Columns (r, k) less what tables and poses can follow of them."""

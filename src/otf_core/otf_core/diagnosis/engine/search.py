@@ -184,6 +184,14 @@ def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, 
     return causes, considered
 
 
+def found_beside(rows: Rows, tried: Candidates, known: Sequence[Cause]) -> list[Cause]:
+    """Find effects beside causes that are known already; these come first."""
+    pool = Pool.of(rows, tried)
+    for cause in known:
+        pool = pool.joined(cause.option)
+    return _found(pool, known)[0]
+
+
 def _in_order(causes: Sequence[Cause]) -> list[Cause]:
     """Columns of every cause less what those before it can follow, and nothing else."""
     placed: list[Cause] = []
