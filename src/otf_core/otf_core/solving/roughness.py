@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,28 +161,25 @@ class _Point:
         """Score (j,), information (j, j), and moves V E c (use, j) of all logarithms."""
         places, V = self._search.places, self.factor.inverse
         count, width = len(places), len(START)
-        size = max(place.stop - place.start for place in places.values())
-        # motions have unknowns of different number: zeros behind the fewer of them
-        E = np.zeros((count, width, size, size))
-        D = np.zeros((count, count, size, size))
-        score, moves = [], []
-        for i, (motion, place) in enumerate(places.items()):
+        D = -V
+        for motion, place in places.items():
+            D[place, place] += self.covariance[motion]
+        score, moves, products = [], [], []
+        for motion, place in places.items():
             inverse, own = self.inverse[motion], self.value[place]
-            rest = self.covariance[motion] - V[place, place]
             away = (self.logs[motion] - centres[motion]) / np.square(TOGETHER)
-            n = len(own)
-            E[i, :, :n, :n] = change = inverse @ np.stack(self.changes[motion]) @ inverse
-            score.append(0.5 * (change @ own @ own - np.sum(change * rest, axis=(1, 2))) - away)
-            moves.append(V[:, place] @ (change @ own).T)
-            for j, other in enumerate(places.values()):
-                D[i, j, :n, : other.stop - other.start] = -V[place, other]
-            D[i, i, :n, :n] = rest
+            E = inverse @ np.stack(self.changes[motion]) @ inverse
+            traces = np.sum(E * D[place, place], axis=(1, 2))
+            score.append(0.5 * (E @ own @ own - traces) - away)
+            moves.append(V[:, place] @ (E @ own).T)
+            products.append((E.reshape(-1, len(own)) @ D[place]).reshape(width, len(own), -1))
         # tr(E_i D_ij E_j D_ji): both factors are one product, the second by symmetry
-        product = E[:, None] @ D[:, :, None]
-        left = product.reshape(count, count, width, -1)
-        turned = np.ascontiguousarray(np.swapaxes(product, 0, 1).swapaxes(-1, -2))
-        shared = 0.5 * left @ np.swapaxes(turned.reshape(left.shape), -1, -2)
-        information = np.swapaxes(shared, 1, 2).reshape(count * width, -1)
+        shared = np.empty((count, width, count, width))
+        for (i, one), (j, other) in combinations_with_replacement(enumerate(places.values()), 2):
+            left, right = products[i][:, :, other], products[j][:, :, one]
+            traces = left.reshape(width, -1) @ np.swapaxes(right, 1, 2).reshape(width, -1).T
+            shared[i, :, j], shared[j, :, i] = 0.5 * traces, 0.5 * traces.T
+        information = shared.reshape(count * width, -1)
         information = information + np.diag(np.tile(1.0 / np.square(TOGETHER), count))
         return np.concatenate(score), information, np.concatenate(moves, axis=1)
 
