@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,6 @@ from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose, straig
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
 from otf_core.diagnosis.engine.rival import Rival, rival_of
 from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.engine.shaken import calmed
 from otf_core.diagnosis.engine.unnamed import (
     AS_RIVALS,
@@ -163,14 +163,11 @@ def _searched(
     progress('diagnosing', 0.0)
     lines, first = spectral_lines(rows), rows
     found = search_catalogue(rows, exclude, own, lines)
-
-    def straight(rows: Rows, causes: Sequence[Cause]) -> Rows | None:
-        return straight_rows(rows, causes, plain[1], seen.nodes, config, exclude)
-
-    def calm(rows: Rows, causes: Sequence[Cause]) -> Rows | None:
-        return calmed(rows, causes, config)
-
-    for changed in (straight, calm, straight):  # what noise hid may show that lines are right
+    straight = partial(
+        straight_rows, done=plain[1], nodes=seen.nodes, config=config, exclude=exclude
+    )
+    calm = partial(calmed, config=config)
+    for changed in (straight, calm, straight):  # loud noise may have hidden that lines are right
         other = changed(rows, found.causes)
         if other is not None:
             rows, found = other, search_catalogue(other, exclude, own, lines)
