@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from otf_core.calibration.result import CalibrationResult
     from otf_core.pieces.runs import Recording
+    from otf_core.reports.calibration_facts import Facts
 
 TABLES = 'error_tables.json'
 
@@ -62,30 +63,34 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         return _calibrate_with_effects(arguments, config)
     from otf_core.calibration.calibrate import calibrate_runs
     from otf_core.pieces.methods import PREPARATIONS
-    from otf_core.reports.calibration import write_calibration
+    from otf_core.reports.calibration import facts_of, write_calibration
 
     out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
     with progress_of(arguments, 'reading', CALIBRATE) as progress:
         recordings = read_recordings(arguments)
         result = calibrate_runs(recordings, config, progress, PREPARATIONS[arguments.method])
         progress('writing', 0.0)
+        facts = facts_of(result)
         with out.filled('calibrate') as folder:
             files = write_calibration(
-                result, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+                result,
+                folder,
+                residuals_csv=arguments.residuals_csv,
+                report=arguments.report,
+                facts=facts,
             )
-    _answer_calibration(arguments, result, '', files)
+    _answer_calibration(arguments, facts, '', files)
     return _judged(result)
 
 
 def _answer_calibration(
-    arguments: argparse.Namespace, result: CalibrationResult, more: str, files: list[Path]
+    arguments: argparse.Namespace, facts: Facts, more: str, files: list[Path]
 ) -> None:
     """Print a calibration; ``more`` words follow its own."""
-    from otf_core.reports.calibration import facts_of
     from otf_core.reports.calibration_report import calibration_sections
     from otf_core.reports.section import sections_to_dict, sections_to_text
 
-    sections = calibration_sections(facts_of(result))
+    sections = calibration_sections(facts)
     report = sections_to_dict(sections)
     answer_from(arguments, f'{sections_to_text(sections)}\n{more}', files, TABLES, report=report)
 
@@ -100,6 +105,7 @@ def _judged(result: CalibrationResult) -> int:
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
     """Error tables with effects taken off."""
     from otf_core.diagnosis.calibrate_with_effects import AUTO, calibrate_with_effects
+    from otf_core.reports.calibration import facts_of
     from otf_core.reports.with_effects import write_with_effects
     from otf_core.sim.twin import twin_recording
 
@@ -117,7 +123,7 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
             files = write_with_effects(
                 done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
             )
-    _answer_calibration(arguments, done.result, f'\n{done.words}\n', files)
+    _answer_calibration(arguments, facts_of(done.result), f'\n{done.words}\n', files)
     return _judged(done.result)
 
 

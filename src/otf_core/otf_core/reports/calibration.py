@@ -151,6 +151,7 @@ def write_calibration(
     *,
     residuals_csv: bool = False,
     report: bool = True,
+    facts: Facts | None = None,
 ) -> list[Path]:
     """Write all files of a calibration; error_tables.json last.
 
@@ -165,6 +166,8 @@ def write_calibration(
         Write the residuals as text too.
     report : bool
         Write report.html.
+    facts : Facts, optional
+        Worked out if not given.
 
     Returns
     -------
@@ -176,7 +179,7 @@ def write_calibration(
         If the folder cannot be written.
     """
     folder = ensure_folder(folder)
-    facts = facts_of(result, verb)
+    facts = facts or facts_of(result, verb)
     lines = list(facts.lines)
     write_text(folder / 'error_tables.csv', _tidy_rows(result, lines))
     write_text(folder / 'reversal.csv', reversal_csv(result.reversal, result.tables))

@@ -62,6 +62,18 @@ class Facts:
         """Errors on a grid over the whole volume."""
         return VolumetricError(self.result.tables, self.result.covariance)
 
+    @cached_property
+    def condition_number(self) -> float:
+        """Largest over smallest standard uncertainty of what the covariance holds, um and urad."""
+        covariance = self.result.covariance
+        size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        own = size > 1e-6 * size.max(initial=0.0)
+        if not own.any():
+            return 1.0
+        values = np.linalg.eigvalsh(covariance[np.ix_(own, own)])
+        kept = values[values > 1e-12 * values[-1]]
+        return float(np.sqrt(kept[-1] / kept[0]))
+
     @property
     def k_volume(self) -> float:
         """Coverage factor for 95 % of errors in the volume."""

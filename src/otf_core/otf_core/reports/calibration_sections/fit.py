@@ -21,7 +21,7 @@ def section(facts: Facts) -> Section:
     dof = dict(zip(budget.names, budget.freedoms.tolist(), strict=True))[NOISE]
     chance = float(gammaincc(0.5 * dof, 0.5 * dof * fit.variance_ratio))
     two, three = component_rms(facts)
-    condition = condition_number(facts)
+    condition = facts.condition_number
     times = [c.correlation_time for run in result.runs for c in run.noise]
     rows = (
         ('samples', f'{fit.samples}'),
@@ -53,18 +53,6 @@ def component_rms(facts: Facts) -> tuple[str, str]:
     rows = np.concatenate([run.residual for run in facts.result.runs], axis=1)
     a, b = (float(np.sqrt(np.mean(row**2))) for row in rows[:2])
     return micro(a), micro(b)
-
-
-def condition_number(facts: Facts) -> float:
-    """Largest over smallest standard uncertainty of what the covariance holds, in um and urad."""
-    covariance = facts.result.covariance
-    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    own = size > 1e-6 * size.max(initial=0.0)
-    if not own.any():
-        return 1.0
-    values = np.linalg.eigvalsh(covariance[np.ix_(own, own)])
-    kept = values[values > 1e-12 * values[-1]]
-    return float(np.sqrt(kept[-1] / kept[0]))
 
 
 def _between(times: list[float]) -> str:
