@@ -34,10 +34,16 @@ def bursts(driven, rng):
     return moved
 
 
+def waves(driven, rng):
+    """A wave of 60 um, 13 mm long along X, across it."""
+    return 6e-5 * np.sin(2 * np.pi * driven.q[:, :1] / 0.013) * [0.0, 0.7, 1.0]
+
+
 def recording(spoil):
-    """Two passes with something added."""
+    """Two passes with something added; one with waves, which lie at the same places each time."""
     machine = some_machine(pitch=0.1)
-    driven = record(machine, small_plan(machine, passes=2), rate=40.0)
+    passes = 1 if spoil is waves else 2
+    driven = record(machine, small_plan(machine, passes=passes), rate=40.0)
     rng = np.random.default_rng([71, 3])
     pose = some_pose(machine, rng)
     samples = driven.measured(seed=5, pose=pose)
@@ -46,17 +52,23 @@ def recording(spoil):
 
 
 @pytest.mark.parametrize(
-    ('spoil', 'again', 'at_corners'),
-    [(chip_under_the_slide, True, False), (rounded_corners, True, True), (bursts, False, False)],
+    ('spoil', 'again', 'at_corners', 'too_many'),
+    [
+        (chip_under_the_slide, True, False, False),
+        (rounded_corners, True, True, True),
+        (bursts, False, False, False),
+        (waves, False, False, True),
+    ],
 )
-def test_what_lies_at_a_place_is_told_from_bad_samples(spoil, again, at_corners):
+def test_what_the_machine_does_is_told_from_bad_samples(spoil, again, at_corners, too_many):
     run, coarse = recording(spoil), {'reversal': 'none', 'piece_length': 0.024}
     solved = solve_recordings([run], CalibrationConfig(**coarse))
     (left,) = solved.left
-    assert (left.again, left.at_corners) == (again, at_corners)
+    assert (left.again, left.at_corners, left.too_many) == (again, at_corners, too_many)
     said = [f.words for f in solved.solution.runs[0].remarks if f.check == 'left out']
     assert len(said) == 1 and f'{left.samples} samples left out' in said[0]
     assert ('takes them into the gap' in said[0]) == again
+    assert ('all but the farthest into the gap' in said[0]) == (too_many and not again)
     if spoil is chip_under_the_slide:
         assert np.allclose([p[0] for p in left.places], DENT, atol=0.04)
         assert 'all near X 0.1' in said[0] and 'same places in every pass' in said[0]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples that were left out as outliers: where they lie, and whether that is regular.
 
-Bad samples come anywhere. What lies at the same place of a line in every pass over it, or at the
-corners alone, is no bad sample but something that the machine does: a dent in a guide, a chip
-under a slide, corners that the control rounds.
+Bad samples come anywhere, and are few. What lies at the same place of a line in every pass over
+it, or at the corners alone, is no bad sample but something that the machine does: a dent in a
+guide, a chip under a slide, corners that the control rounds. So is what takes up much of all
+lines, as the crests of a wave do; what they leave behind would look smaller than it is.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ FEWEST, PLACES = 20, 3
 """Samples, and corners or stretches, of which a rule can be told."""
 MANY = 0.01
 """Share of all samples from which it is said in any case."""
+TOO_MANY = 0.1
+"""Share of all samples from which they are hardly bad ones, unless something reflects the beam."""
 LISTED = 4
 """Places that are named."""
 ENOUGH = 400_000
@@ -97,9 +100,14 @@ class LeftOut:
         return [(a, float(m)) for a, m, c in zip(XYZ, middle, close, strict=True) if c and alone]
 
     @property
-    def regular(self) -> bool:
+    def too_many(self) -> bool:
+        """Whether it is more than bad samples ever are."""
+        return self._enough and self.samples > TOO_MANY * self.of
+
+    @property
+    def by_machine(self) -> bool:
         """Whether it is something that the machine does, and no bad samples."""
-        return self.again or self.at_corners
+        return self.again or self.at_corners or self.too_many
 
     def words(self) -> str:
         """What was left out, and where."""
@@ -118,8 +126,13 @@ class LeftOut:
         )
         rules = ['at the same places in every pass'] * self.again
         rules += ['near corners alone'] * self.at_corners
-        if not rules:
+        if not self.by_machine:
             return text
+        if not rules:
+            return (
+                f'{text}. They are many: stray reflections, or something that the machine does; '
+                f'./otf diagnose takes all but the farthest into the gap'
+            )
         return (
             f'{text}. They lie {" and ".join(rules)}: probably something that the machine does, '
             f'and no bad samples; ./otf diagnose takes them into the gap'
@@ -202,5 +215,5 @@ def _places(q: Array, cell: Index, out: NDArray[np.bool_]) -> tuple[tuple[float,
 
 def findings(runs: Sequence[LeftOut]) -> list[Finding]:
     """What is to be said of samples that were left out."""
-    told = [r for r in runs if r.regular or r.samples > MANY * r.of]
+    told = [r for r in runs if r.by_machine or r.samples > MANY * r.of]
     return [Finding('left out', WARNING, r.words()) for r in told]

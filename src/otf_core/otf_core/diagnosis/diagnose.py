@@ -232,13 +232,13 @@ def _as_recorded(
 ) -> SolvedRecordings:
     """Solve runs uncut where the calibration cut them at a step: the step is in the gap.
 
-    So is what was left out as outliers, but lies as no bad samples do. Without reversal, as
+    So is what was left out as outliers, but is what the machine does. Without reversal, as
     everything that is diagnosed.
     """
-    whole, regular = len(solved.runs) == len(recordings), any(r.regular for r in solved.left)
-    if whole and not regular:
+    whole, real = len(solved.runs) == len(recordings), any(r.by_machine for r in solved.left)
+    if whole and not real:
         return solved
-    limit = ALL_SAMPLES if regular else config.outlier_limit
+    limit = ALL_SAMPLES if real else config.outlier_limit
     uncut = replace(config, outlier_limit=limit, reversal='none')
     return solve_recordings(recordings, uncut, mend=whole)
 
