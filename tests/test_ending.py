@@ -50,6 +50,29 @@ def test_second_signal_at_the_very_end_leaves_the_exit_code(tmp_path):
     assert (done.returncode, done.stderr) == (3, '')
 
 
+STUCK = """
+import os, signal, time
+from rclpy.node import Node
+from otf_ros import app
+
+class Stuck(Node):
+    def __init__(self):
+        super().__init__('stuck')
+        os.kill(os.getpid(), signal.SIGINT)
+    def destroy_node(self):
+        time.sleep(600.0)
+
+app.LONGEST_END = 0.5
+raise SystemExit(app.run(Stuck))
+"""
+
+
+def test_node_that_hangs_at_its_end_ends_and_says_where():
+    command = [sys.executable, '-c', STUCK]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
+    assert done.returncode == 1 and 'in destroy_node' in done.stderr
+
+
 def children_of(pid):
     """Processes started by a process, by their command lines."""
     listed = Path(f'/proc/{pid}/task/{pid}/children').read_text().split()

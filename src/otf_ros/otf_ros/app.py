@@ -8,6 +8,7 @@ callbacks, so everything is still valid while the node ends.
 
 from __future__ import annotations
 
+import faulthandler
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -26,6 +27,8 @@ WRONG_USAGE = 2
 """Exit code for wrong parameters, as of the command line."""
 LONGEST_WAIT = 0.2
 """s; how long a signal may have to wait until it is noticed."""
+LONGEST_END = 10.0
+"""s; a process that the middleware does not let go of ends and says where it hangs."""
 _USAGE_ERRORS = (
     ParameterException,
     NameValidationException,
@@ -106,6 +109,7 @@ def spin(factory: Callable[[], Node], args: list[str] | None = None) -> None:
         finally:
             if hasattr(node, 'close'):
                 node.close()
+            faulthandler.dump_traceback_later(LONGEST_END, exit=True)
             executor.shutdown()
             node.destroy_node()
 
@@ -123,7 +127,8 @@ def run(factory: Callable[[], Node], args: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 after SIGINT or SIGTERM, 2 for wrong parameters, 3 for unusable input.
+        Exit code: 0 after SIGINT or SIGTERM, 2 for wrong parameters, 3 for unusable input. A
+        process that hangs at its end leaves with 1.
     """
     try:
         spin(factory, args)
@@ -131,6 +136,8 @@ def run(factory: Callable[[], Node], args: list[str] | None = None) -> int:
         return _complain(str(error), error.exit_code)
     except _USAGE_ERRORS as error:
         return _complain(str(error), WRONG_USAGE)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
     return 0
 
 

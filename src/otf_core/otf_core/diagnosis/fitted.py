@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.diagnosis.engine.evidence import Estimate
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly
 from otf_core.effects import AppliedEffect
@@ -17,6 +18,8 @@ Array = NDArray[np.float64]
 
 FREE = 3.0
 """Standard deviation of what the data do not see, over the largest displacement found."""
+STEP = 0.01
+"""Step of a refined shape, in widths of the search for it, by which its trace is differenced."""
 SIGNIFICANT = 2.0
 """Standard deviations at which an axis takes part in a cause."""
 
@@ -82,13 +85,42 @@ def fitted_causes(causes: Sequence[Cause], rows: Rows) -> list[FittedCause]:
     fit = fit_jointly(causes, rows)
     size = np.concatenate([cause.option.size for cause in causes])
     free = FREE * float(np.max(np.abs(fit.value) * size))
-    seen = np.diag(fit.covariance)
+    covariance = fit.covariance + _of_shapes(causes, fit, rows)
+    seen = np.diag(covariance)
     u = np.sqrt(seen + free**2 * np.sum(fit.unseen**2, axis=1))
     parts, start = [], 0
     for cause in causes:
         stop = start + cause.option.take.size
         own = slice(start, stop)
-        covariance = fit.covariance[own, own]
-        parts.append(FittedCause(cause, fit.value[own], u[own], np.sqrt(seen[own]), covariance))
+        u_seen, among = np.sqrt(seen[own]), covariance[own, own]
+        parts.append(FittedCause(cause, fit.value[own], u[own], u_seen, among))
         start = stop
     return parts
+
+
+def _of_shapes(causes: Sequence[Cause], fit: Estimate, rows: Rows) -> Array:
+    """What refined shapes, such as a period, add to the covariance of the coefficients.
+
+    With C that of the coefficients of columns E alone, and s what a cause changes by per logarithm
+    of its shape, which the search knows to within w: C E's (s's - s'E C E's + w^-2)^-1 s'E C.
+    """
+    ends = np.cumsum([c.option.take.size for c in causes])[:-1]
+    total = np.zeros_like(fit.covariance)
+    own = np.concatenate([c.option.own for c in causes], axis=1)
+    for cause, value in zip(causes, np.split(fit.value, ends), strict=True):
+        if cause.option.effect.refine:
+            slope = _slope(cause, value, rows)
+            moved = fit.covariance @ (own.T @ slope)
+            known = slope @ slope - (own.T @ slope) @ moved
+            total += np.outer(moved, moved) / (known + cause.option.effect.refine_width**-2)
+    return total
+
+
+def _slope(cause: Cause, value: Array, rows: Rows) -> Array:
+    """Change of a cause per logarithm of its refined shape, projected and whitened, shape (r,)."""
+    option = cause.option
+    name, step = option.effect.refine, STEP * option.effect.refine_width
+    shapes = ({**option.shape, name: option.shape[name] * np.exp(k * step)} for k in (-1, 1))
+    before, after = (rows.plain_columns(option.effect, s)[:, option.take] @ value for s in shapes)
+    change = (after - before) / (2.0 * step)
+    return rows.project(rows.whiten(change[:, None]))[:, 0]

@@ -149,7 +149,7 @@ def _refined(option: Option, basis: Array, rows: Rows, residual: Array) -> Optio
 
     width = option.effect.refine_width
     best = minimize_scalar(
-        loss, bounds=(-width, width), method='bounded', options={'xatol': width / 200}
+        loss, bounds=(-width, width), method='bounded', options={'xatol': width / 5000}
     )
     refined = at(start * float(np.exp(best.x)))
     better = estimate(refined.white, refined.size, residual, refined.widths).gain
