@@ -27,6 +27,8 @@ WRONG_USAGE = 2
 """Exit code for wrong parameters, as of the command line."""
 LONGEST_WAIT = 0.2
 """s; how long a signal may have to wait until it is noticed."""
+STDERR = 2
+"""By its number: a process may run without ``sys.stderr``."""
 LONGEST_END = 10.0
 """s; a process that the middleware does not let go of ends and says where it hangs."""
 _USAGE_ERRORS = (
@@ -109,7 +111,7 @@ def spin(factory: Callable[[], Node], args: list[str] | None = None) -> None:
         finally:
             if hasattr(node, 'close'):
                 node.close()
-            faulthandler.dump_traceback_later(LONGEST_END, exit=True)
+            faulthandler.dump_traceback_later(LONGEST_END, exit=True, file=STDERR)
             executor.shutdown()
             node.destroy_node()
 

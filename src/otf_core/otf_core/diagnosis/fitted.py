@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.evidence import Estimate
 from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.search import Cause, fit_jointly
+from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
 from otf_core.effects import AppliedEffect
 
 Array = NDArray[np.float64]
@@ -88,14 +88,10 @@ def fitted_causes(causes: Sequence[Cause], rows: Rows) -> list[FittedCause]:
     covariance = fit.covariance + _of_shapes(causes, fit, rows)
     seen = np.diag(covariance)
     u = np.sqrt(seen + free**2 * np.sum(fit.unseen**2, axis=1))
-    parts, start = [], 0
-    for cause in causes:
-        stop = start + cause.option.take.size
-        own = slice(start, stop)
-        u_seen, among = np.sqrt(seen[own]), covariance[own, own]
-        parts.append(FittedCause(cause, fit.value[own], u[own], u_seen, among))
-        start = stop
-    return parts
+    return [
+        FittedCause(cause, fit.value[own], u[own], np.sqrt(seen[own]), covariance[own, own])
+        for cause, own in zip(causes, places_of(causes), strict=True)
+    ]
 
 
 def _of_shapes(causes: Sequence[Cause], fit: Estimate, rows: Rows) -> Array:
@@ -104,14 +100,14 @@ def _of_shapes(causes: Sequence[Cause], fit: Estimate, rows: Rows) -> Array:
     With C that of the coefficients of columns E alone, and s what a cause changes by per logarithm
     of its shape, which the search knows to within w: C E's (s's - s'E C E's + w^-2)^-1 s'E C.
     """
-    ends = np.cumsum([c.option.take.size for c in causes])[:-1]
     total = np.zeros_like(fit.covariance)
-    own = np.concatenate([c.option.own for c in causes], axis=1)
-    for cause, value in zip(causes, np.split(fit.value, ends), strict=True):
+    columns = np.concatenate([c.option.own for c in causes], axis=1)
+    for cause, own in zip(causes, places_of(causes), strict=True):
         if cause.option.effect.refine:
-            slope = _slope(cause, value, rows)
-            moved = fit.covariance @ (own.T @ slope)
-            known = slope @ slope - (own.T @ slope) @ moved
+            slope = _slope(cause, fit.value[own], rows)
+            cross = columns.T @ slope
+            moved = fit.covariance @ cross
+            known = slope @ slope - cross @ moved
             total += np.outer(moved, moved) / (known + cause.option.effect.refine_width**-2)
     return total
 

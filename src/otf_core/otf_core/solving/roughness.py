@@ -264,11 +264,14 @@ class Search:
         return Roughness(point.logs, precision, moved, point.likelihood, point.square)
 
 
+def _like(motion: str, logs: Mapping[str, Array]) -> list[Array]:
+    """Logarithms of the motions that have the unit of a motion."""
+    return [own for other, own in logs.items() if unit_of(other) == unit_of(motion)]
+
+
 def _centres(logs: Mapping[str, Array]) -> dict[str, Array]:
     """Median of the logarithms of the motions of one unit, for each motion."""
-    return {
-        m: np.median([logs[o] for o in logs if unit_of(o) == unit_of(m)], axis=0) for m in logs
-    }
+    return {motion: np.median(_like(motion, logs), axis=0) for motion in logs}
 
 
 def precision_like_others(
@@ -289,7 +292,7 @@ def precision_like_others(
     ndarray, shape (n, n), 1 / limit^2, or None
         Of its n free coefficients; None if no other motion of its unit is determined.
     """
-    like = [values for other, values in logs.items() if unit_of(other) == unit_of(motion)]
+    like = _like(motion, logs)
     if not like:
         return None
     return Positive(CoefficientPrior(motion, basis).at(np.median(like, axis=0))[0]).inverse

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -318,3 +319,9 @@ def fit_jointly(causes: Sequence[Cause], rows: Rows) -> Estimate:
     size = np.concatenate([c.option.size for c in causes])
     width = np.concatenate([c.option.widths for c in causes])
     return estimate(white, size, rows.residual, width)
+
+
+def places_of(causes: Sequence[Cause]) -> list[slice]:
+    """Where the coefficients of each cause lie in those of all, as ``fit_jointly`` has them."""
+    ends = np.cumsum([0, *(c.option.take.size for c in causes)]).tolist()
+    return [slice(low, high) for low, high in pairwise(ends)]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.noise_check import heard
 from otf_core.diagnosis.engine.rows import Rows, build_rows
-from otf_core.diagnosis.engine.search import Cause, fit_jointly
+from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
 from otf_core.effects.applied import AppliedEffect
 from otf_core.effects.free import FreeForm
 from otf_core.effects.state import state_of_travel
@@ -40,12 +40,11 @@ def calmed(rows: Rows, causes: Sequence[Cause], config: CalibrationConfig) -> Ro
 
     The samples of their runs are without these vibrations, the pieces still hold them.
     """
-    steady = [k for k, c in enumerate(causes) if _is_steady(c)]
-    if not steady or not rows.runs:
+    if not rows.runs or not any(_is_steady(c) for c in causes):
         return None
-    ends = np.cumsum([len(c.option.take) for c in causes])[:-1]
-    values = np.split(fit_jointly(causes, rows).value, ends)
-    found = [_applied(causes[k], values[k]) for k in steady]
+    value, places = fit_jointly(causes, rows).value, places_of(causes)
+    pairs = zip(causes, places, strict=True)
+    found = [_applied(cause, value[own]) for cause, own in pairs if _is_steady(cause)]
     calm = [
         measured_again(run, found, solved.pose.rotation, config)
         for run, solved in zip(rows.runs, rows.done.runs, strict=True)
