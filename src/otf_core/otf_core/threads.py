@@ -39,11 +39,12 @@ def side_by_side(function: Callable[[A], R], items: Sequence[A]) -> list[R]:
     """
     if len(items) < 2 or getattr(_here, 'beside_another', False):
         return [function(item) for item in items]
-    with ThreadPoolExecutor(WORKERS, initializer=_begin) as pool:
+    with ThreadPoolExecutor(WORKERS, initializer=one_by_one) as pool:
         return list(pool.map(function, items))
 
 
-def _begin() -> None:
+def one_by_one() -> None:
+    """Let what is side by side go on one by one in this thread: another one is at work."""
     _here.beside_another = True
 
 

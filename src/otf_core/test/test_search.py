@@ -160,7 +160,10 @@ def test_products_are_those_of_columns_less_tables_poses_and_causes(effect, shap
             new = rng.standard_normal((len(basis), count))
             new = np.linalg.qr(new - basis @ (basis.T @ new))[0]
             amount = new.T @ residual
-            tried, residual = tried.without(rows.pulled(new), amount), residual - new @ amount
+            tried, residual = (
+                tried.without(tried.source.shared(rows.pulled(new)), amount),
+                residual - new @ amount,
+            )
             basis = np.concatenate([basis, new], axis=1)
 
 

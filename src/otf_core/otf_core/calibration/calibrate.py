@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 from otf_core.budget.budget import EFFECTS, make_budget, whole_check, with_source
 from otf_core.budget.typical import typical_systematic, typical_warnings
 from otf_core.calibration.result import CalibrationResult, Fit, RunResult
+from otf_core.calibration.solved import solve_recordings
 from otf_core.calibration.verdict import judge
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.before import check_recordings
-from otf_core.contradictions.examine import examine
-from otf_core.contradictions.left_out import LeftOut, findings, left_out
 from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.effects.stated import TakenOff
-from otf_core.memory import give_back, one_heap
+from otf_core.memory import give_back
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
@@ -31,14 +29,14 @@ from otf_core.model.provenance import origins
 from otf_core.model.tables import ErrorTables, with_uncertainty
 from otf_core.noise.events import lost_samples
 from otf_core.noise.model import NoiseModel, sample_variance
-from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
+from otf_core.pieces.finding import GATE, WARNING, words_of
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose
-from otf_core.solving.curve_lag import curve_remarks, moved_onto_curves
+from otf_core.solving.curve_lag import curve_remarks
 from otf_core.solving.extrapolation import prior_of
 from otf_core.solving.joint import JointSolution, Progress, SolvedRun, settled, tables_of
 from otf_core.solving.reversal import Reversal, reversal_tables
-from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
+from otf_core.solving.reversal_choice import ReversalSolution
 from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import mean_grid_uncertainty, tabulate
 from otf_core.solving.unknowns import Unknowns
@@ -138,77 +136,6 @@ def calibrate_runs(
     with one_thread():
         solved = solve_recordings(recordings, config, progress, prepare)
         return assemble(solved.solution, config)
-
-
-@dataclass(frozen=True)
-class SolvedRecordings:
-    """Recordings that are examined and solved: tables, corrections and a diagnosis start here.
-
-    Attributes
-    ----------
-    runs : list of Run
-        Mended where ``contradictions`` could mend them, with all their pieces.
-    nodes : mapping of axis to ndarray, m
-        Table nodes.
-    solution : ReversalSolution
-    left : tuple of LeftOut
-        What was left out of every run as outliers.
-    """
-
-    runs: list[Run]
-    nodes: dict[str, Array]
-    solution: ReversalSolution[Run]
-    left: tuple[LeftOut, ...] = ()
-
-    @property
-    def source(self) -> list[int]:
-        """Recording that each run is of, or a part of where it was cut."""
-        return [int(k) for k in np.cumsum([run.late == 0.0 for run in self.runs]) - 1]
-
-
-def solve_recordings(
-    recordings: Sequence[Recording],
-    config: CalibrationConfig,
-    progress: Progress | None = None,
-    prepare: Preparation = prepare_runs,
-    *,
-    mend: bool = True,
-) -> SolvedRecordings:
-    """Align, reduce to pieces, examine and solve.
-
-    Parameters
-    ----------
-    recordings, config, progress, prepare
-        As of ``calibrate_runs``.
-    mend : bool
-        Mend what can be mended, see ``contradictions.examine``.
-    """
-    progress = progress or (lambda stage, fraction: None)
-    one_heap()
-    progress('aligning', 0.0)
-    check_recordings(recordings)
-    runs, nodes = prepare(recordings, config)
-    give_back()
-    read = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
-    runs = _remarked(examine(runs, nodes, config, mend=mend), before=read)
-    give_back()
-    progress('solving', 0.0)
-    solution = solve_with_reversal(runs, nodes, config, progress)
-    moved = moved_onto_curves(runs, solution)
-    if moved is not None:
-        runs, solution = moved, solve_with_reversal(moved, nodes, config, progress)
-    left = tuple(left_out(a, b) for a, b in zip(runs, solution.runs, strict=True))
-    said = findings(left)
-    solution = replace(solution, runs=_remarked(solution.runs, said))
-    return SolvedRecordings(_remarked(runs, said), nodes, solution, left)
-
-
-def _remarked(
-    runs: Sequence[Run], after: Sequence[Finding] = (), before: Sequence[Finding] = ()
-) -> list[Run]:
-    """Let the first run carry what was found of all, before and after its own remarks."""
-    first, *others = runs
-    return [replace(first, remarks=(*before, *first.remarks, *after)), *others]
 
 
 def _run_result(

@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.calibration.calibrate import SolvedRecordings, assemble
+from otf_core.calibration.calibrate import assemble
 from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.solved import Examined
 from otf_core.config import CalibrationConfig
-from otf_core.effects import State
+from otf_core.effects import Shape, State
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated import StatedEffect, TakenOff, effects_to_list
 from otf_core.effects.taken import Taken
@@ -83,6 +84,21 @@ class Estimates:
         stated = tuple(_stated(e, part, machine) for e, part in zip(self.effects, u, strict=True))
         found = self.change @ self.covariance @ self.change.T
         return TakenOff(stated, found + missing_in_tables(solved, self.effects))
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """A calibration with effects taken off.
+
+    Attributes
+    ----------
+    result : CalibrationResult
+    parameters : tuple of tuple of mapping
+        Of the effects as they were estimated, run by run.
+    """
+
+    result: CalibrationResult
+    parameters: tuple[tuple[Shape, ...], ...]
 
 
 def _stated(one: Taken, u: Array, machine: Machine) -> StatedEffect:
@@ -295,24 +311,26 @@ def solve_with_effects(
 
 
 def calibrate_without(
-    before: SolvedRecordings,
+    examined: Examined,
     effects: Sequence[Taken],
     config: CalibrationConfig,
     progress: Progress = lambda stage, fraction: None,
-) -> tuple[CalibrationResult, Estimates]:
+) -> Corrected:
     """Calibrate on the fly with effects taken off and their parameters estimated.
 
     Parameters
     ----------
-    before : SolvedRecordings
-        The runs without that.
+    examined : Examined
     effects : sequence of Taken
         At least one.
     config : CalibrationConfig
     progress : callable(stage, fraction), optional
     """
-    solved, found = solve_with_effects(before.runs, before.nodes, effects, config, progress)
+    solved, found = solve_with_effects(examined.runs, examined.nodes, effects, config, progress)
     result = assemble(solved, config, found.taken_off(solved))
     stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
     run_id = hashlib.sha256((result.run_id + stated).encode()).hexdigest()
-    return replace(result, run_id=run_id[: len(result.run_id)]), found
+    result = replace(result, run_id=run_id[: len(result.run_id)])
+    runs = range(len(examined.runs))
+    parameters = tuple(tuple(e.applied(k).parameters for e in found.effects) for k in runs)
+    return Corrected(result, parameters)

@@ -12,9 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from otf_core.calibration.calibrate import SolvedRecordings, assemble, solve_recordings
-from otf_core.calibration.correction import calibrate_without
+from otf_core.calibration.calibrate import assemble
+from otf_core.calibration.correction import Corrected, calibrate_without
 from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.solved import solve_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo
 from otf_core.effects.effects_yaml import read_effects
@@ -48,38 +49,37 @@ class EffectsCalibration:
     words: str
 
 
-def take_off(
-    before: SolvedRecordings,
+def beside_plain(
     plain: CalibrationResult,
+    corrected: Corrected | None,
     taking: Sequence[Taken],
-    config: CalibrationConfig,
     words: str,
     warnings: Sequence[str] = (),
-    progress: Progress = lambda stage, fraction: None,
 ) -> EffectsCalibration:
-    """Calibrate with effects taken off, if there are any.
+    """Put a calibration with effects taken off beside the one without.
 
     Parameters
     ----------
-    before : SolvedRecordings
     plain : CalibrationResult
-        Of these.
+    corrected : Corrected, optional
+        See ``calibrate_without``; None where nothing was taken off.
     taking : sequence of Taken
-    config : CalibrationConfig
-        For the calibration with the effects taken off.
+        Effects that were taken off.
     words : str
-        What is done, in a sentence.
+        What was done, in a sentence.
     warnings : sequence of str
         Put before those of the result.
-    progress : callable(stage, fraction), optional
     """
-    if not taking:
+    if corrected is None:
         result = replace(plain, warnings=(*warnings, *plain.warnings))
-        return EffectsCalibration(result, plain, tuple(() for _ in before.runs), words)
-    result, found = calibrate_without(before, taking, config, progress)
+        return EffectsCalibration(result, plain, tuple(() for _ in plain.runs), words)
+    result = corrected.result
     of_plain = (f'of the plain calibration: {gate}' for gate in plain.failed_gates)
     result = replace(result, warnings=(*warnings, *of_plain, *result.warnings))
-    applied = tuple(tuple(e.applied(k) for e in found.effects) for k in range(len(before.runs)))
+    applied = tuple(
+        tuple(AppliedEffect(one.effect, own) for one, own in zip(taking, run, strict=True))
+        for run in corrected.parameters
+    )
     return EffectsCalibration(result, plain, applied, words)
 
 
@@ -119,7 +119,8 @@ def calibrate_with_file(
         own = replace(config, reversal='none')
     words = f'Effects of {file} taken off: {listed(taking)}.'
     plain = assemble(solved.solution, config)
-    return take_off(solved, plain, taking, own, words, progress=progress)
+    corrected = calibrate_without(solved, taking, own, progress)
+    return beside_plain(plain, corrected, taking, words)
 
 
 def _named(file: str, recordings: Sequence[Recording]) -> list[AppliedEffect]:

@@ -9,8 +9,6 @@ classes of four chains each.
 
 from __future__ import annotations
 
-from itertools import permutations
-
 from otf_core.contradictions.model import Model
 from otf_core.model.machine import Chain
 from otf_core.pieces.finding import GATE, Finding
@@ -23,11 +21,6 @@ ALIKE = 1.15
 """Residuals over the best that fit as well."""
 
 
-def order_of(chain: Chain) -> tuple[str, ...]:
-    """Axes from workpiece to tool."""
-    return (*chain.table_side, *chain.target_side)
-
-
 def chains_of(order: tuple[str, ...]) -> tuple[str, ...]:
     """The four chains of one order."""
     return tuple(str(Chain(order[:k], order[k:])) for k in range(len(order) + 1))
@@ -37,11 +30,8 @@ def check_chain(model: Model) -> list[Finding]:
     """Try all orders of axes where the stated chain fits badly."""
     if model.fit.ratio < BAD:
         return []
-    machine = model.rows.machine
-    stated = order_of(machine.chain)
-    orders = [stated, *(o for o in permutations(machine.axis_names) if o != stated)]
-    size = model.left_with([Chain((), o) for o in orders], [model.offsets] * len(orders))
-    left = dict(zip(orders, size, strict=True))
+    chain, left = model.rows.machine.chain, model.left_by_order
+    stated = (*chain.table_side, *chain.target_side)
     best = min(left.values())
     if best > BETTER * left[stated]:
         return []

@@ -187,22 +187,27 @@ def _cells(corners: Array, leg: Index, along: Array, length: Array) -> Index:
     line = np.unique(ends, axis=0, return_inverse=True)[1].reshape(-1)
     place = np.where(turned[leg], length - along, along)
     cell = np.floor(place / CELL).astype(np.int64)
-    return np.unique(np.stack([line[leg], cell], axis=1), axis=0, return_inverse=True)[1].reshape(
-        -1
-    )
+    lowest = int(cell.min(initial=0))
+    return np.asarray(line[leg] * (int(cell.max(initial=0)) - lowest + 1) + cell - lowest)
 
 
 def _repeated(cell: Index, leg: Index, out: NDArray[np.bool_]) -> float:
     """Share of what lies in stretches driven more than once that was left out every time."""
-    passes = np.unique(np.stack([cell, leg], axis=1), axis=0)
-    lost = np.unique(np.stack([cell[out], leg[out]], axis=1), axis=0)
+    legs = int(leg.max(initial=0)) + 1
+    both = cell * legs + leg
+    passes, lost = (_different(values) // legs for values in (both, both[out]))
     count = int(cell.max(initial=0)) + 1
-    driven, left = np.bincount(passes[:, 0], minlength=count), np.bincount(lost[:, 0], None, count)
+    driven, left = np.bincount(passes, minlength=count), np.bincount(lost, minlength=count)
     again = driven[cell] > 1
     told = out & again
     if told.sum() < 0.5 * max(out.sum(), 1):
         return 0.0
     return float((left[cell] == driven[cell])[told].mean())
+
+
+def _different(values: Index) -> Index:
+    """Each value of many once: samples that follow each other lie in the same stretch."""
+    return np.unique(values[np.flatnonzero(np.diff(values, prepend=-1))])
 
 
 def _places(q: Array, cell: Index, out: NDArray[np.bool_]) -> tuple[tuple[float, ...], ...]:

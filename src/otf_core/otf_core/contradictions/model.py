@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import permutations
 
 import numpy as np
 
@@ -74,6 +76,13 @@ class Model:
             columns = table_columns(rows, chain, offset[rows.run])
             found.append(solve(rows, usual, columns, weight=weight).square)
         return np.asarray(np.sqrt(np.array(found) / weight.sum()))
+
+    @cached_property
+    def left_by_order(self) -> dict[tuple[str, ...], float]:
+        """What every order of axes from workpiece to tool leaves, m, as ``left_with``."""
+        orders = list(permutations(self.rows.machine.axis_names))
+        left = self.left_with([Chain((), o) for o in orders], [self.offsets] * len(orders))
+        return dict(zip(orders, left.tolist(), strict=True))
 
     @property
     def offsets(self) -> Array:

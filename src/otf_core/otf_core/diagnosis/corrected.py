@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from otf_core.calibration.calibrate import SolvedRecordings
+from otf_core.calibration.correction import Corrected, calibrate_without
 from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.with_effects import EffectsCalibration, listed, take_off
+from otf_core.calibration.solved import Examined
+from otf_core.calibration.with_effects import EffectsCalibration, beside_plain, listed
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, names_of
 from otf_core.effects.stated import FOUND
@@ -19,33 +21,58 @@ SURE = 0.99
 """Least confidence of a cause that is taken off without a warning."""
 
 
+@dataclass(frozen=True)
+class FoundCauses:
+    """Causes of a diagnosis, as a calibration takes them off.
+
+    Attributes
+    ----------
+    told : tuple of Told
+        Of every cause.
+    applied : tuple of tuple of AppliedEffect
+        For every run the causes with their parameters.
+    """
+
+    told: tuple[Told, ...]
+    applied: tuple[tuple[AppliedEffect, ...], ...]
+
+    def to_take(self, config: CalibrationConfig) -> tuple[list[Taken], list[str]]:
+        """What is taken off, and warnings."""
+        chosen = [taken(list(found), FOUND) for found in zip(*self.applied, strict=True)]
+        return _to_take(chosen, self.told, config)
+
+
+def without_causes(
+    examined: Examined, causes: FoundCauses, config: CalibrationConfig
+) -> Corrected | None:
+    """Calibrate with causes taken off; None if none is."""
+    taking, _ = causes.to_take(config)
+    return calibrate_without(examined, taking, config) if taking else None
+
+
 def with_causes(
-    solved: SolvedRecordings,
     plain: CalibrationResult,
-    told: Sequence[Told],
-    applied: Sequence[Sequence[AppliedEffect]],
+    corrected: Corrected | None,
+    causes: FoundCauses,
     config: CalibrationConfig,
     sentence: str,
 ) -> EffectsCalibration:
-    """Calibrate with causes taken off.
+    """Put the calibration with causes taken off beside the one without.
 
     Parameters
     ----------
-    solved : SolvedRecordings
     plain : CalibrationResult
-        Of these.
-    told : sequence of Told
-        Of every cause.
-    applied : sequence of sequence of AppliedEffect
-        For every run the causes with their parameters.
+    corrected : Corrected, optional
+        See ``without_causes``.
+    causes : FoundCauses
     config : CalibrationConfig
     sentence : str
         What the diagnosis says.
     """
-    chosen = [taken(list(found), FOUND) for found in zip(*applied, strict=True)]
-    taking, warnings = _to_take(chosen, told, config)
+    taking, warnings = causes.to_take(config)
     done = f'Taken off: {listed(taking)}.' if taking else 'No effect was taken off.'
-    return take_off(solved, plain, taking, config, f'{sentence} {done}', warnings)
+    words = f'{sentence} {done}'
+    return beside_plain(plain, corrected, taking, words, warnings)
 
 
 def _to_take(

@@ -117,6 +117,10 @@ class FreeForm(Effect):
         """Two are the same with the same declaration and ranges."""
         return isinstance(other, FreeForm) and self._key == other._key
 
+    def __reduce__(self) -> tuple[type[FreeForm], tuple[Effect, Free, dict[str, Span]]]:
+        """Sent to other processes as what it is made of."""
+        return FreeForm, (self.parent, self.form, self.spans)
+
     def __hash__(self) -> int:
         """By name and inputs."""
         return hash((self.name, self.form.inputs))

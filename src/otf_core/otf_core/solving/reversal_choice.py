@@ -37,7 +37,7 @@ from otf_core.solving.normal import sum_groups
 from otf_core.solving.repeated import Once, taken_once
 from otf_core.solving.reversal import MODELS
 from otf_core.solving.roughness import TRACE
-from otf_core.solving.shape_choice import choose_shapes
+from otf_core.solving.shape_choice import ShapeChoice, choose_shapes
 from otf_core.solving.solution import estimated, free_columns, identifiable_blocks
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, is_reversal, layout, reversal_order
@@ -93,10 +93,28 @@ class ReversalSolution(Generic[AnyRun]):
     plain: tuple[list[AnyRun], JointSolution]
 
 
-def solve_with_reversal(
+@dataclass(frozen=True)
+class PlainSolution(Generic[AnyRun]):
+    """Solution without reversal.
+
+    Attributes
+    ----------
+    shapes : ShapeChoice
+        Functions of the motions.
+    runs : list of Observed
+        With the pieces that were kept.
+    done : JointSolution
+    """
+
+    shapes: ShapeChoice[AnyRun]
+    runs: list[AnyRun]
+    done: JointSolution
+
+
+def solve_plainly(
     runs: Sequence[AnyRun], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress
-) -> ReversalSolution[AnyRun]:
-    """Solve with the reversal model of the configuration, or with the one the data call for.
+) -> PlainSolution[AnyRun]:
+    """Solve without reversal, with the functions that the data call for.
 
     Parameters
     ----------
@@ -107,14 +125,35 @@ def solve_with_reversal(
     """
     shapes = choose_shapes(runs, nodes, config, progress)
     give_back()
-    plain = layout(shapes.bases, len(runs))
-    kept, done = solve_robustly(shapes.improved, plain, config, progress, shapes.start)
+    unknowns = layout(shapes.bases, len(runs))
+    kept, done = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
     give_back()
+    return PlainSolution(shapes, kept, done)
+
+
+def solve_with_reversal(
+    runs: Sequence[AnyRun], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress
+) -> ReversalSolution[AnyRun]:
+    """Solve with the reversal model of the configuration, or with the one the data call for.
+
+    Parameters
+    ----------
+    runs, nodes, config, progress
+        As of ``solve_plainly``.
+    """
+    return with_reversal(solve_plainly(runs, nodes, config, progress), config, progress)
+
+
+def with_reversal(
+    plain: PlainSolution[AnyRun], config: CalibrationConfig, progress: Progress
+) -> ReversalSolution[AnyRun]:
+    """Add the reversal to a solution without, see ``solve_with_reversal``."""
+    kept, done, shapes = plain.runs, plain.done, plain.shapes
     choice = choose(kept, done, config)
     give_back()
     if choice.model == 'none':
         return ReversalSolution(kept, done, choice, (kept, done))
-    unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)
+    unknowns = layout(shapes.bases, len(kept), MODELS[choice.model], held=choice.held)
     # reversal adds blocks: which of them the data determine is found out anew
     again = solve_robustly(shapes.runs, unknowns, config, progress)
     return ReversalSolution(*again, choice, (kept, done))

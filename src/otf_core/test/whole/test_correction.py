@@ -14,7 +14,7 @@ from otf_core.calibration.correction import corrected, estimates, missing_in_tab
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis import calibrate_with_effects as above
 from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
-from otf_core.diagnosis.corrected import _to_take, with_causes
+from otf_core.diagnosis.corrected import FoundCauses, _to_take, with_causes
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated import FILE, FOUND, format_effects
@@ -299,12 +299,13 @@ class Plain:
 
     run_id: str
     warnings: tuple
+    runs: tuple = (None,)
 
 
 def test_gap_of_unknown_cause_takes_nothing_off_and_warns(monkeypatch):
     plain = Plain('1', ('other',))
-    solved = SimpleNamespace(runs=[SimpleNamespace()])
-    made = with_causes(solved, plain, (), ((),), CONFIG, 'A gap that no effect explains.')
+    nothing = FoundCauses((), ((),))
+    made = with_causes(plain, None, nothing, CONFIG, 'A gap that no effect explains.')
     diagnosis = SimpleNamespace(verdict='unknown', calibration=made)
     monkeypatch.setattr(above, 'diagnose', lambda *given: diagnosis)
     done = calibrate_with_effects([SimpleNamespace(name='run')], 'auto', None)

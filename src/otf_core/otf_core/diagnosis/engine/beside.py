@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.evidence import Option
 from otf_core.diagnosis.engine.rows import Pulled, Rows
 from otf_core.diagnosis.engine.tried import Tried
-from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -112,11 +112,9 @@ class Pool:
 
 
 def _without(groups: Candidates, pulled: Pulled, amount: Array) -> Candidates:
-    one = side_by_side(
-        lambda tried: tried.without(pulled, amount), [t for g in groups.values() for t in g]
-    )
-    left = iter(one)
-    return {name: [next(left) for _ in group] for name, group in groups.items()}
+    every = [t for g in groups.values() for t in g]
+    shared = iter(shared_out(lambda tried: tried.source.shared(pulled), every))
+    return {n: [t.without(next(shared), amount) for t in g] for n, g in groups.items()}
 
 
 def _other_axes(tried: Tried, axes: Sequence[str]) -> Tried:

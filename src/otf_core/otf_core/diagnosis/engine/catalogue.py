@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.courses import courses_tried
 from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.diagnosis.engine.rows import Rows
@@ -16,7 +17,6 @@ from otf_core.diagnosis.engine.spectral import LINE_SCORE, SpectralLine, stronge
 from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
 from otf_core.effects.free import free_forms
-from otf_core.threads import side_by_side
 
 DETECTABLE = 25.0
 """Rise of the sum of squares at which an effect is found."""
@@ -146,7 +146,8 @@ def tried_effects(
         return tried, best_sight([sight_of(t) for t in found])
 
     rows.prepare()
-    found = dict(zip((e.name for e in effects), side_by_side(one, effects), strict=True))
+    made = shared_out(one, effects, (rows, *effects))
+    found = dict(zip((e.name for e in effects), made, strict=True))
     return {n: tried for n, (tried, _) in found.items()}, {n: s for n, (_, s) in found.items()}
 
 

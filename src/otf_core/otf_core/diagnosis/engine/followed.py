@@ -21,10 +21,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.aside import Aside
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.beside import Candidates
 from otf_core.diagnosis.engine.catalogue import (
@@ -85,18 +87,28 @@ def rows_to_diagnose(
     effects = _at_places(exclude)
     if not is_finer(done.unknowns.bases) or not effects:
         return rows
-    fine = _likelihood(rows)
-    solved = [
-        _solved(runs, done, bases, config) for bases in (linear_bases(nodes), smooth_bases(nodes))
-    ]
-    others = [build_rows(loud, one, limit) for one in solved if one is not None]
-    alone = [_likelihood(other) for other in others]
-    for k in sorted(range(len(alone)), key=lambda k: -alone[k]):
-        causes = search(others[k], _candidates(others[k], effects))[0]
-        allowed = NOT_FOLLOWED * (fine - alone[k]) if _in_few_motions(causes) else 0.0
-        if _likelihood(others[k], causes) + max(allowed, 0.0) > fine + CLEAR:
-            return others[k]
-    return rows
+    with Aside(partial(_likelihood, rows)) as likelihood:
+        both = linear_bases(nodes), smooth_bases(nodes)
+        solved = [_solved(runs, done, bases, config) for bases in both]
+        others = [build_rows(loud, one, limit) for one in solved if one is not None]
+        alone = [_likelihood(other) for other in others]
+        fine = likelihood.result()
+    order = sorted(range(len(others)), key=lambda k: -alone[k])
+
+    def first_of(some: Sequence[int]) -> int | None:
+        return next((k for k in some if _likelier(others[k], alone[k], fine, effects)), None)
+
+    with Aside(lambda: first_of(order[1:])) as later:
+        found = first_of(order[:1])
+        found = later.result() if found is None else found
+    return rows if found is None else others[found]
+
+
+def _likelier(rows: Rows, alone: float, fine: float, effects: Sequence[Effect]) -> bool:
+    """Tell whether effects at places are likelier than fine functions; see ``_likelihood``."""
+    causes = search(rows, _candidates(rows, effects))[0]
+    allowed = NOT_FOLLOWED * (fine - alone) if _in_few_motions(causes) else 0.0
+    return _likelihood(rows, causes) + max(allowed, 0.0) > fine + CLEAR
 
 
 def straight_rows(

@@ -131,7 +131,7 @@ def _with_lag(
         free = follower(acts, f'{topic}@{np.exp(logarithm):.4g}', order)
         form = FreeForm.bound(effect.parent, free, rows.states)
         made = tried_shapes(rows, form, ({},))[0]
-        return made.without(pulled, amount) if pulled else made
+        return made.without(made.source.shared(pulled), amount) if pulled else made
 
     from scipy.optimize import minimize_scalar  # 0.1 s
 

@@ -19,6 +19,7 @@ from itertools import pairwise, product
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.beside import Beside
 from otf_core.diagnosis.engine.courses import CourseInTime, Courses
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES, SlowWave
@@ -27,7 +28,6 @@ from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.base import Effect, Shape
 from otf_core.effects.free import FreeForm, switched
 from otf_core.effects.switching import Switching, responses
-from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Moments = tuple[float, ...]
@@ -76,11 +76,16 @@ def with_switches(beside: Beside, variance: float) -> Beside:
         found = []
         for effect, shape, price in _likely(course, groups, rows, variance, least):
             (made,) = tried_shapes(rows, effect, [shape])
-            found.append(replace(made.without(pulled, amount) if pulled else made, price=price))
+            if pulled:
+                made = made.without(made.source.shared(pulled), amount)
+            found.append(replace(made, price=price))
         return found
 
     rows.prepare()
-    for made in [one for found in side_by_side(switching, courses) for one in found]:
+    drivers = [e for t in courses if isinstance(t.effect, CourseInTime) for e in t.effect.drivers]
+    for made in [
+        one for found in shared_out(switching, courses, (rows, *drivers)) for one in found
+    ]:
         groups[made.effect.name].append(made)
     return replace(beside, candidates=groups)
 

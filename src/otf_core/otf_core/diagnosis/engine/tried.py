@@ -154,9 +154,16 @@ class Tried:
         orders = np.zeros(len(take)) if self.effect.many_alike else self.orders(take)
         return likeliest_width(*self._products(take), variance, orders) if len(orders) else orders
 
-    def without(self, pulled: Pulled, amount: Array) -> Tried:
-        """Leave out what orthonormal columns can follow, and of y ``amount`` (q,) of them."""
-        shared = self.source.shared(pulled)
+    def without(self, shared: Array, amount: Array) -> Tried:
+        """Leave out what orthonormal columns can follow.
+
+        Parameters
+        ----------
+        shared : ndarray, shape (q, k)
+            Products with these columns, see ``Source``.
+        amount : ndarray, shape (q,)
+            Of y along them.
+        """
         return replace(
             self,
             normal=self.normal - shared.T @ shared,

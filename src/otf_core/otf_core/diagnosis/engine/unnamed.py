@@ -17,6 +17,7 @@ from itertools import combinations, groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.beside import Pool
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.score import Scores
@@ -42,7 +43,6 @@ from otf_core.effects.inputs import (
     scaled_input,
     span_of,
 )
-from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -136,7 +136,7 @@ def try_structures(rows: Rows, pairs_tried: int = SCREENED) -> Structures:
     best = np.argsort(_screened(rows, scores, pairs, spans))[::-1][:pairs_tried]
     found = Structures(rows, (), float(np.log(len(alone) + len(pairs))))
     forms = (*alone, *(pairs[k] for k in best))
-    return replace(found, ranked=tuple(side_by_side(found.tried, forms)))
+    return replace(found, ranked=tuple(shared_out(found.tried, forms, (rows, _EMPIRICAL))))
 
 
 def find_structure(tried: Structures) -> Structure | None:

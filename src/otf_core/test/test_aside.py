@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work that another process does while this one goes on."""
+
+import os
+import signal
+import sys
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+
+from otf_core.aside import Aside, shared_out
+from otf_core.effects import REGISTRY
+from otf_core.effects.free import Free, FreeForm
+
+COPIES = sys.platform == 'linux' and len(os.sched_getaffinity(0)) > 1
+copies = pytest.mark.skipif(not COPIES, reason='no second process here')
+
+
+def children():
+    """Processes that this one has started and not yet seen ending."""
+    with open(f'/proc/self/task/{os.getpid()}/children') as file:
+        return file.read().split()
+
+
+class Odd:
+    """Something that can be told from its copies."""
+
+
+@copies
+def test_work_is_done_by_another_process():
+    with Aside(os.getpid) as other:
+        assert other.result() != os.getpid()
+        assert other.result() == other.result()
+
+
+def test_what_was_not_begun_is_done_here():
+    assert Aside(os.getpid).result() == os.getpid()
+
+
+def test_an_error_is_raised_where_the_result_is_asked_for():
+    def fails():
+        raise ValueError('no such thing')
+
+    with Aside(fails) as other, pytest.raises(ValueError, match='no such thing'):
+        other.result()
+
+
+@copies
+def test_what_a_killed_process_did_not_send_is_done_here():
+    here = os.getpid()
+
+    def killed():
+        if os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return 'done'
+
+    with Aside(killed) as other:
+        assert other.result() == 'done'
+
+
+def test_what_cannot_be_sent_is_done_here():
+    with Aside(lambda: lambda: 3) as other:
+        assert other.result()() == 3
+
+
+@copies
+def test_work_that_is_not_asked_for_ends_with_its_context():
+    before = children()
+    with Aside(partial(time.sleep, 600.0)):
+        assert len(children()) == len(before) + 1
+    assert children() == before
+
+
+@copies
+def test_work_that_is_stopped_ends():
+    before = children()
+    with Aside(partial(time.sleep, 600.0)) as other:
+        other.stop()
+        assert children() == before
+
+
+@copies
+def test_what_is_known_is_not_copied():
+    known, unknown = Odd(), Odd()
+    with Aside(lambda: (known, unknown, [known]), [known]) as other:
+        first, second, (third,) = other.result()
+    assert first is known and third is known
+    assert isinstance(second, Odd) and second is not unknown
+
+
+@copies
+def test_arrays_come_back_bit_by_bit():
+    values = np.random.default_rng(3).normal(size=(400, 300))
+    with Aside(lambda: values @ values.T) as other:
+        assert np.array_equal(other.result(), values @ values.T)
+
+
+@copies
+def test_work_aside_starts_no_further_process():
+    def inner():
+        with Aside(os.getpid) as third:
+            return third.result() == os.getpid()
+
+    with Aside(inner) as other:
+        assert other.result()
+
+
+@pytest.mark.parametrize('count', [0, 1, 2, 3, 500])
+def test_results_come_in_the_order_of_the_items(count):
+    assert shared_out(lambda k: 3 * k, range(count)) == [3 * k for k in range(count)]
+
+
+@copies
+def test_two_processes_share_the_work():
+    def who(item):
+        time.sleep(0.02)
+        return os.getpid()
+
+    found = shared_out(who, range(40))
+    assert len(set(found)) == 2 and os.getpid() in found
+
+
+@copies
+def test_items_of_a_process_that_was_killed_are_done_here():
+    here = os.getpid()
+
+    def dies(item):
+        time.sleep(0.02)
+        if os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return item
+
+    assert shared_out(dies, range(10)) == list(range(10))
+
+
+def test_an_error_in_an_item_is_raised_here():
+    with pytest.raises(ZeroDivisionError):
+        shared_out(lambda k: 1 / (k - 5), range(10))
+
+
+@copies
+@pytest.mark.parametrize('name', sorted(REGISTRY))
+def test_free_forms_come_back_as_the_same(name):
+    made = FreeForm(REGISTRY[name], Free(('time',), (3,)), {'time': (0.0, 9.0)})
+    with Aside(lambda: made, [REGISTRY[name]]) as other:
+        found = other.result()
+    assert found == made and found.parent is REGISTRY[name]
+    assert vars(found).keys() == vars(made).keys()
