@@ -13,6 +13,7 @@ import io
 import os
 import pickle
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -140,8 +141,14 @@ def _tickets(queue: io.FileIO) -> Iterator[int]:
 
 
 def _may_copy() -> bool:
-    """Tell whether a copy of this process would be of use."""
+    """Tell whether a copy of this process would be of use, and harm nobody.
+
+    Made by the main thread alone: a copy has the locks of all other threads as they happen to be,
+    and where the main thread leaves the work to others, as in a node of the graph, they are many.
+    """
     if sys.platform != 'linux' or current_process().daemon:
+        return False
+    if threading.current_thread() is not threading.main_thread():
         return False
     return len(os.sched_getaffinity(0)) > 1
 

@@ -4,6 +4,7 @@
 import os
 import signal
 import sys
+import threading
 import time
 from functools import partial
 
@@ -105,6 +106,19 @@ def test_work_aside_starts_no_further_process():
 
     with Aside(inner) as other:
         assert other.result()
+
+
+def test_a_thread_beside_others_makes_no_copy():
+    found = []
+
+    def work():
+        with Aside(os.getpid) as other:
+            found.append(other.result())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [os.getpid()]
 
 
 @pytest.mark.parametrize('count', [0, 1, 2, 3, 500])
