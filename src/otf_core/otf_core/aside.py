@@ -14,6 +14,7 @@ import os
 import pickle
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -59,7 +60,9 @@ class Aside(Generic[R]):
         if _may_copy():
             self._answer, end = get_context('fork').Pipe(duplex=False)
             process = get_context('fork').Process(target=self._tell, args=(end,), daemon=True)
-            with end, suppress(OSError):  # no memory for a copy
+            with end, suppress(OSError), warnings.catch_warnings():  # no memory for a copy
+                # from Python 3.12 on copies beside other threads warn; see _may_copy
+                warnings.simplefilter('ignore', DeprecationWarning)
                 process.start()
                 self._process = process
         return self

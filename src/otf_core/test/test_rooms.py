@@ -10,7 +10,7 @@ import pytest
 import otf_core
 
 ROOT = Path(next(iter(otf_core.__path__)))
-FACES = ('__init__', 'config', 'errors', 'memory', 'threads', 'version')
+FACES = ('__init__', 'aside', 'config', 'errors', 'memory', 'threads', 'version')
 """All that lies beside the rooms: what is used everywhere, and the public names, loaded lazily."""
 FLOORS = (
     ('api', 'cli'),

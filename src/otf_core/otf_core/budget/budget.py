@@ -17,7 +17,12 @@ from otf_core.budget.freedom import (
     welch_satterthwaite,
 )
 from otf_core.budget.noise import noise_parts
-from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
+from otf_core.budget.systematic import (
+    SYSTEMATIC,
+    declared_sources,
+    piece_states,
+    systematic_sensitivity,
+)
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
@@ -163,8 +168,9 @@ def make_budget(
     found = [(NOISE, noise, dof), (MISFIT, misfit, dof)]
     found.append((SMOOTHNESS, smooth + drawn @ drawn.T, np.inf))
     declared = declared_sources(runs)
+    states = piece_states(runs, done, tables) if declared else []
     for source in declared:
-        change = systematic_sensitivity(source, runs, done, tables)
+        change = systematic_sensitivity(source, states, done)
         found.append((source.source, change @ change.T, np.inf))
     return Budget(
         tuple(Source(*entry) for entry in found),

@@ -23,7 +23,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.noise.model import MISFIT_TIME, NoiseModel, covariance_parts, noise_covariance
+from otf_core.noise.model import MISFIT_TIME, NoiseModel, misfit_covariance, noise_covariance
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.solving.normal import shares_of, white_rows
@@ -140,8 +140,8 @@ def _summed(run: Observed, solved: SolvedRun, batches: Sequence[list[int]]) -> _
             start = own.stop
             windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
             shares, here = solved.system.shares[:, :, part], rows[:, own]
-            parts = covariance_parts(noise, misfit, shares[:, 0], windows)
-            odd[0][:, own] = (parts[2] + parts[3]) @ here
+            independent, lasting = misfit_covariance(misfit, windows)
+            odd[0][:, own] = (independent + lasting) @ here
             odd[1][:, own] = 0.0
             for a, b in combinations(range(len(rows)), 2):
                 white, tied = noise_covariance(noise, shares[:, a], shares[:, b], windows)

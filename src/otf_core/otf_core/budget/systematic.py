@@ -69,19 +69,33 @@ def declared_sources(runs: Sequence[Observed]) -> tuple[Systematic, ...]:
     return tuple(s for s in SYSTEMATIC if given & set(s.keys))
 
 
+def piece_states(
+    runs: Sequence[Observed], done: JointSolution, tables: ErrorTables
+) -> list[State]:
+    """State of the pieces of every run, with what its machine declares."""
+    nodes = done.unknowns.knots
+    return [piece_state(r, s, nodes, tables) for r, s in zip(runs, done.runs, strict=True)]
+
+
 def systematic_sensitivity(
-    source: Systematic, runs: Sequence[Observed], done: JointSolution, tables: ErrorTables
+    source: Systematic, states: Sequence[State], done: JointSolution
 ) -> Array:
     """Change of the estimates per standard uncertainty of each coefficient, shape (full, k).
 
     A coefficient is one parameter shared by all runs.
+
+    Parameters
+    ----------
+    source : Systematic
+    states : sequence of State
+        See ``piece_states``.
+    done : JointSolution
     """
     columns = []
-    for run, solved in zip(runs, done.runs, strict=True):
-        state = piece_state(run, solved, done.unknowns.knots, tables)
+    for state, solved in zip(states, done.runs, strict=True):
         terms = source.effect.terms(state, source.acts.shape)
-        declared = run.machine.uncertainty or DeclaredUncertainty({})
+        declared = state.machine.uncertainty or DeclaredUncertainty({})
         u = source.uncertainty(terms, state, declared)
         columns.append(across(solved, terms.columns) * u)
-        del terms, state  # larger than what is made of them
+        del terms  # larger than what is made of them
     return sensitivity(done, columns)

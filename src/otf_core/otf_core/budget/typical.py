@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.systematic import SYSTEMATIC, Systematic, systematic_sensitivity
+from otf_core.budget.systematic import SYSTEMATIC, Systematic, piece_states, systematic_sensitivity
 from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.evaluation import driven_grid, free_rows
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -103,12 +103,12 @@ def _changes(
     rows: Array,
 ) -> Array:
     """Changes of squareness and nodes per standard uncertainty, shape (m, coefficients)."""
-    assumed = typical_runs(runs, values)
+    states = piece_states(typical_runs(runs, values), done, tables)
     for solved in done.runs:  # shared by both threads
         solved.system.rows.prepare()
 
     def change(source: Systematic) -> Array:
-        return np.asarray(rows @ systematic_sensitivity(source, assumed, done, tables))
+        return np.asarray(rows @ systematic_sensitivity(source, states, done))
 
     return np.concatenate(side_by_side(change, sources), axis=1)
 

@@ -27,8 +27,7 @@ SIMULATE = {'simulating': (0.0, 0.6), 'writing': (0.6, 1.0)}
 PLAN = {
     'choosing lines': (0.0, 0.4),
     'forecasting': (0.4, 0.5),
-    'comparing places of the tracker': (0.5, 0.85),
-    'looking for effects': (0.85, 0.95),
+    'looking for effects': (0.5, 0.95),
     'writing': (0.95, 1.0),
 }
 """Begin and end of the stages as shares of the time."""

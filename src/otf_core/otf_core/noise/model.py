@@ -280,13 +280,30 @@ def covariance_parts(
     independent, lasting : ndarray, shape (..., m, m), m^2
         The parts of the misfit.
     """
+    return (
+        *noise_covariance(noise, shares, shares, windows),
+        *misfit_covariance(misfit, windows),
+    )
+
+
+def misfit_covariance(misfit: Misfit, windows: Windows) -> tuple[Array, Array]:
+    """Covariance of the misfit of the pieces of a line, the same in every row.
+
+    Parameters
+    ----------
+    misfit : Misfit
+    windows : tuple of time, duration (s) and count, each of shape (..., m)
+        See ``mean_covariance``.
+
+    Returns
+    -------
+    independent, lasting : ndarray, shape (..., m, m), m^2
+    """
     time, duration, count = windows
-    white, slow = noise_covariance(noise, shares, shares, windows)
     lasting = np.zeros((*time.shape, time.shape[-1]))
     if misfit.slow:
         lasting = misfit.slow**2 * mean_covariance(0.0, MISFIT_TIME, time, duration, count)
-    independent = misfit.independent**2 * _diagonal(np.ones(time.shape))
-    return white, slow, independent, lasting
+    return misfit.independent**2 * _diagonal(np.ones(time.shape)), lasting
 
 
 def mean_covariance(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.catalogue import (
     Visibility,
     best_sight,
@@ -71,10 +72,12 @@ class Trace:
 
 def not_told_apart(traces: Mapping[str, Trace]) -> dict[str, tuple[str, ...]]:
     """Effects that could be taken for each effect."""
-    return {
-        name: tuple(n for n, other in traces.items() if n != name and own.imitated_by(other))
-        for name, own in traces.items()
-    }
+
+    def others(name: str) -> tuple[str, ...]:
+        own = traces[name]
+        return tuple(n for n, other in traces.items() if n != name and own.imitated_by(other))
+
+    return dict(zip(traces, shared_out(others, list(traces)), strict=True))
 
 
 def _columns(tried: Tried) -> Array:

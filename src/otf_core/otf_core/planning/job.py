@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from otf_core.aside import Aside
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress
@@ -23,7 +25,13 @@ from otf_core.planning.nc.programs import on_increment
 from otf_core.planning.observability import findings
 from otf_core.planning.optimised import PathOptimiser
 from otf_core.planning.planned_budget import planned_solution, planned_systematic
-from otf_core.planning.tracker_places import advice, check_place, compare_places, judge_places
+from otf_core.planning.tracker_places import (
+    TrackerPlace,
+    advice,
+    check_place,
+    compare_places,
+    judge_places,
+)
 from otf_core.threads import one_thread
 
 
@@ -126,6 +134,12 @@ def _chosen(
     return plan, how, answers, there
 
 
+def _judged_places(plan: Plan, setup: Setup, found: Forecast) -> tuple[list[TrackerPlace], float]:
+    """Places of the tracker compared, and what is left at the one that was chosen."""
+    judge = judge_places(plan, setup, found.solution.accepted)
+    return compare_places(plan, setup, judge), judge(setup.place)
+
+
 def _worth(efficiency: float) -> str:
     return f'{100 * efficiency:.0f} % of the information of an ideal share of the time among lines'
 
@@ -162,14 +176,12 @@ def make_plan(
         progress('forecasting', 0.0)
         found: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
-        progress('comparing places of the tracker', 0.0)
-        judge = judge_places(plan, setup, found.solution.accepted)
-        places, own = compare_places(plan, setup, judge), judge(setup.place)
-        progress('looking for effects', 0.0)
         planned = planned_solution(plan, setup, found)
-        rows = forecast_rows(planned, limit)
-        effects = tuple(EffectForecast(e['effect'], e['words'], e) for e in forecast_effects(rows))
-        systematic = planned_systematic(planned, found)
+        with Aside(partial(_judged_places, plan, setup, found)) as judging:
+            progress('looking for effects', 0.0)
+            effects = forecast_effects(forecast_rows(planned, limit))
+            systematic = planned_systematic(planned, found)
+            places, own = judging.result()
     return PlanReport(
         plan,
         how,
@@ -178,7 +190,7 @@ def make_plan(
         findings(found, machine, limit),
         tuple(places),
         tuple(advice(places, own)),
-        effects,
+        tuple(EffectForecast(e['effect'], e['words'], e) for e in effects),
         systematic,
         tuple(answers),
     )

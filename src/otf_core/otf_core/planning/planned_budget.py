@@ -13,7 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.systematic import SYSTEMATIC, declared_sources, systematic_sensitivity
+from otf_core.budget.systematic import (
+    SYSTEMATIC,
+    declared_sources,
+    piece_states,
+    systematic_sensitivity,
+)
 from otf_core.budget.typical import missing_keys, typical_runs
 from otf_core.model.plan import Plan
 from otf_core.model.presets import TYPICAL
@@ -114,8 +119,9 @@ def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
 
     def added(sources: Sequence[Any], runs: Sequence[Observed]) -> Array:
         total = np.zeros_like(found.covariance)
+        states = piece_states(runs, done, tables)
         for source in sources:
-            change = rows @ systematic_sensitivity(source, runs, done, tables)
+            change = rows @ systematic_sensitivity(source, states, done)
             total += change @ change.T
         return total
 

@@ -99,6 +99,7 @@ class Tried:
     source: Source
     shared: Array = field(default_factory=lambda: np.zeros((0, 0)))
     price: float = 0.0
+    _odds: dict[tuple[bytes, float], float] = field(default_factory=dict, init=False, repr=False)
 
     def axes(self, take: Index) -> tuple[str, ...]:
         """Machine axes of some terms."""
@@ -109,6 +110,13 @@ class Tried:
 
         Of a free form that needs an input to be this effect, only what that adds, if it is little.
         """
+        asked = take.tobytes(), variance
+        if asked not in self._odds:
+            self._odds[asked] = self._worked_out(take, variance)
+        return self._odds[asked]
+
+    def _worked_out(self, take: Index, variance: float) -> float:
+        """Odds of an option, which are asked for again and again."""
         found = log_evidence(*self._products(take), variance, self.orders(take)) - self.price
         rest = self._without_essential(take)
         if len(rest) in (0, len(take)):

@@ -162,7 +162,7 @@ def test_limits_decide_the_exit_code_and_a_line_of_the_terminal(cell, tmp_path, 
 
 
 def test_example_of_the_documentation_is_read():
-    text = (Path(__file__).parents[3] / 'docs/conventions.md').read_text(encoding='utf-8')
+    text = (Path(__file__).parents[4] / 'docs/conventions.md').read_text(encoding='utf-8')
     example = next(b for b in text.split('```') if '\nlimits:' in b and b.startswith('yaml\n'))
     machine = machine_from_dict(described(**yaml.safe_load(example.removeprefix('yaml\n'))))
     assert machine.limits.values['EBY'] == 4e-5

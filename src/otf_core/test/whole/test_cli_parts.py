@@ -13,7 +13,7 @@ from otf_core.bags.bag import BagContent, read_bag, write_bag
 from otf_core.model.observation import Samples
 from otf_core.model.provenance import origin_of
 
-CELL = Path(__file__).parents[3] / 'bags' / 'y-carries-the-table'
+CELL = Path(__file__).parents[4] / 'bags' / 'y-carries-the-table'
 MACHINE = CELL / 'machine.yaml'
 
 

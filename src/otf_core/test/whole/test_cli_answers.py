@@ -15,7 +15,7 @@ from otf_core.cli import _parser
 from otf_core.cli.completion import script
 from otf_core.cli.verbs import EXAMPLES, VERBS
 
-ROOM = Path(__file__).resolve().parents[3] / 'bags/y-carries-the-table'
+ROOM = Path(__file__).resolve().parents[4] / 'bags/y-carries-the-table'
 MACHINE = ('--machine', ROOM / 'machine.yaml')
 STOPS = ROOM.parent / 'x-and-y-carry-the-table/bag'
 VERB_NAMES = tuple(_parser().verbs)
