@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import signal
 import sys
 import threading
 import warnings
@@ -24,6 +25,7 @@ from multiprocessing.process import BaseProcess, current_process
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
+from otf_core.memory import of_c
 from otf_core.threads import one_by_one
 
 A = TypeVar('A')
@@ -31,6 +33,8 @@ R = TypeVar('R')
 
 TICKET = 2
 """Bytes that say which item is next."""
+_PR_SET_PDEATHSIG = 1
+"""Option of ``prctl`` (linux/prctl.h): the signal that the end of the parent sends."""
 NICE = 10
 """Of 19 by which a process can give way to others."""
 
@@ -59,7 +63,9 @@ class Aside(Generic[R]):
     def __enter__(self) -> Aside[R]:
         if _may_copy():
             self._answer, end = get_context('fork').Pipe(duplex=False)
-            process = get_context('fork').Process(target=self._tell, args=(end,), daemon=True)
+            process = get_context('fork').Process(
+                target=self._tell, args=(end, os.getpid()), daemon=True
+            )
             with end, suppress(OSError), warnings.catch_warnings():  # no memory for a copy
                 # from Python 3.12 on copies beside other threads warn; see _may_copy
                 warnings.simplefilter('ignore', DeprecationWarning)
@@ -94,8 +100,9 @@ class Aside(Generic[R]):
             self._found.append(self._work())
         return self._found[0]
 
-    def _tell(self, end: Connection) -> None:
+    def _tell(self, end: Connection, parent: int) -> None:
         """Send what is found; whatever goes wrong, the other process sees that nothing comes."""
+        _end_with(parent)
         one_by_one()
         os.nice(self._nice)
         with end, suppress(BaseException):
@@ -141,6 +148,15 @@ def _tickets(queue: io.FileIO) -> Iterator[int]:
     """Places that nobody else has drawn."""
     while ticket := queue.read(TICKET):
         yield int.from_bytes(ticket, 'little')
+
+
+def _end_with(parent: int) -> None:
+    """End as soon as the process ends that this one is a copy of, whatever ends it."""
+    control = of_c('prctl')
+    if control is not None:
+        control(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it was faster
+        os._exit(1)
 
 
 def _may_copy() -> bool:

@@ -27,20 +27,20 @@ def blocks(count: int) -> Iterator[slice]:
 
 def give_back() -> None:
     """Give back what is free; does nothing where the C library has no ``malloc_trim``."""
-    trim = _of_c('malloc_trim')
+    trim = of_c('malloc_trim')
     if trim is not None:
         trim(0)
 
 
 def one_heap() -> None:
     """Let threads that begin later share one heap; does nothing where there is no such thing."""
-    option = _of_c('mallopt')
+    option = of_c('mallopt')
     if option is not None:
         option(_M_ARENA_MAX, 1)
 
 
-def _of_c(name: str) -> Any:
-    """A function of the C library, None if it has none of that name."""
+def of_c(name: str) -> Any:
+    """Give a function of the C library; None if it has none of that name."""
     if sys.platform != 'linux':
         return None
     import ctypes  # a few ms

@@ -3,10 +3,12 @@
 
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +25,15 @@ def children():
     """Processes that this one has started and not yet seen ending."""
     with open(f'/proc/self/task/{os.getpid()}/children') as file:
         return file.read().split()
+
+
+def runs(process):
+    """Tell whether a process is there and has not ended."""
+    try:
+        state = Path(f'/proc/{process}/stat').read_text().rpartition(')')[2].split()[0]
+    except OSError:
+        return False
+    return state != 'Z'
 
 
 class Odd:
@@ -80,6 +91,24 @@ def test_work_that_is_stopped_ends():
     with Aside(partial(time.sleep, 600.0)) as other:
         other.stop()
         assert children() == before
+
+
+@copies
+def test_work_ends_with_the_process_that_wants_it():
+    code = (
+        'import functools, os, signal, time\n'
+        'from otf_core.aside import Aside\n'
+        'with Aside(functools.partial(time.sleep, 600.0)) as other:\n'
+        '    print(other._process.pid, flush=True)\n'
+        '    time.sleep(0.3)\n'
+        '    os.kill(os.getpid(), signal.SIGKILL)\n'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    end = time.monotonic() + 10.0
+    while runs(int(done.stdout)):
+        assert time.monotonic() < end, 'the copy is still there'
+        time.sleep(0.05)
+    assert done.returncode == -signal.SIGKILL
 
 
 @copies
