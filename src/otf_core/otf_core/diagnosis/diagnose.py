@@ -84,8 +84,7 @@ def diagnose(
     config : CalibrationConfig, optional
         Of the calibration.
     progress : callable(stage, fraction), optional
-        Called as work goes on, stage 'aligning', 'solving', 'simulating', 'diagnosing' or
-        'correcting'.
+        Called as work goes on, stage 'aligning', 'solving', 'diagnosing' or 'correcting'.
     own : sequence of Effect
         Causes of one's own, tried beside the catalogue.
 
@@ -114,7 +113,7 @@ def diagnose(
             seen = _solved_uncut(recordings, config, mend=False)
         uncut.stop()
         searched = _searched(seen, twin, exclude, config, progress, own)
-        progress('diagnosing', 0.5)
+        progress('diagnosing', 0.7)
         calibrated = done.result()
     examined = replace(examined, runs=remarked(examined.runs, calibrated.left_out))
     explained = explain(searched.rows, searched.found.causes, searched.simulated_um)

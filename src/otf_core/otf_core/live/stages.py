@@ -18,9 +18,8 @@ DIAGNOSE = {
     'reading': (0.0, 0.0),
     'aligning': (0.0, 0.05),
     'solving': (0.05, 0.25),
-    'simulating': (0.25, 0.4),
-    'diagnosing': (0.4, 0.8),
-    'correcting': (0.8, 0.95),
+    'diagnosing': (0.25, 0.85),
+    'correcting': (0.85, 0.95),
     'writing': (0.95, 1.0),
 }
 SIMULATE = {'simulating': (0.0, 0.6), 'writing': (0.6, 1.0)}
