@@ -156,9 +156,13 @@ def test_results_come_in_the_order_of_the_items(count):
 
 
 @copies
-def test_two_processes_share_the_work():
-    def who(item):
-        time.sleep(0.02)
+def test_two_processes_share_the_work(tmp_path):
+    end = time.monotonic() + 30.0
+
+    def who(item):  # waits for the other one
+        (tmp_path / str(os.getpid())).touch()
+        while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < end:
+            time.sleep(0.01)
         return os.getpid()
 
     found = shared_out(who, range(40))
