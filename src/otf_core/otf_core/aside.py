@@ -26,7 +26,7 @@ from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 from otf_core.memory import of_c
-from otf_core.threads import one_by_one
+from otf_core.threads import one_by_one, side_by_side
 
 A = TypeVar('A')
 R = TypeVar('R')
@@ -62,10 +62,9 @@ class Aside(Generic[R]):
 
     def __enter__(self) -> Aside[R]:
         if _may_copy():
-            self._answer, end = get_context('fork').Pipe(duplex=False)
-            process = get_context('fork').Process(
-                target=self._tell, args=(end, os.getpid()), daemon=True
-            )
+            fork = get_context('fork')
+            self._answer, end = fork.Pipe(duplex=False)
+            process = fork.Process(target=self._tell, args=(end, os.getpid()), daemon=True)
             with end, suppress(OSError), warnings.catch_warnings():  # no memory for a copy
                 # from Python 3.12 on copies beside other threads warn; see _may_copy
                 warnings.simplefilter('ignore', DeprecationWarning)
@@ -118,6 +117,8 @@ def shared_out(
 ) -> list[R]:
     """Results of a function for all items, in their order; two processes share the work.
 
+    Where no process can be copied, ``threads.side_by_side``.
+
     Parameters
     ----------
     function : callable
@@ -126,16 +127,16 @@ def shared_out(
     known : sequence of object
         See ``Aside``.
     """
-    found: dict[int, R] = {}
-    if len(items) > 1 and _may_copy():
-        tickets, end = os.pipe()
-        with os.fdopen(tickets, 'rb', buffering=0) as queue:
-            with os.fdopen(end, 'wb') as box:
-                box.writelines(k.to_bytes(TICKET, 'little') for k in range(len(items)))
-            own = partial(_drawn, function, items, queue)
-            with Aside(own, known) as other:
-                found |= own()
-                found |= other.result()
+    if len(items) < 2 or not _may_copy():
+        return side_by_side(function, items)
+    tickets, end = os.pipe()
+    with os.fdopen(tickets, 'rb', buffering=0) as queue:
+        with os.fdopen(end, 'wb') as box:
+            box.writelines(k.to_bytes(TICKET, 'little') for k in range(len(items)))
+        own = partial(_drawn, function, items, queue)
+        with Aside(own, known) as other:
+            found = own()
+            found |= other.result()
     return [found[k] if k in found else function(item) for k, item in enumerate(items)]
 
 

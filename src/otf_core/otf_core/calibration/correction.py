@@ -31,6 +31,7 @@ from otf_core.effects import Shape, State
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated import StatedEffect, TakenOff, effects_to_list
 from otf_core.effects.taken import Taken
+from otf_core.live.stages import silent
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
@@ -314,7 +315,7 @@ def calibrate_without(
     examined: Examined,
     effects: Sequence[Taken],
     config: CalibrationConfig,
-    progress: Progress = lambda stage, fraction: None,
+    progress: Progress = silent,
 ) -> Corrected:
     """Calibrate on the fly with effects taken off and their parameters estimated.
 

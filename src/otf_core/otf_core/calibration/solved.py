@@ -13,6 +13,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.left_out import LeftOut, findings, left_out
+from otf_core.live.stages import silent
 from otf_core.memory import give_back, one_heap
 from otf_core.pieces.finding import WARNING, Finding
 from otf_core.pieces.methods import Preparation
@@ -75,14 +76,14 @@ def examine_recordings(
     mend: bool = True,
 ) -> Examined:
     """Align, reduce to pieces and examine; parameters as of ``solve_recordings``."""
-    progress = progress or (lambda stage, fraction: None)
+    progress = progress or silent
     one_heap()
     progress('aligning', 0.0)
     check_recordings(recordings)
     runs, nodes = prepare(recordings, config)
     give_back()
     read = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
-    runs = remarked(examine(runs, nodes, config, mend=mend), before=read)
+    runs = _remarked(examine(runs, nodes, config, mend=mend), before=read)
     give_back()
     progress('solving', 0.0)
     return Examined(runs, nodes)
@@ -105,7 +106,7 @@ def solve_recordings(
     mend : bool
         Mend what can be mended, see ``contradictions.examine``.
     """
-    progress = progress or (lambda stage, fraction: None)
+    progress = progress or silent
     found = examine_recordings(recordings, config, progress, prepare, mend=mend)
     plain = solve_plainly(found.runs, found.nodes, config, progress)
     return solve_on(found, plain, config, progress)
@@ -122,11 +123,11 @@ def solve_on(
         runs, solution = moved, solve_with_reversal(moved, nodes, config, progress)
     left = tuple(left_out(a, b) for a, b in zip(runs, solution.runs, strict=True))
     said = findings(left)
-    solution = replace(solution, runs=remarked(solution.runs, said))
-    return SolvedRecordings(remarked(runs, said), nodes, solution, left)
+    solution = replace(solution, runs=_remarked(solution.runs, said))
+    return SolvedRecordings(_remarked(runs, said), nodes, solution, left)
 
 
-def remarked(
+def _remarked(
     runs: Sequence[Run], after: Sequence[Finding] = (), before: Sequence[Finding] = ()
 ) -> list[Run]:
     """Let the first run carry what was found of all, before and after its own remarks."""

@@ -22,6 +22,7 @@ from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.stated import FILE
 from otf_core.effects.taken import Taken, taken
 from otf_core.errors import ConfigError
+from otf_core.live.stages import silent
 from otf_core.pieces.runs import Recording
 from otf_core.solving.joint import Progress
 from otf_core.threads import in_one_thread
@@ -110,7 +111,7 @@ def calibrate_with_file(
         As ``calibrate_runs``.
     """
     config = config or CalibrationConfig()
-    progress = progress or (lambda stage, fraction: None)
+    progress = progress or silent
     named = _named(file, recordings)
     solved = solve_recordings(recordings, config, progress)
     taking = [taken([one] * len(solved.runs), FILE) for one in named]

@@ -22,13 +22,12 @@ from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.solved import (
     Examined,
     examine_recordings,
-    remarked,
     solve_on,
     solve_recordings,
 )
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.left_out import findings, left_out
+from otf_core.contradictions.left_out import left_out
 from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentence_of
 from otf_core.diagnosis.corrected import FoundCauses, with_causes, without_causes
 from otf_core.diagnosis.engine.catalogue import (
@@ -40,13 +39,14 @@ from otf_core.diagnosis.engine.catalogue import (
 from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose, straight_rows
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.shaken import calmed
-from otf_core.diagnosis.explanation import Explanation, explain
-from otf_core.diagnosis.fitted import fitted_causes
+from otf_core.diagnosis.explanation import explain
+from otf_core.diagnosis.fitted import FittedCause, fitted_causes
 from otf_core.diagnosis.judged import Judged, judge, run_views
 from otf_core.diagnosis.place.where import where_and_shape
 from otf_core.diagnosis.result import Diagnosis, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
 from otf_core.effects import REGISTRY, Effect
+from otf_core.live.stages import silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.finding import Finding
@@ -94,7 +94,7 @@ def diagnose(
         As ``calibrate_runs``.
     """
     config = config or CalibrationConfig()
-    progress = progress or _silent
+    progress = progress or silent
     examined = examine_recordings(recordings, config, progress)
     whole = len(examined.runs) == len(recordings)
     with ExitStack() as aside:
@@ -115,20 +115,19 @@ def diagnose(
         searched = _searched(seen, twin, exclude, config, progress, own)
         progress('diagnosing', 0.7)
         calibrated = done.result()
-    examined = replace(examined, runs=remarked(examined.runs, calibrated.left_out))
+    first, *others = examined.runs
+    examined = replace(examined, runs=[replace(first, remarks=calibrated.remarks), *others])
     explained = explain(searched.rows, searched.found.causes, searched.simulated_um)
     bases = seen.done.unknowns.bases
-    causes = partial(_causes, rows=searched.rows, bases=bases, examined=examined)
-    with Aside(partial(without_causes, examined, causes(explained), config)) as corrected:
+    causes = partial(_causes, bases=bases, examined=examined)
+    fitted = fitted_causes(explained.causes, searched.rows)
+    with Aside(partial(without_causes, examined, causes(fitted), config)) as corrected:
         judged = judge(searched.rows, explained, config, exclude)
         progress('correcting', 0.0)
         made = corrected.result() if judged.explained.causes else None
-    beside = partial(with_causes, calibrated.result, made, causes(judged.explained), config)
-    return _diagnosis(recordings, examined, searched, judged, beside)
-
-
-def _silent(stage: str, fraction: float) -> None:
-    """Tell nobody how far the work has come."""
+    fitted = fitted_causes(judged.explained.causes, searched.rows)
+    beside = partial(with_causes, calibrated.result, made, causes(fitted), config)
+    return _diagnosis(recordings, examined, searched, judged, fitted, beside)
 
 
 @dataclass(frozen=True)
@@ -138,14 +137,14 @@ class _Calibrated:
     Attributes
     ----------
     result : CalibrationResult
-    left_out : list of Finding
-        What is said of samples that were left out.
+    remarks : tuple of Finding
+        What is said of all runs, as the first carries it.
     moved : (Examined, _Seen) or None
         Where runs were moved onto their curves: these, and what is diagnosed of them.
     """
 
     result: CalibrationResult
-    left_out: list[Finding]
+    remarks: tuple[Finding, ...]
     moved: tuple[Examined, _Seen] | None
 
 
@@ -153,13 +152,13 @@ def _calibrated(
     examined: Examined, plain: PlainSolution[Run], config: CalibrationConfig
 ) -> _Calibrated:
     """Go on from a solution without reversal to the calibration that the user gets."""
-    solved = solve_on(examined, plain, config, _silent)
+    solved = solve_on(examined, plain, config, silent)
     pairs = zip(solved.runs, examined.runs, strict=True)
     moved = None
     if any(new.pieces is not old.pieces for new, old in pairs):
         seen = _Seen(*solved.solution.plain, solved.nodes)
         moved = Examined(solved.runs, solved.nodes), seen
-    return _Calibrated(assemble(solved.solution, config), findings(solved.left), moved)
+    return _Calibrated(assemble(solved.solution, config), solved.runs[0].remarks, moved)
 
 
 @dataclass(frozen=True)
@@ -231,10 +230,9 @@ def _solved_uncut(
 
 
 def _causes(
-    explained: Explanation, rows: Rows, bases: dict[str, Basis], examined: Examined
+    fitted: Sequence[FittedCause], bases: dict[str, Basis], examined: Examined
 ) -> FoundCauses:
     """Causes with their parameters, for every examined run, less what fine functions hold."""
-    fitted = fitted_causes(explained.causes, rows)
     off = [part for part in fitted if not held_by(part.cause.option, bases)]
     return FoundCauses(
         tuple((part.cause.confidence, part.cause.indistinguishable) for part in off),
@@ -247,12 +245,12 @@ def _diagnosis(
     examined: Examined,
     searched: _Searched,
     judged: Judged,
+    fitted: Sequence[FittedCause],
     beside: Callable[[str], EffectsCalibration],
 ) -> Diagnosis:
     """Put everything into words; ``beside`` makes the calibration for a sentence."""
     rows, visible, nameless = searched.rows, searched.found.visible, judged.nameless
     explained = judged.explained
-    fitted = fitted_causes(explained.causes, rows)
     applied = tuple(tuple(part.applied(k) for part in fitted) for k in range(len(rows.runs)))
     gap = gap_of(explained, judged.noise)
     causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)

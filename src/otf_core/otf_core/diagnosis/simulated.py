@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.rows import Rows, left_by
+from otf_core.live.stages import silent
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording, Run, reduced
@@ -48,7 +49,7 @@ def simulated_residual_um(
         again = reduced(recording, replace(run.alignment, leg=leg), nodes, config)
         runs.append(replace(again, late=run.late))
     start, unknowns = Start.after(runs[0].machine, rows.done), rows.done.unknowns
-    _, done = solve_robustly(runs, unknowns, config, lambda stage, fraction: None, start)
+    _, done = solve_robustly(runs, unknowns, config, silent, start)
     done = settled(done, config.unidentifiable_above)
     left = left_by(done, [solved.system.deviation for solved in done.runs])
     square = np.concatenate([np.sum(part**2, axis=0) for part in left])

@@ -8,6 +8,11 @@ from collections.abc import Callable, Mapping
 Progress = Callable[[str, float], None]
 """Takes what is being done, and the share of it, or of the whole, that is done."""
 
+
+def silent(stage: str, share: float) -> None:
+    """Tell nobody how far the work has come."""
+
+
 CALIBRATE = {
     'reading': (0.0, 0.05),
     'aligning': (0.05, 0.3),

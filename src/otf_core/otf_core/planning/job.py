@@ -11,7 +11,7 @@ import numpy as np
 from otf_core.aside import Aside
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
-from otf_core.live.stages import Progress
+from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.model import NoiseModel
@@ -149,7 +149,7 @@ def make_plan(
     request: PlanRequest,
     config: PlannerConfig,
     judged: ForecastConfig,
-    progress: Progress = lambda stage, fraction: None,
+    progress: Progress = silent,
 ) -> PlanReport:
     """Make or take a plan and judge it.
 

@@ -119,7 +119,7 @@ def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
 
     def added(sources: Sequence[Any], runs: Sequence[Observed]) -> Array:
         total = np.zeros_like(found.covariance)
-        states = piece_states(runs, done, tables)
+        states = piece_states(runs, done, tables) if sources else []
         for source in sources:
             change = rows @ systematic_sensitivity(source, states, done)
             total += change @ change.T

@@ -42,6 +42,7 @@ from otf_core.diagnosis.engine.search import Cause, fit_jointly, found_beside, s
 from otf_core.diagnosis.engine.tried import tried_shapes
 from otf_core.effects import BelongsTo, Effect
 from otf_core.errors import InputError
+from otf_core.live.stages import silent
 from otf_core.pieces.runs import Run
 from otf_core.solving.basis import Basis
 from otf_core.solving.joint import JointSolution, Start, solve_jointly, summed
@@ -186,7 +187,7 @@ def _solved(
     unknowns = layout(bases, len(runs))
     start = Start.after(runs[0].machine, done)
     try:
-        return solve_jointly(runs, unknowns, config, lambda stage, fraction: None, start)
+        return solve_jointly(runs, unknowns, config, silent, start)
     except InputError:  # the calibration itself has settled; this is only its rival
         return None
 
