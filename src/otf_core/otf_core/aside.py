@@ -16,8 +16,9 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import is_dataclass
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -37,6 +38,8 @@ _PR_SET_PDEATHSIG = 1
 """Option of ``prctl`` (linux/prctl.h): the signal that the end of the parent sends."""
 NICE = 10
 """Of 19 by which a process can give way to others."""
+_SMALL = (str, bytes, int, float, type)
+"""Sent sooner than looked up."""
 
 
 class Aside(Generic[R]):
@@ -47,7 +50,8 @@ class Aside(Generic[R]):
     work : callable
         Depends on nothing that happens later, and changes nothing; what it returns is sent.
     known : sequence of object
-        What is here as well: where what is sent refers to it, it is this.
+        What is here as well, with the fields of dataclasses and what is in sequences and mappings:
+        where what is sent refers to it, it is this.
     later : bool
         Gives way to other processes, being needed last.
     """
@@ -56,7 +60,7 @@ class Aside(Generic[R]):
         self, work: Callable[[], R], known: Sequence[object] = (), *, later: bool = False
     ) -> None:
         self._work, self._nice = work, NICE if later else 0
-        self._known = {id(one): one for one in known}  # a copy has everything at the same place
+        self._known = _within(known)  # a copy has everything at the same place
         self._process: BaseProcess | None = None
         self._found: list[R] = []
 
@@ -87,6 +91,11 @@ class Aside(Generic[R]):
             self._process.join()
             self._answer.close()
             self._process = None
+
+    @property
+    def under_way(self) -> bool:
+        """Whether another process is at it; if not, the work is done when it is asked for."""
+        return self._process is not None
 
     def result(self) -> R:
         """What was found; waits for it."""
@@ -171,6 +180,24 @@ def _may_copy() -> bool:
     if threading.current_thread() is not threading.main_thread():
         return False
     return len(os.sched_getaffinity(0)) > 1
+
+
+def _within(known: Sequence[object]) -> dict[int, object]:
+    """Objects by their ``id``: those given, and all that they hold."""
+    found: dict[int, object] = {}
+    waiting = list(known)
+    while waiting:
+        one = waiting.pop()
+        if id(one) in found or one is None or isinstance(one, _SMALL):
+            continue
+        found[id(one)] = one
+        if isinstance(one, Mapping):
+            waiting += one.values()
+        elif isinstance(one, (list, tuple)):
+            waiting += one
+        elif is_dataclass(one):
+            waiting += vars(one).values()
+    return found
 
 
 class _Pickler(pickle.Pickler):

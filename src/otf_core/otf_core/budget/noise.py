@@ -131,7 +131,8 @@ def _summed(run: Observed, solved: SolvedRun, batches: Sequence[list[int]]) -> _
     for legs in batches:
         use, flat = white_rows(solved.system, solved.whitener, legs)
         rows = flat.reshape(len(slow), -1, len(use))
-        odd, start = np.empty((2, *rows.shape)), 0
+        pairs = list(combinations(range(len(rows)), 2))
+        odd, tied, start = np.empty_like(rows), np.empty((len(pairs), *rows.shape[1:])), 0
         for leg in legs:
             low, high = solved.whitener.bounds[leg]
             own, part = slice(start, start + high - low), slice(low, high)
@@ -140,19 +141,17 @@ def _summed(run: Observed, solved: SolvedRun, batches: Sequence[list[int]]) -> _
             start = own.stop
             windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
             shares, here = solved.system.shares[:, :, part], rows[:, own]
-            independent, lasting = misfit_covariance(misfit, windows)
-            odd[0][:, own] = (independent + lasting) @ here
-            odd[1][:, own] = 0.0
-            for a, b in combinations(range(len(rows)), 2):
-                white, tied = noise_covariance(noise, shares[:, a], shares[:, b], windows)
-                odd[1][a, own] += (white + tied) @ here[b]
+            odd[:, own] = np.linalg.cholesky(sum(misfit_covariance(misfit, windows))).T @ here
+            for k, (a, b) in enumerate(pairs):
+                white, slow_part = noise_covariance(noise, shares[:, a], shares[:, b], windows)
+                tied[k, own] = (white + slow_part) @ here[b]
             time = windows[0]
             sums.noise[leg] = _line(here, use, slow[:, part], time, _times(noise))
             sums.misfit[leg] = _line(here, use, shared[:, part], time, lasts)
-        place, flat = np.ix_(use, use), rows.reshape(-1, len(use)).T
-        sums.within[place] += flat @ odd[0].reshape(flat.T.shape)
-        half = flat @ odd[1].reshape(flat.T.shape)
-        sums.between[place] += half + half.T
+        place, flat = np.ix_(use, use), odd.reshape(-1, len(use))
+        sums.within[place] += flat.T @ flat
+        half = sum(rows[a].T @ own for (a, _), own in zip(pairs, tied, strict=True))
+        sums.between[place] += half + np.transpose(half)
     return sums
 
 

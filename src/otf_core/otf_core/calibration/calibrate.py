@@ -6,40 +6,36 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import asdict
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.budget import EFFECTS, make_budget, whole_check, with_source
-from otf_core.budget.typical import typical_systematic, typical_warnings
-from otf_core.calibration.result import CalibrationResult, Fit, RunResult
-from otf_core.calibration.solved import solve_recordings
+from otf_core.aside import Aside
+from otf_core.budget.typical import typical_warnings
+from otf_core.calibration.assessed import Assessed, assess
+from otf_core.calibration.result import CalibrationResult, Fit
+from otf_core.calibration.solved import examined_and_solved, solve_on
 from otf_core.calibration.verdict import judge
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.worth import check_worth, sample_noise
 from otf_core.effects.stated import TakenOff
-from otf_core.memory import give_back
+from otf_core.live.stages import silent
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import origins
-from otf_core.model.tables import ErrorTables, with_uncertainty
-from otf_core.noise.events import lost_samples
-from otf_core.noise.model import NoiseModel, sample_variance
+from otf_core.model.tables import ErrorTables
 from otf_core.pieces.finding import GATE, WARNING, words_of
 from otf_core.pieces.methods import Preparation
-from otf_core.pieces.runs import Recording, Run, prepare_runs, rigid_pose
+from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.solving.curve_lag import curve_remarks
 from otf_core.solving.extrapolation import prior_of
-from otf_core.solving.joint import JointSolution, Progress, SolvedRun, settled, tables_of
+from otf_core.solving.joint import Progress
 from otf_core.solving.reversal import Reversal, reversal_tables
-from otf_core.solving.reversal_choice import ReversalSolution
-from otf_core.solving.system import build_system
-from otf_core.solving.tabulate import mean_grid_uncertainty, tabulate
-from otf_core.solving.unknowns import Unknowns
+from otf_core.solving.reversal_choice import ReversalSolution, choose
 from otf_core.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -132,68 +128,16 @@ def calibrate_runs(
     ----------
     Sanders et al., J. Manuf. Mater. Process. 2023, 7, 60, section 1.2.
     """
-    config = config or CalibrationConfig()
+    config, progress = config or CalibrationConfig(), progress or silent
     with one_thread():
-        solved = solve_recordings(recordings, config, progress, prepare)
-        return assemble(solved.solution, config)
-
-
-def _run_result(
-    run: Run, solved: SolvedRun, unknowns: Unknowns, config: CalibrationConfig
-) -> RunResult:
-    rigid = rigid_pose(run.pieces, run.pose, config)  # that of a solution holds its gauge
-    before = build_system(run.machine, run.pieces, rigid, unknowns)
-    specified = sample_variance(NoiseModel.from_spec(run.machine.tracker), solved.system.shares)
-    return RunResult(
-        name=Path(run.recording.name).name,
-        target_offset=run.machine.target_offset,
-        samples=len(run.recording.samples),
-        remarks=tuple(run.recording.remarks),
-        rate=1.0 / run.recording.samples.step,
-        lost=lost_samples(run.recording.samples.stamp_ns),
-        T_machine_tracker=solved.pose,
-        noise=run.noise_and_misfit[0],
-        misfit=run.noise_and_misfit[1],
-        coverage=run.alignment.coverage,
-        pieces=run.pieces,
-        q=solved.system.q,
-        axes=solved.system.axes,
-        aligned=before.deviation,
-        deviation=solved.system.deviation,
-        residual=solved.residual,
-        normalised=solved.residual / np.sqrt(specified),
-        whitened=solved.whitener.whiten(solved.residual),
-    )
-
-
-def _lengths(components: Array) -> Array:
-    return np.asarray(np.linalg.norm(components, axis=0))
-
-
-def _fit(
-    runs: Sequence[Run], results: Sequence[RunResult], done: JointSolution, inflation: float
-) -> Fit:
-    check = whole_check(runs, done, [s.residual for s in done.runs])
-    before = np.concatenate([_lengths(r.aligned) for r in results])
-    after = np.concatenate([_lengths(r.residual) for r in results])
-    normalised = np.concatenate([r.normalised for r in results], axis=1)
-    return Fit(
-        samples=sum(len(r.recording.samples) for r in runs),
-        used=sum(r.pieces.used for r in runs),
-        outliers=sum(r.pieces.outliers for r in runs),
-        pieces=len(after),
-        unknowns=done.solution.unknowns,
-        rank=done.solution.rank,
-        coverage=min(r.alignment.coverage for r in runs),
-        path_mae_before=float(before.mean()),
-        path_mae_after=float(after.mean()),
-        residual_rms=float(np.sqrt(np.mean(after**2))),
-        residual_ratio=float(np.sqrt(np.mean(normalised**2))),
-        variance_ratio=check.variance_ratio,
-        correlation_factor=check.correlation_factor,
-        inflation=inflation,
-        iterations=done.iterations,
-    )
+        examined, plain = examined_and_solved(recordings, config, progress, prepare)
+        with Aside(partial(choose, plain.runs, plain.done, config)) as choosing:
+            # most machines show no reversal, and then the solution stays as it is
+            assessed = assess(plain.runs, plain.done, config) if choosing.under_way else None
+            choice = choosing.result()
+        solution = solve_on(examined, plain, choice, config, progress).solution
+        as_expected = solution.done is plain.done
+        return assemble(solution, config, assessed=assessed if as_expected else None)
 
 
 def _failed_gates(fit: Fit) -> tuple[str, ...]:
@@ -219,25 +163,16 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
 
 
 def assemble(
-    solved: ReversalSolution[Run], config: CalibrationConfig, taken: TakenOff | None = None
+    solved: ReversalSolution[Run],
+    config: CalibrationConfig,
+    taken: TakenOff | None = None,
+    assessed: Assessed | None = None,
 ) -> CalibrationResult:
     """Put a solution into a result, with the effects that were ``taken`` off its runs."""
-    runs, done = solved.runs, settled(solved.done, config.unidentifiable_above)
-    solution, unknowns = done.solution, done.unknowns
-    results = [_run_result(r, s, unknowns, config) for r, s in zip(runs, done.runs, strict=True)]
-    machine = runs[0].machine
-    fine = tables_of(machine, unknowns, solution)
-    budget = make_budget(runs, done, fine, config.standstill_speed)
-    if taken is not None:
-        budget = with_source(budget, EFFECTS, budget.inflation * taken.of_unknowns)
-    fit = _fit(runs, results, done, budget.inflation)
-    grid_u = mean_grid_uncertainty(machine, unknowns, budget.whole)
-    table = tabulate(machine, done, grid_u, config.unidentifiable_above)
-    whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
-    covariance = budget.covariance
-    tables = with_uncertainty(table.tables, covariance)
-    give_back()
-    typical = typical_systematic(runs, done, tables, table.rows, covariance)
+    runs = solved.runs
+    found = assessed or assess(runs, solved.done, config, taken)
+    done, budget, table, tables = found.done, found.budget, found.table, found.tables
+    solution, covariance = done.solution, budget.covariance
     remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
     hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
     verdict = judge(tables, covariance, budget, hidden)
@@ -246,16 +181,16 @@ def assemble(
         tables=tables,
         covariance=covariance,
         budget=budget,
-        runs=tuple(results),
-        fit=fit,
+        runs=tuple(found.results),
+        fit=found.fit,
         reversal=Reversal(
             solved.choice.model,
             solved.choice.evidence,
             reversal_tables(
                 tables,
-                unknowns,
+                done.unknowns,
                 solution.value,
-                whole,
+                found.whole,
                 solution.accepted,
             ),
             solved.choice.held,
@@ -264,17 +199,17 @@ def assemble(
         table_costs=table.costs,
         prior=prior_of(done, tables, config.unidentifiable_above),
         not_identifiable=hidden,
-        typical=typical,
+        typical=found.typical,
         warnings=(
-            *typical_warnings(typical),
+            *typical_warnings(found.typical),
             *words_of(remarks, WARNING),
-            *_warnings(fit, tables, config.unidentifiable_above),
+            *_warnings(found.fit, tables, config.unidentifiable_above),
             *(r.alignment.remark for r in runs if r.alignment.remark),
             *curve_remarks(runs, done),
         ),
         failed_gates=(
             *words_of(remarks, GATE),
-            *_failed_gates(fit),
+            *_failed_gates(found.fit),
             *(verdict.failures if verdict else ()),
         ),
         config=config,

@@ -53,7 +53,7 @@ from otf_core.pieces.finding import Finding
 from otf_core.pieces.runs import Recording, Run
 from otf_core.solving.basis import Basis
 from otf_core.solving.joint import JointSolution, Progress
-from otf_core.solving.reversal_choice import PlainSolution, solve_plainly
+from otf_core.solving.reversal_choice import PlainSolution, choose, solve_plainly
 from otf_core.threads import in_one_thread
 
 Array = NDArray[np.float64]
@@ -152,7 +152,8 @@ def _calibrated(
     examined: Examined, plain: PlainSolution[Run], config: CalibrationConfig
 ) -> _Calibrated:
     """Go on from a solution without reversal to the calibration that the user gets."""
-    solved = solve_on(examined, plain, config, silent)
+    choice = choose(plain.runs, plain.done, config)
+    solved = solve_on(examined, plain, choice, config, silent)
     pairs = zip(solved.runs, examined.runs, strict=True)
     moved = None
     if any(new.pieces is not old.pieces for new, old in pairs):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from otf_core.diagnosis.engine.rows import Rows, rows_of
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects import REGISTRY, Effect
 from otf_core.planning.planned_budget import Planned
-from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -67,7 +66,12 @@ class Trace:
     def imitated_by(self, other: Trace) -> bool:
         """Tell whether another effect can leave every trace of this one."""
         shared = other.rich.T @ self.simple
-        return float(np.sum(shared**2)) > SAME * float(np.sum(self.simple**2))
+        return float(np.sum(shared**2)) > SAME * self.square
+
+    @cached_property
+    def square(self) -> float:
+        """Sum of the squared columns of the first shape."""
+        return float(np.vdot(self.simple, self.simple))
 
 
 def not_told_apart(traces: Mapping[str, Trace]) -> dict[str, tuple[str, ...]]:
@@ -115,8 +119,12 @@ def forecast_effects(rows: Rows) -> list[dict[str, Any]]:
     visible, traces = {}, {}
     rows.factor, rows.residual  # noqa: B018  made once, before threads need them
     effects = effects_without(())
-    judged = side_by_side(partial(_seen, rows), effects)
-    for effect, (sight, trace) in zip(effects, judged, strict=True):
+    longest = sorted(effects, key=lambda e: not e.many_alike)  # begun first, and not sent
+    judged = dict(
+        zip(longest, shared_out(partial(_seen, rows), longest, (rows, *longest)), strict=True)
+    )
+    for effect in effects:
+        sight, trace = judged[effect]
         visible[effect.name] = sight
         if sight.visible and trace is not None:
             traces[effect.name] = trace

@@ -24,7 +24,12 @@ from otf_core.planning.measured import MeasuredRun
 from otf_core.planning.nc.programs import on_increment
 from otf_core.planning.observability import findings
 from otf_core.planning.optimised import PathOptimiser
-from otf_core.planning.planned_budget import planned_solution, planned_systematic
+from otf_core.planning.planned_budget import (
+    Planned,
+    PlannedSystematic,
+    planned_solution,
+    planned_systematic,
+)
 from otf_core.planning.tracker_places import (
     TrackerPlace,
     advice,
@@ -134,10 +139,13 @@ def _chosen(
     return plan, how, answers, there
 
 
-def _judged_places(plan: Plan, setup: Setup, found: Forecast) -> tuple[list[TrackerPlace], float]:
-    """Places of the tracker compared, and what is left at the one that was chosen."""
+def _judged(
+    plan: Plan, setup: Setup, found: Forecast, planned: Planned
+) -> tuple[list[TrackerPlace], float, PlannedSystematic]:
+    """Places of the tracker compared, what is left at the one chosen, what is systematic."""
     judge = judge_places(plan, setup, found.solution.accepted)
-    return compare_places(plan, setup, judge), judge(setup.place)
+    systematic = planned_systematic(planned, found)
+    return compare_places(plan, setup, judge), judge(setup.place), systematic
 
 
 def _worth(efficiency: float) -> str:
@@ -177,11 +185,10 @@ def make_plan(
         found: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
         planned = planned_solution(plan, setup, found)
-        with Aside(partial(_judged_places, plan, setup, found)) as judging:
+        with Aside(partial(_judged, plan, setup, found, planned)) as judging:
             progress('looking for effects', 0.0)
             effects = forecast_effects(forecast_rows(planned, limit))
-            systematic = planned_systematic(planned, found)
-            places, own = judging.result()
+            places, own, systematic = judging.result()
     return PlanReport(
         plan,
         how,

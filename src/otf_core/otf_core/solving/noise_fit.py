@@ -41,10 +41,12 @@ from otf_core.noise.model import (
     scaled,
 )
 from otf_core.pieces.pieces import Pieces
+from otf_core.solving.design import Design
 from otf_core.solving.system import System
 from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 PRIOR = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
 """Standard deviation of the logarithms of the four variances and of the correlation time."""
@@ -103,13 +105,18 @@ def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -
 
     def of_size(size: int) -> _Lines:
         own = low[high - low == size, None] + np.arange(size)
-        dense = [system.rows.dense(line) for line in own]
-        explained = np.stack([d @ covariance @ np.swapaxes(d, 1, 2) for d in dense], axis=1)
+        explained = np.stack([_explained(system.rows, line, covariance) for line in own], axis=1)
         windows = (pieces.time[own], pieces.duration[own], pieces.count[own])
         return _Lines(system.shares[:, :, own], windows, residual[:, own], explained)
 
     system.rows.prepare()
     return side_by_side(of_size, np.unique(high - low).tolist())
+
+
+def _explained(rows: Design, line: Index, covariance: Array) -> Array:
+    """A V A^T of the pieces (m,) of a line, shape (c, m, m), m^2."""
+    use, own = rows.touched(line)
+    return np.asarray(own @ covariance[np.ix_(use, use)] @ np.swapaxes(own, 1, 2))
 
 
 def _derivatives(noise: NoiseModel, logs: Array, lines: _Lines) -> list[Array]:

@@ -204,13 +204,11 @@ def white_rows(
 
 def _free(product: Array, unknowns: Unknowns, rows: int) -> NormalEquations:
     """Normal equations of the free unknowns from the product of all columns."""
-    full, gauge = unknowns.full, unknowns.gauge
-    count = unknowns.free + product.shape[0] - full
-    half = np.concatenate([gauge.T @ product[:full], product[full:]])
-    free = np.empty((count, count))
-    free[:, : unknowns.free] = (gauge.T @ half[:, :full].T).T
-    free[:, unknowns.free :] = half[:, full:]
-    return NormalEquations(free[:-1, :-1].copy(), free[:-1, -1].copy(), float(free[-1, -1]), rows)
+    own, further = slice(unknowns.full), slice(unknowns.full, len(product) - 1)
+    low, side = unknowns.lowered(product[own, own]), unknowns.gauge.T @ product[own, further]
+    matrix = np.block([[low, side], [side.T, product[further, further]]])
+    right = np.append(unknowns.gauge.T @ product[own, -1], product[further, -1])
+    return NormalEquations(matrix, right, float(product[-1, -1]), rows)
 
 
 def rows_by_run(values: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:

@@ -57,12 +57,13 @@ def taken_once(system: System, whitener: Whitener) -> Once:
     if once is whitener:
         return Once(system, whitener, np.arange(len(system.q)), 0.0, rows)
     lines, line = np.unique(whitener.first, return_inverse=True)
-    first = [whitener.bounds[leg] for leg in lines.tolist()]
-    pieces = np.concatenate([np.arange(*bounds) for bounds in first])
-    places = [np.arange(*once.bounds[k]) for k in line.tolist()]
-    pulled = whitener.weighted(system.deviation)
-    place = np.concatenate(places)
+    several = np.bincount(line) > 1
+    pieces = np.concatenate([np.arange(*whitener.bounds[leg]) for leg in lines.tolist()])
+    pulled = whitener.only(several[line]).weighted(system.deviation)
+    place = np.concatenate([np.arange(*once.bounds[k]) for k in line.tolist()])
     pull = np.array([np.bincount(place, own) for own in pulled], dtype=float)
-    mean = once.covaried(pull)
+    mean = system.deviation[:, pieces]
+    again = np.repeat(several, [high - low for low, high in once.bounds])
+    mean[:, again] = once.only(several).covaried(pull)[:, again]
     square = float(np.sum(system.deviation * pulled) - np.sum(mean * pull))
     return Once(replace(system.at(pieces), deviation=mean), once, pieces, square, rows)

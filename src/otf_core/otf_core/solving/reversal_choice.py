@@ -141,15 +141,16 @@ def solve_with_reversal(
     runs, nodes, config, progress
         As of ``solve_plainly``.
     """
-    return with_reversal(solve_plainly(runs, nodes, config, progress), config, progress)
+    plain = solve_plainly(runs, nodes, config, progress)
+    choice = choose(plain.runs, plain.done, config)
+    return with_reversal(plain, choice, config, progress)
 
 
 def with_reversal(
-    plain: PlainSolution[AnyRun], config: CalibrationConfig, progress: Progress
+    plain: PlainSolution[AnyRun], choice: Choice, config: CalibrationConfig, progress: Progress
 ) -> ReversalSolution[AnyRun]:
-    """Add the reversal to a solution without, see ``solve_with_reversal``."""
+    """Add a reversal to a solution without, see ``solve_with_reversal``."""
     kept, done, shapes = plain.runs, plain.done, plain.shapes
-    choice = choose(kept, done, config)
     give_back()
     if choice.model == 'none':
         return ReversalSolution(kept, done, choice, (kept, done))

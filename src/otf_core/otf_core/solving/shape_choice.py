@@ -21,6 +21,7 @@ from typing import Generic
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.aside import shared_out
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
@@ -45,7 +46,6 @@ from otf_core.solving.solution import Solution, solve
 from otf_core.solving.system import System
 from otf_core.solving.unknowns import Unknowns, layout
 from otf_core.solving.whitener import Whitener
-from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -186,11 +186,12 @@ def _try_all(
     """
     poses = [r.pose for r in runs]
     systems = systems_of(runs, poses, layout(smooth_bases(nodes), len(runs)), start.tables)
+    known = (systems, start, whiteners)
     found: dict[str, _Tried] = {}
     waiting = [SMOOTH, STRAIGHT]
     while waiting:
         bases = [_CHOICES[name](nodes) for name in waiting]
-        tried = side_by_side(partial(_tried, systems, start, whiteners, limit), bases)
+        tried = shared_out(partial(_tried, systems, start, whiteners, limit), bases, known)
         found |= zip(waiting, tried, strict=True)
         best = max(found.values(), key=attrgetter('likelihood'))
         done = best.solved(systems, poses, whiteners)

@@ -171,10 +171,10 @@ def solve(
     free[use] = factor.solve(normal.right[use] * limit)
     cover = np.zeros((unknowns.free, unknowns.free))
     cover[np.ix_(use, use)] = factor.inverse
-    gauge = unknowns.gauge
-    covariance = gauge @ (gauge @ cover).T
+    covariance = unknowns.lifted(cover)
     rank = int(np.sum(linalg.eigvalsh(data) > 1.0))
-    return Solution(gauge @ free * limit, covariance * limit**2, accepted, unknowns.free, rank)
+    value = unknowns.gauge @ free * limit
+    return Solution(value, covariance * limit**2, accepted, unknowns.free, rank)
 
 
 def determined_by_data(

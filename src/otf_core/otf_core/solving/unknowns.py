@@ -70,6 +70,37 @@ class Unknowns:
         alone = (np.count_nonzero(dense, axis=1) == 1) & (dense.max(axis=1, initial=0.0) == 1.0)
         return np.flatnonzero(alone)
 
+    @cached_property
+    def _tied(self) -> tuple[NDArray[np.int64], Array]:
+        """Places (t,) of those that follow the free ones, and how, (t, free); others are zero."""
+        rest = np.setdiff1d(np.arange(self.full), self.kept)
+        rows = self.gauge[rest].toarray()
+        acts = rows.any(axis=1)
+        return rest[acts], rows[acts]
+
+    def lowered(self, matrix: Array) -> Array:
+        """Matrix (full, full), symmetric, for the free unknowns: G^T M G for the gauge G."""
+        tied, rows = self._tied
+        found = matrix[np.ix_(self.kept, self.kept)]
+        if len(tied):
+            half = (
+                matrix[np.ix_(self.kept, tied)] + 0.5 * rows.T @ matrix[np.ix_(tied, tied)]
+            ) @ rows
+            found += half + half.T
+        return found
+
+    def lifted(self, matrix: Array) -> Array:
+        """Matrix (free, free), symmetric, for all unknowns: G M G^T for the gauge G."""
+        tied, rows = self._tied
+        found = np.zeros((self.full, self.full))
+        found[np.ix_(self.kept, self.kept)] = matrix
+        if len(tied):
+            cross = rows @ matrix
+            found[np.ix_(tied, self.kept)] = cross
+            found[np.ix_(self.kept, tied)] = cross.T
+            found[np.ix_(tied, tied)] = cross @ rows.T
+        return found
+
     @property
     def free(self) -> int:
         """Number of values left by the gauge."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ SAME_PLACE = 5e-4
 """m; half a step between samples at a usual feed: so far pieces of two passes may be apart."""
 MEMORY = 1e6
 """Bytes of covariances that are factored at once."""
-HELD = 5e7
+HELD = 1e8
 """Bytes of matrices that are held; those of a longer run are made anew whenever they are used."""
 
 
@@ -95,6 +95,13 @@ class Alike:
         if isinstance(self.held, Covariances):
             return self.held.inverse(self.pieces[k : k + 1])[:, 0]
         return self.held[:, k]
+
+    def only(self, some: NDArray[np.bool_]) -> Alike:
+        """Some of the legs, by a mask (n,)."""
+        if some.all():
+            return self
+        held = self.held if isinstance(self.held, Covariances) else self.held[:, some]
+        return Alike(self.legs[some], self.pieces[some], held)
 
 
 @dataclass(frozen=True)
@@ -191,15 +198,22 @@ class Whitener:
         end, passes, found = np.cumsum(size), _places(line, len(lines)), []
         for some in _alike(size):
             pieces = (end - size)[some, None] + np.arange(size[some[0]])
-            weight = [sum(self._weight(leg) for leg in passes[k]) for k in some.tolist()]
-            found.append(Alike(some, pieces, _root(np.stack(weight, axis=1))))
+            inverse = [self._of_passes(passes[k]) for k in some.tolist()]
+            found.append(Alike(some, pieces, np.stack(inverse, axis=1)))
         bounds = list(zip((end - size).tolist(), end.tolist(), strict=True))
         return Whitener(bounds, tuple(found), np.arange(len(lines)))
 
-    def _weight(self, leg: int) -> Array:
-        """Inverse covariances (c, m, m) of a leg."""
-        own = self.inverses[leg]
-        return np.asarray(np.swapaxes(own, 1, 2) @ own)
+    def _of_passes(self, legs: Sequence[int]) -> Array:
+        """Inverse factors (c, m, m) with the weight of legs over one line."""
+        inverses = [self.inverses[leg] for leg in legs]
+        if len(inverses) == 1:
+            return inverses[0]
+        return _root(reduce(np.add, (np.swapaxes(own, 1, 2) @ own for own in inverses)))
+
+    def only(self, legs: NDArray[np.bool_]) -> Whitener:
+        """Leave out the other legs, by a mask (legs,): their rows become zero."""
+        found = [one.only(legs[one.legs]) for one in self.alike]
+        return Whitener(self.bounds, tuple(one for one in found if len(one.legs)), self.first)
 
     @cached_property
     def expected(self) -> Array:
@@ -219,7 +233,7 @@ class Whitener:
     def _applied(self, product: Callable[[Array, Array], Array], values: Array) -> Array:
         """Products of the inverses (c, n, m, m) of the legs with values (c, p, ...)."""
         wide = values.reshape(*values.shape[:2], -1)
-        result = np.empty_like(wide)
+        result = np.zeros_like(wide)
         for alike in self.alike:
             result[:, alike.pieces] = product(alike.inverse, wide[:, alike.pieces])
         return result.reshape(values.shape)
