@@ -13,7 +13,7 @@ SIMULATING = {
     'backends/simulated.py',  # the simulated cell
     'emulator/cell.py',  # the same, behind an emulated tracker
     'otf_calibrator/diagnosis_process.py',  # hands the twin to the diagnosis
-    'otf_calibrator/job.py',  # the same, where effects are taken off
+    'otf_calibrator/solver_process.py',  # the same, where effects are taken off
     'otf_bringup/demo.py',  # draws the true errors of the simulated cell
 }
 NODES = sorted(SOURCE.glob('*/*/*node.py'))
@@ -25,6 +25,7 @@ ROS_FREE = [
     SOURCE / 'otf_view/otf_view/page.py',
     SOURCE / 'otf_view/otf_view/server.py',
     *SOURCE.glob('otf_calibrator/otf_calibrator/diagnosis_*.py'),
+    *SOURCE.glob('otf_calibrator/otf_calibrator/solver*.py'),
     SOURCE / 'otf_calibrator/otf_calibrator/job.py',
     SOURCE / 'otf_calibrator/otf_calibrator/session.py',
     SOURCE / 'otf_path_planner/otf_path_planner/planning.py',

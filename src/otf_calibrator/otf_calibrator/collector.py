@@ -263,11 +263,6 @@ class Collector:
         """Tell how the samples follow the path, see ``PathWatcher``; may take a second."""
         return self._watcher.look(samples) if self._watcher else None
 
-    @property
-    def stood(self) -> bool:
-        """Whether the standstill that was looked at is long enough to end a run."""
-        return self._watcher is not None and self._watcher.stood
-
     def complete(self, now: float, at_stream_end: bool, idle_timeout: float) -> str:
         """Say why the run is complete; empty if it is not."""
         if self.taken or self.path is None or not len(self.buffer):

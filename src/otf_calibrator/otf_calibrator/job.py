@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One calibration in a thread of its own, so that samples and services are served meanwhile."""
+"""One calibration at a time, so that samples and services are served meanwhile.
+
+A thread looks at the track, hands the run to the process that solves, and writes the files.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.solver import Solver
+from otf_calibrator.solver_task import Task
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.sample_order import in_time_order
 from otf_core.bags.screening import Screening
-from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.calibrate_with_effects import AUTO, NONE, calibrate_with_effects
+from otf_core.diagnosis.calibrate_with_effects import AUTO, NONE
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output import OutputFolder
@@ -30,11 +34,9 @@ from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
-from otf_core.pieces.methods import PREPARATIONS
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import facts_of, write_calibration, write_report
 from otf_core.reports.with_effects import write_reports, write_with_effects
-from otf_core.sim.twin import twin_recording
 from otf_core.tracking.alignment import Followed
 
 Writer = Callable[[Path], object]
@@ -100,6 +102,7 @@ class Worker:
         self._pool = ThreadPoolExecutor(1, 'calibration')
         self._stop, self._ahead = threading.Event(), threading.Event()
         self._cancelled = threading.Event()
+        self._solver = Solver()
         self._seen: Followed | None = None
         self.stage, self.fraction = '', 0.0
 
@@ -117,6 +120,7 @@ class Worker:
     def look_ahead(self, request: Request) -> Future[CalibrationResult]:
         """Calibrate what has been driven so far, until a calibration is started."""
         self._ahead.clear()
+        self._solver.begin()
         return self._pool.submit(self._provisional, request)
 
     def save(self, outcome: Calibrated) -> Future[Calibrated]:
@@ -154,6 +158,7 @@ class Worker:
 
     def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
+        self._solver.begin()
         return self._pool.submit(question, samples)
 
     def close(self) -> None:
@@ -161,6 +166,7 @@ class Worker:
         self._stop.set()
         self._ahead.set()
         self._pool.shutdown(wait=True)
+        self._solver.close()
 
     def _progress(self, stage: str, fraction: float) -> None:
         if self._stop.is_set():
@@ -174,8 +180,10 @@ class Worker:
             if self._ahead.is_set():
                 raise Cancelled('the run is calibrated')
 
-        prepare = PREPARATIONS[request.files.method]
-        return calibrate_runs([recording_of(request)], request.config, progress, prepare)
+        task = Task(recording_of(request), request.config, request.files.method, NONE)
+        found = self._solver.solve(task, progress)
+        assert isinstance(found, CalibrationResult), 'no effects are taken off'
+        return found
 
     def _calibrate(self, request: Request) -> Calibrated:
         recording = replace(recording_of(request), seen=self._seen)
@@ -196,21 +204,13 @@ class Worker:
     ) -> tuple[CalibrationResult, Writer, Writer]:
         """The result, what writes its files, and what adds the report to them."""
         files = request.files
-        if files.effects != NONE:
-            done = calibrate_with_effects(
-                [recording],
-                files.effects,
-                twin_recording,
-                request.config,
-                self._progress,
-                files.method,
-            )
-            write = functools.partial(write_with_effects, done, report=False)
-            return done.result, write, functools.partial(write_reports, done)
-        prepare = PREPARATIONS[files.method]
-        result = calibrate_runs([recording], request.config, self._progress, prepare)
-        write = functools.partial(write_calibration, result, report=False)
-        return result, write, lambda folder: write_report(folder, facts_of(result))
+        task = Task(recording, request.config, files.method, files.effects)
+        found = self._solver.solve(task, self._progress)
+        if isinstance(found, CalibrationResult):
+            write = functools.partial(write_calibration, found, report=False)
+            return found, write, lambda folder: write_report(folder, facts_of(found))
+        write = functools.partial(write_with_effects, found, report=False)
+        return found.result, write, functools.partial(write_reports, found)
 
 
 def recording_of(request: Request) -> Recording:

@@ -247,13 +247,11 @@ class Session:
         files = self._settings()[0]
         if self._verdict and self._verdict.done():
             seen = None if self._verdict.exception() else self._verdict.result()
+            self._verdict = None
             same = not self.collector.taken and self._judged_run == self.collector.run
-            if not same or seen is None or not seen.to_the_end:
-                self._verdict = None
-            elif self.collector.stood:
-                self._verdict = None
+            if same and seen is not None and seen.to_the_end:
                 return 'standstill at the end point'
-        if files.finish_at_standstill and (not self._verdict or self._verdict.done()):
+        if files.finish_at_standstill and not self._verdict:
             samples = self.collector.end_to_judge()
             if samples is not None:
                 self._verdict = self.worker.follow(self.collector.look, samples)

@@ -11,11 +11,11 @@ from otf_core.tracking.alignment import Followed, followed
 from otf_core.tracking.track import HOP
 
 END_STANDSTILL = 1.0
-"""s; standstill at the end point that ends a run."""
+"""s; a standstill so long is looked at: it ends the run if it is at the end point."""
 MIN_TRAVEL = 0.5
 """Share of the path length before which no end is looked for (gaps shorten the travel)."""
 SOON, NEARLY = 0.4, 0.98
-"""s; a standstill after nearly the whole path is looked at so soon: it may become the end."""
+"""s; after nearly the whole path a standstill is looked at so soon: most likely it is the end."""
 
 STRAY, AT_ONCE_NS = 0.05, 50_000_000
 """m, ns; no target travels so far at once: a stray point, or the way back from one."""
@@ -39,7 +39,7 @@ class PathWatcher:
         self._last: tuple[float, float, float] | None = None
         self._still_since_ns: int | None = None
         self._newest_ns = 0
-        self._judged = self._stood = False
+        self._judged = False
 
     def add(self, stamp_ns: int, x: float, y: float, z: float) -> None:
         """Take one sample: stamp in ns, tracker frame, m."""
@@ -54,7 +54,6 @@ class PathWatcher:
             stray = square > STRAY * STRAY and stamp_ns - self._newest_ns < AT_ONCE_NS
             self.travelled += 0.0 if stray else square**0.5
         self._last = (x, y, z)
-        self._stood = self.stood
         self._still_since_ns = self._newest_ns = stamp_ns
         self._judged = False
 
@@ -71,13 +70,8 @@ class PathWatcher:
         ready = self.standstill >= (SOON if share >= NEARLY else END_STANDSTILL)
         if not ready or share < MIN_TRAVEL or self._judged:
             return False
-        self._judged, self._stood = True, False
+        self._judged = True
         return True
-
-    @property
-    def stood(self) -> bool:
-        """Whether the standstill that was last worth judging is long enough to end a run."""
-        return self._stood or (self._judged and self.standstill >= END_STANDSTILL)
 
     def look(self, samples: Samples) -> Followed | None:
         """Tell how the samples follow the path, and whether to its end; None if they do not."""

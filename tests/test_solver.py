@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process that calibrates for the node: errors, a calibration given up, an early end."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+import yaml
+from cells import MACHINE
+
+from otf_calibrator.solver import Solver
+from otf_calibrator.solver_task import Task
+from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
+from otf_core.errors import Cancelled, InputError, OtfError
+from otf_core.model.machine import load_machine
+from otf_core.model.observation import Samples
+from otf_core.pieces.runs import Recording
+from otf_core.planning.creator import plan_path
+from otf_core.sim.cell import simulate
+
+CONFIG = CalibrationConfig()
+
+
+def ignored(stage, fraction):
+    """Progress that nobody looks at."""
+
+
+def task(recording):
+    """Plain calibration of a recording."""
+    return Task(recording, CONFIG, 'otf', 'none')
+
+
+@pytest.fixture(scope='module')
+def recording(tmp_path_factory):
+    file = tmp_path_factory.mktemp('machine') / 'machine.yaml'
+    file.write_text(yaml.safe_dump(MACHINE))
+    machine = load_machine(file)
+    plan = plan_path(machine, PlannerConfig(passes=1, levels=2))
+    samples = simulate(machine, plan, SimulationConfig(rate=50.0)).samples
+    return Recording(samples, plan.path, machine, 'samples')
+
+
+@pytest.fixture
+def solver():
+    solver = Solver()
+    yield solver
+    solver.close()
+
+
+def test_tables_are_those_of_this_process_bit_by_bit(solver, recording):
+    found = solver.solve(task(recording), ignored)
+    plain = calibrate_runs([recording], CONFIG)
+    assert found.run_id == plain.run_id
+    for name, table in plain.tables.motions.items():
+        assert found.tables.motions[name].value.tobytes() == table.value.tobytes()
+        assert found.tables.motions[name].u.tobytes() == table.u.tobytes()
+
+
+def test_what_is_wrong_with_a_run_is_said_and_the_process_goes_on(solver, recording):
+    still = Samples(np.arange(500) * 2_000_000, np.ones((500, 3)))
+    with pytest.raises(InputError, match='samples'):
+        solver.solve(task(Recording(still, recording.path, recording.machine)), ignored)
+    process = solver._process
+    assert solver.solve(task(recording), ignored).run_id
+    assert solver._process is process
+
+
+def test_calibration_that_is_given_up_ends_at_once_and_the_next_one_works(solver, recording):
+    def given_up(stage, fraction):
+        raise Cancelled('not wanted any more')
+
+    solver.begin()
+    process = solver._process
+    with pytest.raises(Cancelled):
+        solver.solve(task(recording), given_up)
+    assert process.poll() == -signal.SIGKILL
+    assert solver.solve(task(recording), ignored).run_id
+
+
+def test_process_that_the_system_ends_is_told_of_and_begun_anew(solver, recording):
+    def killed(stage, fraction):
+        os.kill(solver._process.pid, signal.SIGKILL)
+
+    with pytest.raises(OtfError, match='ended by the system'):
+        solver.solve(task(recording), killed)
+    assert solver.solve(task(recording), ignored).run_id
+
+
+def test_process_ends_with_its_owner(solver):
+    solver.begin()
+    process = solver._process
+    time.sleep(0.1)
+    solver._end.close()  # as the system does for a node that is killed
+    assert process.wait(timeout=20.0) == 0
