@@ -121,11 +121,16 @@ def diagnose(
     bases = seen.done.unknowns.bases
     causes = partial(_causes, bases=bases, examined=examined)
     fitted = fitted_causes(explained.causes, searched.rows)
-    with Aside(partial(without_causes, examined, causes(fitted), config)) as corrected:
-        judged = judge(searched.rows, explained, config, exclude)
-        progress('correcting', 0.0)
-        made = corrected.result() if judged.explained.causes else None
+    weigh = partial(judge, searched.rows, explained, config, exclude)
+    with Aside(weigh, (searched, explained)) as weighed:
+        # copies of its own make the correction faster, which takes longer
+        made = without_causes(examined, causes(fitted), config) if weighed.under_way else None
+        judged = weighed.result()
+    progress('correcting', 0.0)
+    if made is None and judged.explained.causes:
+        made = without_causes(examined, causes(fitted), config)
     fitted = fitted_causes(judged.explained.causes, searched.rows)
+    made = made if judged.explained.causes else None
     beside = partial(with_causes, calibrated.result, made, causes(fitted), config)
     return _diagnosis(recordings, examined, searched, judged, fitted, beside)
 

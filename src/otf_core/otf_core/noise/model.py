@@ -331,7 +331,9 @@ def mean_covariance(
     half = np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x)
     gap = np.abs(time[..., :, None] - time[..., None, :]) / correlation_time
     matrix = half[..., :, None] * half[..., None, :] * np.exp(-gap)
-    np.minimum(matrix, np.exp(-0.001 * gap), out=matrix)  # windows that overlap by rounding
+    over = matrix > np.exp(-0.001 * gap.max(initial=0.0))  # only windows that overlap by rounding
+    if np.any(over):
+        matrix[over] = np.minimum(matrix[over], np.exp(-0.001 * gap[over]))
     own = np.where(x < 1e-3, 1.0 - x / 3.0, 2.0 * (x - 1.0 + np.exp(-x)) / x**2)
     diagonal = np.arange(time.shape[-1])
     matrix[..., diagonal, diagonal] = own
