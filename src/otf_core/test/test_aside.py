@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -118,6 +119,35 @@ def test_what_is_known_is_not_copied():
         first, second, (third,) = other.result()
     assert first is known and third is known
     assert isinstance(second, Odd) and second is not unknown
+
+
+@dataclass(frozen=True)
+class Holder:
+    """Something that holds others."""
+
+    odd: Odd
+    more: tuple
+
+
+@copies
+def test_what_is_within_the_known_is_not_copied_either():
+    known = Holder(Odd(), ([Odd()], {'key': Odd()}))
+    with Aside(
+        lambda: (known.odd, known.more[0][0], known.more[1]['key'], Odd()), [known]
+    ) as other:
+        *within, new = other.result()
+    assert within[0] is known.odd and within[1] is known.more[0][0]
+    assert within[2] is known.more[1]['key'] and isinstance(new, Odd)
+
+
+@copies
+def test_it_is_known_whether_another_process_is_at_it():
+    work = partial(time.sleep, 0.05)
+    assert not Aside(work).under_way
+    with Aside(work) as other:
+        assert other.under_way
+        other.stop()
+        assert not other.under_way
 
 
 @copies
