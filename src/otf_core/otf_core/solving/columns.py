@@ -12,7 +12,7 @@ parameter"). The estimates stay as they are; their covariance gains u(theta)^2 S
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,10 @@ from otf_core.solving.joint import JointSolution, SolvedRun
 
 Array = NDArray[np.float64]
 
-SOME = 8
-"""Columns whose products are made together."""
+Columns = Callable[[slice], Array]
+"""Columns (c, m, k), m, of m pieces of a run."""
+SOME = 4096
+"""Pieces whose columns are made together, and the rest of their line."""
 
 
 def piece_state(
@@ -64,29 +66,43 @@ def state_at(
     )
 
 
-def across(solved: SolvedRun, columns: Array) -> Array:
-    """Components (c, p, k) along the rows of displacements (p, 3, k)."""
-    return np.asarray(np.einsum('cij,ijk->cik', solved.system.axes, columns))
+def across(solved: SolvedRun, columns: Array, pieces: slice = slice(None)) -> Array:
+    """Components (c, m, k) along the rows of displacements (m, 3, k) of some pieces."""
+    return np.asarray(np.einsum('cij,ijk->cik', solved.system.axes[:, pieces], columns))
 
 
-def projected(done: JointSolution, columns: Sequence[Array]) -> Array:
+def projected(done: JointSolution, columns: Sequence[Columns | Array]) -> Array:
     """Return A^T W c, shape (full, k), for columns (c, p, k) of every run."""
-    parts = []
-    for solved, part in zip(done.runs, columns, strict=True):
-        some = (part[:, :, k : k + SOME] for k in range(0, part.shape[2], SOME))
-        each = [solved.system.rows.transposed(solved.whitener.weighted(own)) for own in some]
-        parts.append(np.concatenate(each, axis=1))
-    return np.asarray(sum(parts))
+    return np.asarray(sum(_pulled(s, of) for s, of in zip(done.runs, columns, strict=True)))
 
 
-def sensitivity(done: JointSolution, columns: Sequence[Array]) -> Array:
+def _pulled(solved: SolvedRun, of: Columns | Array) -> Array:
+    """A^T W c of one run, the columns of some lines at a time."""
+    bounds, found = solved.whitener.bounds, []
+    for low, high in _together(bounds):
+        pieces = slice(bounds[low][0], bounds[high - 1][1])
+        own = of(pieces) if callable(of) else of[:, pieces]
+        found.append(solved.system.rows.pulled(pieces, solved.whitener.weighted(own, (low, high))))
+    return np.asarray(sum(found))
+
+
+def _together(bounds: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """First line and one past the last of those whose columns are made together."""
+    low = 0
+    for k, (_, end) in enumerate(bounds, start=1):
+        if end - bounds[low][0] >= SOME or k == len(bounds):
+            yield low, k
+            low = k
+
+
+def sensitivity(done: JointSolution, columns: Sequence[Columns | Array]) -> Array:
     """Change of the estimates per unit of each column, shape (full, k).
 
     Parameters
     ----------
     done : JointSolution
-    columns : sequence of ndarray, each of shape (c, p, k), m
-        One entry per run.
+    columns : sequence of callable or ndarray
+        One entry per run: columns (c, m, k), m, of some of its pieces, or of all (c, p, k).
     """
     return np.asarray(done.solution.covariance @ projected(done, columns))
 

@@ -300,6 +300,12 @@ class Design:
             self._add_transposed(slice(low, low + MANY), wide[:, low : low + MANY], found)
         return found.reshape(-1, *rows.shape[2:])
 
+    def pulled(self, some: slice, rows: Array) -> Array:
+        """Transposed design of some pieces times rows (c, m, k), shape (full, k)."""
+        found = np.zeros((self.unknowns.full, rows.shape[2]))
+        self._add_transposed(some, rows, found)
+        return found
+
     def _add_transposed(self, some: slice, rows: Array, found: Array) -> None:
         """Add the transposed rows of some pieces times rows (c, m, k) to found (full, k)."""
         q, pull = self.q[some], np.einsum('cpi,cpk->pki', self.axes[:, some], rows)

@@ -96,12 +96,14 @@ class Alike:
             return self.held.inverse(self.pieces[k : k + 1])[:, 0]
         return self.held[:, k]
 
-    def only(self, some: NDArray[np.bool_]) -> Alike:
-        """Some of the legs, by a mask (n,)."""
-        if some.all():
-            return self
+    def only(self, some: NDArray[np.bool_] | slice) -> Alike:
+        """Some of the legs, by a mask (n,) or their places."""
         held = self.held if isinstance(self.held, Covariances) else self.held[:, some]
         return Alike(self.legs[some], self.pieces[some], held)
+
+    def between(self, low: int, high: int) -> Alike:
+        """Those of the legs from one up to another."""
+        return self.only(slice(*np.searchsorted(self.legs, [low, high]).tolist()))
 
 
 @dataclass(frozen=True)
@@ -230,12 +232,20 @@ class Whitener:
             for component, inverse in enumerate(leg):
                 yield component, low, high, _inverse(inverse)
 
-    def _applied(self, product: Callable[[Array, Array], Array], values: Array) -> Array:
+    def _applied(
+        self,
+        product: Callable[[Array, Array], Array],
+        values: Array,
+        legs: tuple[int, int] | None = None,
+    ) -> Array:
         """Products of the inverses (c, n, m, m) of the legs with values (c, p, ...)."""
         wide = values.reshape(*values.shape[:2], -1)
         result = np.zeros_like(wide)
-        for alike in self.alike:
-            result[:, alike.pieces] = product(alike.inverse, wide[:, alike.pieces])
+        first = self.bounds[legs[0]][0] if legs else 0
+        for alike in self.alike if legs is None else [a.between(*legs) for a in self.alike]:
+            if len(alike.legs):
+                place = alike.pieces - first
+                result[:, place] = product(alike.inverse, wide[:, place])
         return result.reshape(values.shape)
 
     def whiten(self, values: Array) -> Array:
@@ -250,11 +260,16 @@ class Whitener:
         """Undo ``whiten``."""
         return self._applied(lambda inverse, own: _inverse(inverse) @ own, values)
 
-    def weighted(self, values: Array) -> Array:
-        """Multiply values (c, p, ...) by the inverse covariance of the noise."""
-        return self._applied(
-            lambda inverse, own: np.swapaxes(inverse, -1, -2) @ (inverse @ own), values
-        )
+    def weighted(self, values: Array, legs: tuple[int, int] | None = None) -> Array:
+        """Multiply values (c, p, ...) by the inverse covariance of the noise.
+
+        Of all legs, or of the pieces of the ``legs`` from one up to another.
+        """
+
+        def product(inverse: Array, own: Array) -> Array:
+            return np.asarray(np.swapaxes(inverse, -1, -2) @ (inverse @ own))
+
+        return self._applied(product, values, legs)
 
     def covaried(self, values: Array) -> Array:
         """Multiply values (c, p, ...) by the covariance of the noise."""

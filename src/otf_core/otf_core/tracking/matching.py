@@ -252,7 +252,7 @@ def find_match(
     poses = _hypotheses(track, corners, tolerance)
     best = None
     if poses:
-        tree = cKDTree(corners)
+        tree = cKDTree(np.unique(corners, axis=0))  # laps repeat them: a tree of equals is slow
         quick = np.array([_quick_score(p, track, tree, tolerance) for p in poses])
         distinct = distinct_poses(poses, quick, track.points, 10 * tolerance, _MAX_FULL)
         best = best_match(distinct, track, corners, cuts, 2 * tolerance)
