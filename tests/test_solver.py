@@ -72,7 +72,7 @@ def test_calibration_that_is_given_up_ends_at_once_and_the_next_one_works(solver
     def given_up(stage, fraction):
         raise Cancelled('not wanted any more')
 
-    solver.begin()
+    solver.warm_up()
     process = solver._process
     with pytest.raises(Cancelled):
         solver.solve(task(recording), given_up)
@@ -90,7 +90,7 @@ def test_process_that_the_system_ends_is_told_of_and_begun_anew(solver, recordin
 
 
 def test_process_ends_with_its_owner(solver):
-    solver.begin()
+    solver.warm_up()
     process = solver._process
     time.sleep(0.1)
     solver._end.close()  # as the system does for a node that is killed

@@ -120,7 +120,7 @@ class Worker:
     def look_ahead(self, request: Request) -> Future[CalibrationResult]:
         """Calibrate what has been driven so far, until a calibration is started."""
         self._ahead.clear()
-        self._solver.begin()
+        self._solver.warm_up()
         return self._pool.submit(self._provisional, request)
 
     def save(self, outcome: Calibrated) -> Future[Calibrated]:
@@ -158,7 +158,7 @@ class Worker:
 
     def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
-        self._solver.begin()
+        self._solver.warm_up()
         return self._pool.submit(question, samples)
 
     def close(self) -> None:

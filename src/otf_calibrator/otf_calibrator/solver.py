@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
@@ -31,7 +32,12 @@ class Solver:
         self._process: subprocess.Popen[bytes] | None = None
         self._end: Connection | None = None
 
-    def begin(self) -> None:
+    def warm_up(self) -> None:
+        """Start the process if there is none, as a calibration is to be expected."""
+        with suppress(OtfError):  # told when there is something to calibrate
+            self._begin()
+
+    def _begin(self) -> None:
         """Start the process if there is none; OtfError if the system does not let it."""
         with self._lock:
             if self._process is not None and self._process.poll() is None:
@@ -64,7 +70,7 @@ class Solver:
         OtfError
             As ``calibrate_runs``; or if the process was ended.
         """
-        self.begin()
+        self._begin()
         assert self._end is not None and self._process is not None, 'just begun'
         said = ('aligning', 0.0)
         try:
@@ -77,7 +83,7 @@ class Solver:
                 if not isinstance(answer, tuple):
                     break
                 said = answer
-        except (EOFError, BrokenPipeError, ConnectionResetError):
+        except (EOFError, OSError):
             raise _ended(self._process.wait()) from None
         except OtfError:
             self.close()  # whatever it was at

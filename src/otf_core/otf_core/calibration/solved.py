@@ -36,6 +36,9 @@ from otf_core.solving.reversal_choice import (
 
 Array = NDArray[np.float64]
 
+UNSOLVED = (InputError, ArithmeticError, ValueError, np.linalg.LinAlgError)
+"""What solving runs may end with that nobody has examined."""
+
 
 @dataclass(frozen=True)
 class Examined:
@@ -134,7 +137,7 @@ def examined_and_solved(
     plain = None
     with Aside(partial(_examined, recordings, runs, nodes, config, mend=mend), runs) as looking:
         if looking.under_way:
-            with suppress(InputError):  # told below, after what speaks against the runs
+            with suppress(*UNSOLVED):  # told below, after what speaks against the runs
                 plain = solve_plainly(runs, nodes, config, progress)
         found = looking.result()
     if plain is not None and _as_they_were(found, runs):

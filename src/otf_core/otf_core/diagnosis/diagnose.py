@@ -9,7 +9,7 @@ not fitted on; where the gap lies; the calibration with the causes taken off.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -46,6 +46,7 @@ from otf_core.diagnosis.place.where import where_and_shape
 from otf_core.diagnosis.result import Diagnosis, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
 from otf_core.effects import REGISTRY, Effect
+from otf_core.errors import InputError
 from otf_core.live.stages import silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
@@ -122,9 +123,11 @@ def diagnose(
     causes = partial(_causes, bases=bases, examined=examined)
     fitted = fitted_causes(explained.causes, searched.rows)
     weigh = partial(judge, searched.rows, explained, config, exclude)
+    made = None
     with Aside(weigh, (searched, explained)) as weighed:
-        # copies of its own make the correction faster, which takes longer
-        made = without_causes(examined, causes(fitted), config) if weighed.under_way else None
+        if weighed.under_way:  # here the correction, which takes longer, has copies of its own
+            with suppress(InputError):  # told below, if the causes stay
+                made = without_causes(examined, causes(fitted), config)
         judged = weighed.result()
     progress('correcting', 0.0)
     if made is None and judged.explained.causes:

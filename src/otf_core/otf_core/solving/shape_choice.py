@@ -61,6 +61,8 @@ NOTABLE = 0.05
 """Share of the variance of a step between pieces."""
 FEW = 3000
 """Pieces that the first solution is made of, which finds poses and positions on the paths."""
+QUICK = 8
+"""Iterations after which that is given up for one of all pieces: so few legs are not enough."""
 MANY = 1.5
 """Functions between nodes, over smooth ones, from which trying them takes much longer."""
 GOLDEN = 0.6180339887498949
@@ -163,8 +165,9 @@ def _started(
     progress: Progress,
 ) -> tuple[Start, list[RigidTransform]]:
     """First tables and poses."""
+    quick = replace(config, max_iterations=min(QUICK, config.max_iterations))
     try:
-        first = solve_jointly(_thinned(runs), smooth, config, progress, start)
+        first = solve_jointly(_thinned(runs), smooth, quick, progress, start)
     except InputError:  # too few legs
         first = solve_jointly(runs, smooth, config, progress, start)
     return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]

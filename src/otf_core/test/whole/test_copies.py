@@ -12,6 +12,7 @@ from contradiction_cells import recorded, stepped
 from core_cells import some_machine
 from effect_cells import applied, some_plan
 
+from otf_core.calibration import solved
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
@@ -72,3 +73,14 @@ def test_runs_are_refused_in_the_same_words():
     with pytest.raises(InputError) as raised:
         calibrate_runs([one, other], CONFIG)
     assert str(raised.value) == str(alone(one, other))
+
+
+def test_what_solving_runs_ends_with_is_told_after_what_speaks_against_them(monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError('singular')
+
+    monkeypatch.setattr(solved, 'solve_plainly', fails)
+    with pytest.raises(InputError, match='not of one machine'):
+        calibrate_runs([recorded(), replace(recorded(seed=2), name='run 2')], CONFIG)
+    with pytest.raises(np.linalg.LinAlgError, match='singular'):
+        calibrate_runs([recorded()], CONFIG)
