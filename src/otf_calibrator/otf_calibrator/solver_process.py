@@ -15,6 +15,7 @@ from otf_calibrator.solver_task import Solved, Task
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.diagnosis.calibrate_with_effects import NONE, calibrate_with_effects
 from otf_core.errors import OtfError
+from otf_core.memory import give_back
 from otf_core.pieces.methods import PREPARATIONS
 from otf_core.sim.twin import twin_recording
 
@@ -41,6 +42,8 @@ def main() -> int:
             except OtfError as error:
                 answer = error
             node.send(answer)
+            del task, answer  # the next one may be hours away
+            give_back()
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return 0
 
