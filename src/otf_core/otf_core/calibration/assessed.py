@@ -21,9 +21,8 @@ from otf_core.noise.events import lost_samples
 from otf_core.noise.model import NoiseModel, sample_variance
 from otf_core.pieces.runs import Run, rigid_pose
 from otf_core.solving.joint import JointSolution, SolvedRun, settled, tables_of
-from otf_core.solving.system import build_system
+from otf_core.solving.system import deviations
 from otf_core.solving.tabulate import Tabulation, mean_grid_uncertainty, tabulate
-from otf_core.solving.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 
@@ -67,7 +66,7 @@ def assess(
     """Work out fit and uncertainty of a solution, with the effects ``taken`` off its runs."""
     done = settled(done, config.unidentifiable_above)
     unknowns, machine = done.unknowns, runs[0].machine
-    results = [_run_result(r, s, unknowns, config) for r, s in zip(runs, done.runs, strict=True)]
+    results = [_run_result(r, s, config) for r, s in zip(runs, done.runs, strict=True)]
     fine = tables_of(machine, unknowns, done.solution)
     budget = make_budget(runs, done, fine, config.standstill_speed)
     if taken is not None:
@@ -82,11 +81,8 @@ def assess(
     return Assessed(done, results, budget, whole, fit, table, tables, typical)
 
 
-def _run_result(
-    run: Run, solved: SolvedRun, unknowns: Unknowns, config: CalibrationConfig
-) -> RunResult:
+def _run_result(run: Run, solved: SolvedRun, config: CalibrationConfig) -> RunResult:
     rigid = rigid_pose(run.pieces, run.pose, config)  # that of a solution holds its gauge
-    before = build_system(run.machine, run.pieces, rigid, unknowns)
     specified = sample_variance(NoiseModel.from_spec(run.machine.tracker), solved.system.shares)
     return RunResult(
         name=Path(run.recording.name).name,
@@ -102,7 +98,7 @@ def _run_result(
         pieces=run.pieces,
         q=solved.system.q,
         axes=solved.system.axes,
-        aligned=before.deviation,
+        aligned=deviations(run.pieces, rigid),
         deviation=solved.system.deviation,
         residual=solved.residual,
         normalised=solved.residual / np.sqrt(specified),

@@ -114,6 +114,17 @@ def _axes(pieces: Pieces, pose: RigidTransform) -> Array:
     return np.stack([beam, horizontal, vertical])
 
 
+def deviations(pieces: Pieces, pose: RigidTransform) -> Array:
+    """Deviations across the path under a pose, before any tables, shape (c, p), m."""
+    points = pose.apply(pieces.xyz)
+    return _across(_axes(pieces, pose), points - nominal_positions(pieces, points, None))
+
+
+def _across(axes: Array, offset: Array) -> Array:
+    """Components (c, p) of offsets (p, 3) along the rows."""
+    return np.asarray(np.einsum('kij,ij->ki', axes, offset))
+
+
 def build_system(
     machine: Machine,
     pieces: Pieces,
@@ -159,7 +170,7 @@ def build_system(
     return System(
         q=q,
         axes=axes,
-        deviation=np.einsum('kij,ij->ki', axes, points - q),
+        deviation=_across(axes, points - q),
         rows=Design(
             machine,
             unknowns,
