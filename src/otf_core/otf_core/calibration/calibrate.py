@@ -52,7 +52,7 @@ def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
     digest = hashlib.sha256()
     for r in recordings:
         for part in (r.samples.stamp_ns, r.samples.xyz, r.path.points):
-            digest.update(np.ascontiguousarray(part).reshape(-1).view(np.uint8))
+            digest.update(np.ascontiguousarray(part).reshape(-1).data)
         digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
     digest.update(json.dumps(asdict(config), sort_keys=True).encode())
     return digest.hexdigest()[:12]
