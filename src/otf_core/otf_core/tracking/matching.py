@@ -29,6 +29,7 @@ Index = NDArray[np.int64]
 _MAX_WINDOWS = 60
 _MAX_HYPOTHESES = 4000
 _MAX_FULL = 24
+_SCORED = 1000
 _MAX_ARCS, _MAX_FREE, _PROBES = 8, 6, 150
 LEAST = 0.3
 """Share of the measured length that must follow the path."""
@@ -91,7 +92,8 @@ def _hypotheses(track: Track, corners: Array, tolerance: float) -> list[RigidTra
 
 
 def _quick_score(pose: RigidTransform, track: Track, tree: object, tolerance: float) -> float:
-    ends = pose.apply(np.concatenate([track.starts, track.ends]))
+    some = slice(None, None, max(1, len(track.start) // _SCORED))
+    ends = pose.apply(np.concatenate([track.starts[some], track.ends[some]]))
     distance, _ = tree.query(ends, distance_upper_bound=5 * tolerance)  # type: ignore[attr-defined]
     return float(np.sum(np.isfinite(distance)))
 

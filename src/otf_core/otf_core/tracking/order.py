@@ -19,6 +19,7 @@ from otf_core.model.path import Legs
 from otf_core.tracking.track import Track
 
 Array = NDArray[np.float64]
+Bool = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 OFF_PATH = -1
@@ -67,22 +68,34 @@ class Match:
 
 
 @dataclass(frozen=True)
-class _Legs:
-    """Legs of the path, ready to compare many points with."""
+class _Lines:
+    """Lines of the path, each once however many legs drive it, ready to compare points with.
+
+    ``of`` (legs,) is the line of every leg.
+    """
 
     corners: Array
     length: Array
     unit: Array
+    origin: Array
+    of: Index
 
     @classmethod
-    def of(cls, corners: Array) -> _Legs:
-        legs = Legs(corners)
-        return cls(corners[:-1], legs.length, legs.unit)
+    def of_path(cls, corners: Array) -> _Lines:
+        legs, ends = Legs(corners), np.hstack([corners[:-1], corners[1:]])
+        _, first, of = np.unique(ends, axis=0, return_index=True, return_inverse=True)
+        return cls(
+            corners[:-1][first],
+            legs.length[first],
+            legs.unit[first],
+            corners.mean(axis=0),
+            of.reshape(-1),
+        )
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
-        """Squared distance of points from every leg and position along it, both (k, n)."""
-        origin = self.corners.mean(axis=0)  # small numbers: their squares are subtracted
-        points, corners = points - origin, self.corners - origin
+        """Squared distance of points from every line and position along it, both (k, n)."""
+        # small numbers: their squares are subtracted
+        points, corners = points - self.origin, self.corners - self.origin
         along = points @ self.unit.T - np.einsum('ij,ij->i', corners, self.unit)
         square = np.einsum('ij,ij->i', points, points)[:, None] - 2.0 * points @ corners.T
         square += np.einsum('ij,ij->i', corners, corners)
@@ -93,87 +106,95 @@ class _Legs:
 
 @dataclass(frozen=True)
 class _Emission:
-    """Cost of measured legs (rows) on every nominal leg (columns); inf if impossible.
+    """Legs that a measured leg may be driving in one sense, ascending, and what each costs.
 
     ``anew`` is the cost of going on with the leg that the one before was on: it must begin where
     that one ended, or the leg is driven anew.
     """
 
-    forward: Array
-    backward: Array
+    leg: Index
+    cost: Array
     anew: Array
-    anew_back: Array
+
+    def reversed(self, legs: int) -> _Emission:
+        """As counted from the end of the path."""
+        return _Emission(legs - 1 - self.leg[::-1], self.cost[::-1], self.anew[::-1])
 
 
-def _emission(
-    starts: Array, ends: Array, lengths: Array, legs: _Legs, tolerance: float, first: int
-) -> _Emission:
-    """Emission of some measured legs; ``first`` is 1 if one before them comes along, else 0."""
-    square, from_along = legs.nearest(starts)
-    square_end, to_along = legs.nearest(ends)
-    advance = to_along - from_along
-    cost = (square + square_end) / (2 * tolerance**2)
-    near = np.maximum(square, square_end) < (4 * tolerance) ** 2
-    least = np.maximum(0.9 * lengths[:, None] - 4 * tolerance, 0.0)
-    anew, anew_back = np.zeros_like(cost), np.zeros_like(cost)
-    slack = 4 * tolerance
-    anew[1:] = np.where(from_along[1:] < to_along[:-1] - slack, OFF_COST, 0.0)
-    anew_back[1:] = np.where(from_along[1:] > to_along[:-1] + slack, OFF_COST, 0.0)
-    return _Emission(
-        np.where(near & (advance > least), cost, np.inf)[first:],
-        np.where(near & (-advance > least), cost, np.inf)[first:],
-        anew[first:],
-        anew_back[first:],
-    )
+def _possible(possible: Bool, cost: Array, anew: Array, of: Index) -> list[_Emission]:
+    """Emission of some measured legs (rows), from what holds for every line (columns)."""
+    row, leg = np.nonzero(possible[:, of])
+    own = (leg, cost[row, of[leg]], anew[row, of[leg]])
+    ends = np.searchsorted(row, np.arange(1, len(cost)))
+    return [_Emission(*parts) for parts in zip(*(np.split(v, ends) for v in own), strict=True)]
 
 
 def _emissions(
     pose: RigidTransform, track: Track, corners: Array, tolerance: float
-) -> Iterator[tuple[int, _Emission]]:
-    """Emission of all measured legs by blocks, with the number of the first of each."""
-    legs, starts, ends = _Legs.of(corners), pose.apply(track.starts), pose.apply(track.ends)
-    size = max(1, BLOCK // len(legs.length))
-    for low in range(0, len(starts), size):
-        before = min(low, 1)
-        part = slice(low - before, low + size)
-        yield (
-            low,
-            _emission(starts[part], ends[part], track.lengths[part], legs, tolerance, before),
+) -> Iterator[tuple[_Emission, _Emission]]:
+    """Emission of every measured leg, forward and backward."""
+    lines, starts, ends = _Lines.of_path(corners), pose.apply(track.starts), pose.apply(track.ends)
+    least = np.maximum(0.9 * track.lengths[:, None] - 4 * tolerance, 0.0)
+    size, slack = max(1, BLOCK // len(lines.of)), 4 * tolerance
+    ended = None
+    for part in (slice(low, low + size) for low in range(0, len(starts), size)):
+        square, begin = lines.nearest(starts[part])
+        square_end, end = lines.nearest(ends[part])
+        cost = (square + square_end) / (2 * tolerance**2)
+        near = np.maximum(square, square_end) < (4 * tolerance) ** 2
+        advance = end - begin
+        before = np.concatenate([begin[:1] if ended is None else ended, end[:-1]])
+        ended = end[-1:]
+        yield from zip(
+            _possible(
+                near & (advance > least[part]),
+                cost,
+                np.where(begin < before - slack, OFF_COST, 0.0),
+                lines.of,
+            ),
+            _possible(
+                near & (-advance > least[part]),
+                cost,
+                np.where(begin > before + slack, OFF_COST, 0.0),
+                lines.of,
+            ),
+            strict=True,
         )
 
 
 class _Chain:
-    """Scores of the legs in one sense, and how each was reached.
+    """Scores of the legs in one sense, and how those that were reached were reached.
 
-    Legs count in the order in which this sense drives them.
+    Legs count in the order in which this sense drives them. All that a measured leg cannot be on
+    stay as they are but for the price of being off the path, so that only the few others are
+    looked at, and kept.
     """
 
-    def __init__(self, count: int, legs: int, offset: int) -> None:
-        self.number = np.arange(legs)
+    def __init__(self, legs: int, offset: int) -> None:
         self.score = np.full(legs, np.inf)
-        self.came = np.zeros((count, legs), dtype=np.int32)
-        self.on_path = np.zeros((count, legs), dtype=bool)
+        self.reached: list[tuple[Index, Index]] = []
+        """For every measured leg the legs that it may be on, ascending, and the states before."""
+        self._skipped = SKIP_COST * np.arange(legs)
         self._offset = offset  # of the first leg among all states
 
-    def step(
-        self, k: int, emission: Array, anew: Array, off: float, entry: Array, jump: float, at: int
-    ) -> None:
-        """Take measured leg ``k``: advance, go on, enter from before the path, or jump."""
-        ahead = self.score - SKIP_COST * self.number
+    def step(self, emission: _Emission, off: float, entry: Array, jump: float, at: int) -> None:
+        """Take the next measured leg: advance, go on, enter from before the path, or jump."""
+        leg, before = emission.leg, np.maximum(emission.leg - 1, 0)
+        ahead = self.score - self._skipped
         running = np.minimum.accumulate(ahead)
-        origin = np.maximum.accumulate(np.where(ahead <= running, self.number, 0))
-        skip = np.concatenate([[np.inf], running[:-1]]) + SKIP_COST * (self.number - 1)
-        before = np.concatenate([[0], origin[:-1]]) + self._offset
-        same = self.number + self._offset
-        options = np.stack([skip, self.score + anew, entry, np.full(len(same), jump)])
+        skip = np.where(leg > 0, running[before] + self._skipped[before], np.inf)
+        go_on = self.score[leg] + emission.anew
+        options = np.stack([skip, go_on, entry[leg], np.full(len(leg), jump)])
         pick = np.argmin(options, axis=0)
-        reach = options[pick, self.number] + emission
-        source = np.choose(pick, [before, same, 0 * same, np.full(len(same), at)])
-        stay = self.score + off
-        better = reach < stay
-        self.came[k] = np.where(better, source, same)
-        self.on_path[k] = better
-        self.score = np.where(better, reach, stay)
+        reach = options[pick, np.arange(len(leg))] + emission.cost
+        self.score += off
+        better = reach < self.score[leg]
+        leg, before, pick = leg[better], before[better], pick[better]
+        lowest = np.flatnonzero(ahead <= running)
+        origin = lowest[np.searchsorted(lowest, before, side='right') - 1]
+        source = np.choose(pick, [origin + self._offset, leg + self._offset, 0, at])
+        self.score[leg] = reach[better]
+        self.reached.append((leg, source))
 
 
 def follow(
@@ -213,32 +234,28 @@ def _follow(
     free: bool,
     most: float,
 ) -> Match | None:
-    count, legs = len(track.start), len(corners) - 1
+    legs = len(corners) - 1
     number = np.arange(legs)
     # states: 0 before the path, then the legs driven forward, then those driven backward
-    ahead, back = _Chain(count, legs, 1), _Chain(count, legs, legs + 1)
+    ahead, back = _Chain(legs, 1), _Chain(legs, legs + 1)
     cap = JUMP_COST if free else np.inf
     entry = np.minimum(EDGE_COST * number, cap)
     off_cost = OFF_COST * np.minimum(1.0, track.lengths / (20 * tolerance))
     start = 0.0
-    for low, emission in _emissions(pose, track, corners, tolerance):
-        for row in range(len(emission.forward)):
-            off, jump, at = float(off_cost[low + row]), np.inf, 0
-            if free:
-                best = (start, ahead.score.min(), back.score.min())
-                choice = int(np.argmin(best))
-                at = (0, 1 + int(ahead.score.argmin()), 1 + legs + int(back.score.argmin()))[
-                    choice
-                ]
-                jump = float(best[choice]) + JUMP_COST
-            elif min(start, ahead.score.min()) > most:
-                return None  # costs only grow
-            here = (emission.forward[row], emission.anew[row])
-            ahead.step(low + row, *here, off, start + entry, jump, at)
-            if free:
-                here = (emission.backward[row, ::-1], emission.anew_back[row, ::-1])
-                back.step(low + row, *here, off, start + JUMP_COST + entry, jump, at)
-            start += off
+    emissions = _emissions(pose, track, corners, tolerance)
+    for off, (forward, backward) in zip(off_cost.tolist(), emissions, strict=True):
+        jump, at = np.inf, 0
+        if free:
+            best = (start, ahead.score.min(), back.score.min())
+            choice = int(np.argmin(best))
+            at = (0, 1 + int(ahead.score.argmin()), 1 + legs + int(back.score.argmin()))[choice]
+            jump = float(best[choice]) + JUMP_COST
+        elif min(start, ahead.score.min()) > most:
+            return None  # costs only grow
+        ahead.step(forward, off, start + entry, jump, at)
+        if free:
+            back.step(backward.reversed(legs), off, start + JUMP_COST + entry, jump, at)
+        start += off
     left = np.minimum(EDGE_COST * (legs - 1 - number), cap)
     final = np.concatenate([[np.inf], ahead.score + left, back.score + left])
     state = int(np.argmin(final))
@@ -249,14 +266,16 @@ def _follow(
 
 def _traced(state: int, ahead: _Chain, back: _Chain) -> tuple[Index, Index]:
     """Leg and sense of every measured leg, from the last state back to the first."""
-    count, legs = ahead.came.shape
+    count, legs = len(ahead.reached), len(ahead.score)
     leg, sense = np.full(count, OFF_PATH, dtype=np.int64), np.ones(count, dtype=np.int64)
     for k in range(count - 1, -1, -1):
         if not state:
             break
         chain, j = (ahead, state - 1) if state <= legs else (back, state - 1 - legs)
-        if chain.on_path[k, j]:
+        reached, source = chain.reached[k]
+        at = int(np.searchsorted(reached, j))
+        if at < len(reached) and reached[at] == j:
             leg[k] = j if chain is ahead else legs - 1 - j
             sense[k] = FORWARD if chain is ahead else BACKWARD
-        state = int(chain.came[k, j])
+            state = int(source[at])
     return leg, sense
