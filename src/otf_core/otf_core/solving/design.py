@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ Index = NDArray[np.int64]
 
 SOME, MANY = 2048, 8192
 """Pieces whose reversal, or products with columns, are made together."""
+HELD = 150_000
+"""Pieces whose splines are held; those of a longer run are made anew whenever they are used."""
 
 
 @dataclass(frozen=True)
@@ -119,8 +122,18 @@ class Design:
 
     @cached_property
     def _parts(self) -> list[list[AxisPart]]:
-        """The three axes at every shift."""
-        return [[self._part(k, self.q + shift) for k in range(3)] for shift in self.shifts]
+        """The three axes at every shift, at all pieces."""
+        return self._made(slice(None))
+
+    def _made(self, pieces: Index | slice) -> list[list[AxisPart]]:
+        q, shifts = self.q[pieces], [s if s.ndim == 1 else s[pieces] for s in self.shifts]
+        return [[self._part(k, q + shift) for k in range(3)] for shift in shifts]
+
+    def _at(self, pieces: Index | slice) -> list[list[AxisPart]]:
+        """The three axes at every shift, at some pieces."""
+        if len(self.q) > HELD:
+            return self._made(pieces)
+        return [[part.at(pieces) for part in parts] for parts in self._parts]
 
     def _part(self, axis: int, q: Array) -> AxisPart:
         name = self.machine.axis_names[axis]
@@ -163,9 +176,9 @@ class Design:
         found[:, :, [place[name] for name in names]] = mean
         return found
 
-    def _blocks(self) -> Iterator[slice]:
+    def _blocks(self, size: int) -> Iterator[slice]:
         """Pieces, some at a time."""
-        return (slice(low, low + SOME) for low in range(0, len(self.q), SOME))
+        return (slice(low, low + size) for low in range(0, len(self.q), size))
 
     def _few(self, pieces: Index | slice) -> tuple[Index, Array]:
         """Places (k,) and rows (c, m, k) of pose, squareness and reversal."""
@@ -185,7 +198,8 @@ class Design:
 
     def prepare(self) -> None:
         """Make what all rows share; afterwards rows may be made by several threads."""
-        self._parts  # noqa: B018
+        if len(self.q) <= HELD:
+            self._parts  # noqa: B018
 
     def dense(self, pieces: Index | slice) -> Array:
         """Rows of some pieces, shape (c, m, full)."""
@@ -224,8 +238,7 @@ class Design:
 
     def _windows(self, pieces: Index | slice) -> list[_Window]:
         """What the three axes do at some pieces."""
-        groups = zip(*self._parts, strict=True)
-        return [_window([part.at(pieces) for part in parts]) for parts in groups]
+        return [_window(list(parts)) for parts in zip(*self._at(pieces), strict=True)]
 
     def _filled(
         self,
@@ -254,7 +267,8 @@ class Design:
     @property
     def splines(self) -> Index:
         """First spline of every axis at every piece, shape (p, 3)."""
-        return np.stack([part.first for part in self._parts[0]], axis=1)
+        found = [[part.first for part in self._at(some)[0]] for some in self._blocks(MANY)]
+        return np.concatenate([np.stack(first, axis=1) for first in found])
 
     @cached_property
     def csr(self) -> sparse.csr_array:
@@ -285,19 +299,20 @@ class Design:
         for angle, name in zip(angles, SQUARENESS, strict=True):
             total += angle * squareness_influence(name, self.q)
         if np.any(sizes):
-            for some in self._blocks():
+            for some in self._blocks(SOME):
                 total[some] += self._reversal(some) @ sizes
-        for part in (part for parts in self._parts for part in parts):
-            six = part.splines @ value[part.starts + np.arange(part.size)[:, None]]
-            total += (six[:, :3] + crossed(six[:, 3:], part.lever)) / len(self.shifts)
+        for some in self._blocks(MANY):
+            for part in chain.from_iterable(self._at(some)):
+                six = part.splines @ value[part.starts + np.arange(part.size)[:, None]]
+                total[some] += (six[:, :3] + crossed(six[:, 3:], part.lever)) / len(self.shifts)
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, total))
 
     def transposed(self, rows: Array) -> Array:
         """Transposed design times rows (c, p) or (c, p, k), shape (full,) or (full, k)."""
         wide = rows.reshape(*rows.shape[:2], -1)
         found = np.zeros((self.unknowns.full, wide.shape[2]))
-        for low in range(0, len(self.q), MANY):
-            self._add_transposed(slice(low, low + MANY), wide[:, low : low + MANY], found)
+        for some in self._blocks(MANY):
+            self._add_transposed(some, wide[:, some], found)
         return found.reshape(-1, *rows.shape[2:])
 
     def pulled(self, some: slice, rows: Array) -> Array:
@@ -316,9 +331,9 @@ class Design:
         if self.unknowns.reversal:
             columns = self._reversal(some)
             found[self._reversals] += np.einsum('pij,pki->jk', columns, pull, optimize=True)
-        for part in (part for parts in self._parts for part in parts):
-            six = np.concatenate([pull, crossed(part.lever[some, None, :], pull)], axis=2)
-            own = part.splines[some].T @ six.reshape(len(six), -1) / len(self.shifts)
+        for part in chain.from_iterable(self._at(some)):
+            six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
+            own = part.splines.T @ six.reshape(len(six), -1) / len(self.shifts)
             place = part.starts + np.arange(part.size)[:, None]
             found[place] += np.swapaxes(own.reshape(part.size, -1, 6), 1, 2)
 
