@@ -16,12 +16,12 @@ from otf_core.budget.freedom import (
     standstill_freedom,
     welch_satterthwaite,
 )
-from otf_core.budget.noise import noise_parts
+from otf_core.budget.noise import NoiseParts
 from otf_core.budget.systematic import (
     SYSTEMATIC,
     declared_sources,
     piece_states,
-    systematic_sensitivity,
+    systematic_sensitivities,
 )
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
@@ -136,7 +136,11 @@ def _prior_part(done: JointSolution) -> Array:
 
 
 def make_budget(
-    runs: Sequence[Run], done: JointSolution, tables: ErrorTables, speed: float
+    runs: Sequence[Run],
+    done: JointSolution,
+    parts: NoiseParts,
+    tables: ErrorTables,
+    speed: float,
 ) -> Budget:
     """Set up the budget of a calibration.
 
@@ -145,6 +149,8 @@ def make_budget(
     runs : sequence of Run
     done : JointSolution
         Of the same runs.
+    parts : NoiseParts
+        Of both.
     tables : ErrorTables
         As solved.
     speed : float
@@ -157,7 +163,6 @@ def make_budget(
     """
     own = done.solution.covariance
     check = whole_check(runs, done, [s.residual for s in done.runs])
-    parts = noise_parts(runs, done)
     gauge = done.unknowns.gauge
     smooth = _prior_part(done)
     drawn = gauge @ done.roughness.drawn
@@ -169,8 +174,8 @@ def make_budget(
     found.append((SMOOTHNESS, smooth + drawn @ drawn.T, np.inf))
     declared = declared_sources(runs)
     states = piece_states(runs, done, tables) if declared else []
-    for source in declared:
-        change = systematic_sensitivity(source, states, done)
+    changes = systematic_sensitivities(declared, states, done)
+    for source, change in zip(declared, changes, strict=True):
         found.append((source.source, change @ change.T, np.inf))
     return Budget(
         tuple(Source(*entry) for entry in found),

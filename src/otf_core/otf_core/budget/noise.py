@@ -16,9 +16,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 from itertools import combinations
-from operator import attrgetter
+from operator import add, attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from otf_core.noise.model import MISFIT_TIME, NoiseModel, misfit_covariance, noise_covariance
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
-from otf_core.solving.normal import shares_of, white_rows
+from otf_core.solving.normal import NormalEquations, of_free, pieces_of, shares_of, white_rows
 from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
@@ -42,6 +42,8 @@ class NoiseParts:
 
     Attributes
     ----------
+    normal : NormalEquations
+        Of the rows of all passes, which the parts are made of: A^T W A.
     misfit : ndarray, shape (full, full)
         Of the misfit within lines.
     between : ndarray, shape (full, full)
@@ -50,6 +52,7 @@ class NoiseParts:
         Of the covariance between different lines: noise of the tracker, lasting misfit.
     """
 
+    normal: NormalEquations
     misfit: Array
     between: Array
     corners: Array
@@ -115,6 +118,7 @@ def _chained(lines: Sequence[_Line], size: int, tau: Array) -> Array:
 class _Sums:
     """Sums over some lines of a run, and the lines themselves by their number."""
 
+    product: Array
     within: Array
     between: Array
     noise: dict[int, _Line]
@@ -127,24 +131,28 @@ def _summed(run: Observed, solved: SolvedRun, batches: Sequence[list[int]]) -> _
     noise, misfit = run.noise_and_misfit
     slow, lasts = slow_amplitudes(run, solved), np.array([MISFIT_TIME])
     shared = solved.system.axes * misfit.slow * _smoothed(pieces.duration, lasts)
-    sums = _Sums(np.zeros((size, size)), np.zeros((size, size)), {}, {})
+    square = np.zeros((size, size))
+    sums = _Sums(np.zeros((size + 1, size + 1)), square, square.copy(), {}, {})
     for legs in batches:
-        use, flat = white_rows(solved.system, solved.whitener, legs)
-        rows = flat.reshape(len(slow), -1, len(use))
+        inverses = [solved.whitener.inverses[leg] for leg in legs]
+        parts = pieces_of(solved.whitener, legs)
+        deviation = solved.system.deviation[:, :, None]
+        columns, white = white_rows(solved.system, inverses, parts, deviation)
+        sums.product[np.ix_(columns, columns)] += white.T @ white
+        use, rows = columns[:-1], white.reshape(len(slow), -1, len(columns))[:, :, :-1]
         pairs = list(combinations(range(len(rows)), 2))
         odd, tied, start = np.empty_like(rows), np.empty((len(pairs), *rows.shape[1:])), 0
-        for leg in legs:
-            low, high = solved.whitener.bounds[leg]
-            own, part = slice(start, start + high - low), slice(low, high)
-            for c, inverse in enumerate(solved.whitener.inverses[leg]):
-                rows[c, own] = inverse.T @ rows[c, own]
+        for leg, inverse, part in zip(legs, inverses, parts, strict=True):
+            own = slice(start, start + inverse.shape[1])
             start = own.stop
+            rows[:, own] = np.swapaxes(inverse, 1, 2) @ rows[:, own]
             windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
             shares, here = solved.system.shares[:, :, part], rows[:, own]
             odd[:, own] = np.linalg.cholesky(sum(misfit_covariance(misfit, windows))).T @ here
             for k, (a, b) in enumerate(pairs):
-                white, slow_part = noise_covariance(noise, shares[:, a], shares[:, b], windows)
-                tied[k, own] = (white + slow_part) @ here[b]
+                tied[k, own] = (
+                    sum(noise_covariance(noise, shares[:, a], shares[:, b], windows)) @ here[b]
+                )
             time = windows[0]
             sums.noise[leg] = _line(here, use, slow[:, part], time, _times(noise))
             sums.misfit[leg] = _line(here, use, shared[:, part], time, lasts)
@@ -164,11 +172,13 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
     done : JointSolution
         Of the same runs.
     """
-    size = done.unknowns.full
+    size, normals = done.unknowns.full, []
     within, between, corners, lasting = (np.zeros((size, size)) for _ in range(4))
     for run, solved in zip(runs, done.runs, strict=True):
         shares = shares_of(solved.system, solved.whitener)
         parts = side_by_side(partial(_summed, run, solved), shares)
+        product = reduce(np.add, (sums.product for sums in parts))
+        normals.append(of_free(product, done.unknowns, solved.residual.size))
         for sums in parts:
             within += sums.within
             between += sums.between
@@ -176,7 +186,7 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
         noise, misfit = ({k: v for p in parts for k, v in found(p).items()} for found in _LINES)
         corners += _chained([noise[k] for k in order], size, _times(run.noise_and_misfit[0]))
         lasting += _chained([misfit[k] for k in order], size, np.array([MISFIT_TIME]))
-    return NoiseParts(within, between, corners, lasting)
+    return NoiseParts(reduce(add, normals), within, between, corners, lasting)
 
 
 _LINES = (attrgetter('noise'), attrgetter('misfit'))

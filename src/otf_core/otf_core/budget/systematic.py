@@ -82,33 +82,54 @@ def piece_states(
     return [piece_state(r, s, nodes, tables) for r, s in zip(runs, done.runs, strict=True)]
 
 
-def systematic_sensitivity(
-    source: Systematic, states: Sequence[State], done: JointSolution
-) -> Array:
-    """Change of the estimates per standard uncertainty of each coefficient, shape (full, k).
+def systematic_sensitivities(
+    sources: Sequence[Systematic], states: Sequence[State], done: JointSolution
+) -> list[Array]:
+    """Change of the estimates per standard uncertainty of the coefficients of every source.
 
-    A coefficient is one parameter shared by all runs.
+    A coefficient is one parameter shared by all runs. The weights of a line are made once for
+    all sources.
 
     Parameters
     ----------
-    source : Systematic
+    sources : sequence of Systematic
     states : sequence of State
         See ``piece_states``.
     done : JointSolution
+
+    Returns
+    -------
+    list of ndarray, shape (full, k)
     """
-    columns = []
-    for state, solved in zip(states, done.runs, strict=True):
-        some = state.part(slice(None, None, max(1, len(state) // ENOUGH)))
-        declared = state.machine.uncertainty or DeclaredUncertainty({})
-        terms = source.effect.terms(some, source.acts.shape)
-        u = source.uncertainty(terms, some, declared)
-        columns.append(partial(_columns, source, state, solved, u))
-    return sensitivity(done, columns)
+    if not sources:
+        return []
+    sizes = [[_uncertainty(source, state) for source in sources] for state in states]
+    columns = [
+        partial(_columns, sources, state, solved, u)
+        for state, solved, u in zip(states, done.runs, sizes, strict=True)
+    ]
+    ends = np.cumsum([len(u) for u in sizes[0]])
+    return np.split(sensitivity(done, columns), ends[:-1], axis=1)
+
+
+def _uncertainty(source: Systematic, state: State) -> Array:
+    """Standard uncertainty of every coefficient for one run, shape (k,)."""
+    some = state.part(slice(None, None, max(1, len(state) // ENOUGH)))
+    declared = state.machine.uncertainty or DeclaredUncertainty({})
+    return source.uncertainty(source.effect.terms(some, source.acts.shape), some, declared)
 
 
 def _columns(
-    source: Systematic, state: State, solved: SolvedRun, u: Array, pieces: slice
+    sources: Sequence[Systematic],
+    state: State,
+    solved: SolvedRun,
+    sizes: Sequence[Array],
+    pieces: slice,
 ) -> Array:
-    """Displacements across the path of some pieces of a run, (c, m, k), m, per uncertainty u."""
-    terms = source.effect.terms(state.part(pieces), source.acts.shape)
-    return across(solved, terms.columns, pieces) * u
+    """Displacements across the path of some pieces of a run, (c, m, k), m, per uncertainty."""
+    some = state.part(pieces)
+    columns = [
+        across(solved, source.effect.terms(some, source.acts.shape).columns, pieces) * u
+        for source, u in zip(sources, sizes, strict=True)
+    ]
+    return np.concatenate(columns, axis=2)

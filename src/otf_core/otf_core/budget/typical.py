@@ -20,7 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.systematic import SYSTEMATIC, Systematic, piece_states, systematic_sensitivity
+from otf_core.budget.systematic import (
+    SYSTEMATIC,
+    Systematic,
+    piece_states,
+    systematic_sensitivities,
+)
 from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.evaluation import driven_grid, free_rows
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -29,7 +34,7 @@ from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.solving.joint import JointSolution
-from otf_core.threads import one_thread, side_by_side
+from otf_core.threads import one_thread
 
 Array = NDArray[np.float64]
 
@@ -104,13 +109,7 @@ def _changes(
 ) -> Array:
     """Changes of squareness and nodes per standard uncertainty, shape (m, coefficients)."""
     states = piece_states(typical_runs(runs, values), done, tables)
-    for solved in done.runs:  # shared by both threads
-        solved.system.rows.prepare()
-
-    def change(source: Systematic) -> Array:
-        return np.asarray(rows @ systematic_sensitivity(source, states, done))
-
-    return np.concatenate(side_by_side(change, sources), axis=1)
+    return rows @ np.concatenate(systematic_sensitivities(sources, states, done), axis=1)
 
 
 def typical_systematic(

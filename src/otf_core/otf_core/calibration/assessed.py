@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.budget import EFFECTS, Budget, make_budget, whole_check, with_source
+from otf_core.budget.noise import noise_parts
 from otf_core.budget.typical import TypicalSystematic, typical_systematic
 from otf_core.calibration.result import Fit, RunResult
 from otf_core.config import CalibrationConfig
@@ -64,11 +65,13 @@ def assess(
     taken: TakenOff | None = None,
 ) -> Assessed:
     """Work out fit and uncertainty of a solution, with the effects ``taken`` off its runs."""
-    done = settled(done, config.unidentifiable_above)
+    parts = noise_parts(runs, done)
+    give_back()
+    done = settled(done, config.unidentifiable_above, parts.normal)
     unknowns, machine = done.unknowns, runs[0].machine
     results = [_run_result(r, s, config) for r, s in zip(runs, done.runs, strict=True)]
     fine = tables_of(machine, unknowns, done.solution)
-    budget = make_budget(runs, done, fine, config.standstill_speed)
+    budget = make_budget(runs, done, parts, fine, config.standstill_speed)
     if taken is not None:
         budget = with_source(budget, EFFECTS, budget.inflation * taken.of_unknowns)
     fit = _fit(runs, results, done, budget.inflation)
@@ -90,7 +93,7 @@ def _run_result(run: Run, solved: SolvedRun, config: CalibrationConfig) -> RunRe
         samples=len(run.recording.samples),
         remarks=tuple(run.recording.remarks),
         rate=1.0 / run.recording.samples.step,
-        lost=lost_samples(run.recording.samples.stamp_ns),
+        lost=lost_samples(run.recording.samples),
         T_machine_tracker=solved.pose,
         noise=run.noise_and_misfit[0],
         misfit=run.noise_and_misfit[1],

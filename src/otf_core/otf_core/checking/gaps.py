@@ -19,7 +19,7 @@ def _ask(seen: Seen) -> Checked:
     samples = seen.samples
     if samples is None or len(samples) < 3:
         return Checked(facts={'gaps': 0, 'lost_share': 0.0, 'longest_gap_s': 0.0})
-    lost, time = lost_samples(samples.stamp_ns), samples.time
+    lost, time = lost_samples(samples), samples.time
     at = np.flatnonzero(broken(samples))
     length = time[at + 1] - time[at]
     share = lost.samples / (lost.samples + len(samples))

@@ -76,14 +76,13 @@ class Drift:
     change: Array
 
 
-def lost_samples(stamp_ns: Index) -> Lost:
+def lost_samples(samples: Samples) -> Lost:
     """Count missing samples: pauses in multiples of the usual interval."""
-    interval = np.diff(stamp_ns)
-    usual = float(np.median(interval))
-    missing = np.rint(interval / usual).astype(np.int64) - 1
-    gaps = missing > 0
-    longest = float(interval[gaps].max()) * 1e-9 if gaps.any() else 0.0
-    return Lost(int(missing[gaps].sum()), int(np.count_nonzero(gaps)), longest)
+    interval, usual = np.diff(samples.stamp_ns), samples.step_ns
+    pauses = interval[interval >= 1.5 * usual]
+    missing = np.rint(pauses / usual).astype(np.int64) - 1
+    longest = float(pauses.max(initial=0)) * 1e-9
+    return Lost(int(missing.sum()), len(pauses), longest)
 
 
 def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:

@@ -187,7 +187,7 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
     seen = spectrum(windows, step)
     shape = expected_density(seen.frequency, measured.noise)
     still = np.concatenate([np.arange(a, b) for a, b in runs])
-    lost = lost_samples(samples.stamp_ns)
+    lost = lost_samples(samples)
     return NoiseReport(
         measured=measured,
         u_total=u_total,

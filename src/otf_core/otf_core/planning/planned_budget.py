@@ -17,7 +17,7 @@ from otf_core.budget.systematic import (
     SYSTEMATIC,
     declared_sources,
     piece_states,
-    systematic_sensitivity,
+    systematic_sensitivities,
 )
 from otf_core.budget.typical import missing_keys, typical_runs
 from otf_core.model.plan import Plan
@@ -120,8 +120,8 @@ def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
     def added(sources: Sequence[Any], runs: Sequence[Observed]) -> Array:
         total = np.zeros_like(found.covariance)
         states = piece_states(runs, done, tables) if sources else []
-        for source in sources:
-            change = rows @ systematic_sensitivity(source, states, done)
+        for free in systematic_sensitivities(sources, states, done):
+            change = rows @ free
             total += change @ change.T
         return total
 

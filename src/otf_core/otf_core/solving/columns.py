@@ -24,12 +24,13 @@ from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
+from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 
 Columns = Callable[[slice], Array]
 """Columns (c, m, k), m, of m pieces of a run."""
-SOME = 4096
+SOME = 2048
 """Pieces whose columns are made together, and the rest of their line."""
 
 
@@ -78,12 +79,15 @@ def projected(done: JointSolution, columns: Sequence[Columns | Array]) -> Array:
 
 def _pulled(solved: SolvedRun, of: Columns | Array) -> Array:
     """A^T W c of one run, the columns of some lines at a time."""
-    bounds, found = solved.whitener.bounds, []
-    for low, high in _together(bounds):
-        pieces = slice(bounds[low][0], bounds[high - 1][1])
+    bounds, rows = solved.whitener.bounds, solved.system.rows
+    rows.prepare()  # shared by both threads
+
+    def pulled(lines: tuple[int, int]) -> Array:
+        pieces = slice(bounds[lines[0]][0], bounds[lines[1] - 1][1])
         own = of(pieces) if callable(of) else of[:, pieces]
-        found.append(solved.system.rows.pulled(pieces, solved.whitener.weighted(own, (low, high))))
-    return np.asarray(sum(found))
+        return rows.pulled(pieces, solved.whitener.weighted(own, lines))
+
+    return np.asarray(sum(side_by_side(pulled, list(_together(bounds)))))
 
 
 def _together(bounds: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:

@@ -323,7 +323,9 @@ def solve_jointly(
     )
 
 
-def settled(done: JointSolution, limit: float) -> JointSolution:
+def settled(
+    done: JointSolution, limit: float, normal: NormalEquations | None = None
+) -> JointSolution:
     """Take the covariance of all passes at the last positions on the paths.
 
     Contributions that are alike for the whole run are so much larger than the noise that they
@@ -333,10 +335,12 @@ def settled(done: JointSolution, limit: float) -> JointSolution:
     ----------
     done : JointSolution
     limit : float
-        m and rad; ``unidentifiable_above``.
+        ``unidentifiable_above``.
+    normal : NormalEquations, optional
+        Of all passes, where known.
     """
     sums = (normal_equations(s.system, done.unknowns, s.whitener) for s in done.runs)
-    normal, old = reduce(add, sums), done.solution
+    normal, old = normal or reduce(add, sums), done.solution
     last = solve(normal, done.unknowns, limit, old.accepted, done.roughness.precision)
     return replace(done, normal=normal, solution=replace(old, covariance=last.covariance))
 
@@ -351,10 +355,7 @@ def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Wh
 
 
 def seen_blocks(
-    runs: Sequence[Observed],
-    unknowns: Unknowns,
-    whiteners: Sequence[Whitener],
-    limit: float,
+    runs: Sequence[Observed], unknowns: Unknowns, whiteners: Sequence[Whitener], limit: float
 ) -> tuple[str, ...]:
     """Blocks of unknowns that the data determine, to ``limit``, ``unidentifiable_above``."""
     judged = [

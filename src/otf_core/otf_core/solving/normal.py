@@ -118,14 +118,15 @@ def sum_groups(
     def added(own: Sequence[tuple[int, list[int]]]) -> Array:
         total = np.zeros((groups, size, size))
         for g, legs in own:
-            columns, white = white_rows(system, whitener, legs, further)
+            inverses = [whitener.inverses[k] for k in legs]
+            columns, white = white_rows(system, inverses, pieces_of(whitener, legs), further)
             total[g][np.ix_(columns, columns)] += white.T @ white
         return total
 
     products = reduce(np.add, side_by_side(added, _shared(system, whitener, batches)))
     components, size_of = len(system.deviation), np.array([h - low for low, h in whitener.bounds])
     rows = components * np.bincount(group, size_of, groups).astype(int)
-    return [_free(p, unknowns, int(n)) for p, n in zip(products, rows, strict=True)]
+    return [of_free(p, unknowns, int(n)) for p, n in zip(products, rows, strict=True)]
 
 
 def shares_of(system: System, whitener: Whitener) -> list[list[list[int]]]:
@@ -164,18 +165,24 @@ def _batches(system: System, whitener: Whitener, group: Index) -> Iterator[tuple
             yield g, legs
 
 
+def pieces_of(whitener: Whitener, legs: Sequence[int]) -> list[slice]:
+    """Pieces of some legs, by their places in ``whitener.bounds``."""
+    return [slice(*whitener.bounds[k]) for k in legs]
+
+
 def white_rows(
-    system: System, whitener: Whitener, legs: Sequence[int], further: Array | None = None
+    system: System, inverses: Sequence[Array], legs: Sequence[slice], further: Array
 ) -> tuple[Index, Array]:
     """Whitened rows of some legs by the unknowns that they depend on.
 
     Parameters
     ----------
     system : System
-    whitener : Whitener
-    legs : sequence of int
-        By their places in ``whitener.bounds``.
-    further : ndarray, shape (c, p, j), optional
+    inverses : sequence of ndarray, shape (c, m, m), 1/m
+        What whitens the rows of every leg, see ``Whitener.inverses``.
+    legs : sequence of slice
+        Its pieces.
+    further : ndarray, shape (c, p, j)
         Further columns, behind the unknowns.
 
     Returns
@@ -185,25 +192,21 @@ def white_rows(
     rows : ndarray, shape (c m, k + j)
         Of the first component of all legs, then of the next.
     """
-    bounds = [whitener.bounds[k] for k in legs]
-    own = np.concatenate([np.arange(*b) for b in bounds])
-    width = 0 if further is None else further.shape[2]
+    own, width = np.concatenate([np.arange(s.start, s.stop) for s in legs]), further.shape[2]
     columns, rows = system.rows.touched(own, width)
-    if further is not None:
-        rows[:, :, len(columns) :] = further[:, own]
+    rows[:, :, len(columns) :] = further[:, own]
     white = np.empty_like(rows)
     start = 0
-    for leg, (low, high) in zip(legs, bounds, strict=True):
-        part = slice(start, start + high - low)
-        for c, inverse in enumerate(whitener.inverses[leg]):
-            np.matmul(inverse, rows[c, part], out=white[c, part])
+    for inverse in inverses:
+        part = slice(start, start + inverse.shape[1])
+        np.matmul(inverse, rows[:, part], out=white[:, part])
         start = part.stop
     full = system.rows.unknowns.full
     return np.append(columns, full + np.arange(width)), white.reshape(-1, white.shape[2])
 
 
-def _free(product: Array, unknowns: Unknowns, rows: int) -> NormalEquations:
-    """Normal equations of the free unknowns from the product of all columns."""
+def of_free(product: Array, unknowns: Unknowns, rows: int) -> NormalEquations:
+    """Normal equations of the free unknowns from the product of all columns of some rows."""
     own, further = slice(unknowns.full), slice(unknowns.full, len(product) - 1)
     low, side = unknowns.lowered(product[own, own]), unknowns.gauge.T @ product[own, further]
     matrix = np.block([[low, side], [side.T, product[further, further]]])

@@ -73,7 +73,7 @@ def solved(cell):
     done = settled(done, config.unidentifiable_above)
     state = piece_state(run, done.runs[0], nodes, cell.truth)
     tables = tables_of(cell.machine, unknowns, done.solution)
-    budget = make_budget([run], done, tables, config.standstill_speed)
+    budget = make_budget([run], done, noise_parts([run], done), tables, config.standstill_speed)
     return SimpleNamespace(run=run, done=done, state=state, config=config, budget=budget)
 
 
@@ -306,7 +306,8 @@ def test_residuals_beyond_the_weights_enter_as_misfit(solved):
     loud = [replace(s, residual=1e-6 * np.ones_like(s.residual)) for s in solved.done.runs]
     done = replace(solved.done, runs=tuple(loud))
     tables = tables_of(solved.run.machine, done.unknowns, done.solution)
-    budget = make_budget([solved.run], done, tables, solved.config.standstill_speed)
+    parts = noise_parts([solved.run], done)
+    budget = make_budget([solved.run], done, parts, tables, solved.config.standstill_speed)
     assert budget.inflation > 5.0
     data = done.solution.covariance - (_source(solved, 'smoothness') - _drawn(solved))
     added = budget.whole - solved.budget.whole
