@@ -16,12 +16,15 @@ from core_cells import (
 )
 from scipy.linalg import block_diag
 
+from otf_core.effects.backlash import Backlash
+from otf_core.effects.direction_dependent_tables import DirectionDependentTables
+from otf_core.effects.state import state_of_travel
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.model import Misfit
 from otf_core.solving.normal import sum_groups
 from otf_core.solving.shape_choice import linear_bases, smooth_bases
 from otf_core.solving.system import build_system
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import is_reversal, layout, reversal_block
 from otf_core.solving.whitener import Whitener
 
 
@@ -70,6 +73,29 @@ def test_products_are_those_of_the_dense_rows(case):
     close(system.rows.transposed(rows), np.einsum('cpf,cpk->fk', dense, rows))
     close(system.rows.transposed(rows[..., 0]), np.einsum('cpf,cp->f', dense, rows[..., 0]))
     close(system.design.toarray(), dense.reshape(-1, unknowns.full))
+
+
+@pytest.mark.parametrize('held', [False, True], ids=['returns at standstill', 'held'])
+def test_reversal_coefficients_act_as_the_effects_of_their_names(held):
+    machine, _, _, system = cell(linear_bases, reversal=4)
+    unknowns = layout(linear_bases(table_nodes(machine, machine.lower, machine.upper)), 1, 4,
+                      held=held)  # fmt: skip
+    rows = replace(system.rows, unknowns=unknowns)
+    dense = rows.dense(slice(None))
+    assert np.any(rows.side[rows.travel == 0.0])
+    state = replace(state_of_travel(machine, rows.q, rows.travel), side=rows.side)
+    own = {
+        reversal_block(f'E{axis}{axis}', 0): column
+        for axis, column in zip(
+            'XYZ', Backlash().terms(state, {'held': held}).columns.T, strict=True
+        )
+    }
+    tables = DirectionDependentTables().terms(state, {'held': held, 'order': 3.0})
+    own |= dict(zip(tables.names, tables.columns.T, strict=True))
+    assert set(own) == {name for name in unknowns.blocks if is_reversal(name)}
+    for name, column in own.items():
+        across = np.einsum('cpi,ip->cp', rows.axes, column)
+        close(dense[:, :, unknowns.blocks[name].start], across)
 
 
 def test_rows_of_touched_unknowns_leave_nothing_out(case):

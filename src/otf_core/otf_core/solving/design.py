@@ -20,57 +20,24 @@ from scipy import sparse
 from otf_core.model.kinematics import lever, squareness_influence
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
-from otf_core.solving.reversal import reversal_columns
-from otf_core.solving.unknowns import Unknowns, is_reversal, pose_block
+from otf_core.solving.axis_parts import (
+    AxisPart,
+    ReversalPart,
+    Window,
+    crossed,
+    six_motions,
+    window_of,
+)
+from otf_core.solving.reversal import reversal_weights
+from otf_core.solving.unknowns import Unknowns, is_reversal, pose_block, reversal_block
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-SOME, MANY = 2048, 8192
-"""Pieces whose reversal, or products with columns, are made together."""
+MANY = 8192
+"""Pieces whose products are made together."""
 HELD = 150_000
 """Pieces whose splines are held; those of a longer run are made anew whenever they are used."""
-
-
-@dataclass(frozen=True)
-class AxisPart:
-    """What the motions of one axis do at some places.
-
-    Attributes
-    ----------
-    first : ndarray of int64, shape (p,)
-        First spline that differs from zero at each place.
-    weight : ndarray, shape (p, n)
-        Values of this and the following ones.
-    lever : ndarray, shape (p, 3) or (p, n, 3), m
-        Lever arm of the rotations, for every spline where they differ.
-    starts : ndarray of int64, shape (6,)
-        Places of the blocks of the three translations and three rotations, full vector.
-    size : int
-        Splines of the axis.
-    """
-
-    first: Index
-    weight: Array
-    lever: Array
-    starts: Index
-    size: int
-
-    @cached_property
-    def splines(self) -> sparse.csr_array:
-        """Values of all splines, shape (p, size)."""
-        count, width = self.weight.shape
-        small = np.int32 if count * width < np.iinfo(np.int32).max else np.int64
-        places = (self.first[:, None] + np.arange(width)).ravel().astype(small)
-        ends = np.arange(0, count * width + 1, width, dtype=small)
-        shape = (count, self.size)
-        return sparse.csr_array((self.weight.ravel(), places, ends), shape=shape)
-
-    def at(self, place: Index | slice) -> AxisPart:
-        """Return the part at some of the places."""
-        return replace(
-            self, first=self.first[place], weight=self.weight[place], lever=self.lever[place]
-        )
 
 
 @dataclass(frozen=True)
@@ -92,7 +59,7 @@ class Design:
     travel : ndarray, shape (p, 3)
         Unit direction of travel or approach.
     side : ndarray, shape (p, 3)
-        See ``reversal.reversal_columns``.
+        See ``reversal.reversal_weights``.
     nodal_lever : bool
         See ``system.build_system``.
     """
@@ -147,6 +114,10 @@ class Design:
         starts = np.array([self.unknowns.blocks[m].start for m in MOTIONS if m.axis == name])
         return AxisPart(first, weight, arm, starts, basis.size)
 
+    def _all(self, pieces: Index | slice) -> list[AxisPart | ReversalPart]:
+        """What the motions do at every shift, and what their reversal does, at some pieces."""
+        return [*chain.from_iterable(self._at(pieces)), *self._reversed(pieces)]
+
     @property
     def _pose(self) -> Index:
         block = self.unknowns.blocks[pose_block(self.run)]
@@ -161,19 +132,40 @@ class Design:
         blocks = self.unknowns.blocks
         return np.array([blocks[n].start for n in blocks if is_reversal(n)], dtype=np.int64)
 
-    def _reversal(self, pieces: Index | slice) -> Array:
-        """Displacements (m, 3, k) by the reversal coefficients of some pieces."""
-        q, fixed = self.q[pieces], (self.travel[pieces], self.side[pieces])
-        found = np.zeros((*q.shape, len(self._reversals)))
+    def _reversed(self, pieces: Index | slice) -> list[ReversalPart]:
+        """Reversal of the three axes at every shift, at some pieces."""
         if not self.unknowns.reversal:
-            return found
-        place = {n: k for k, n in enumerate(filter(is_reversal, self.unknowns.blocks))}
-        at = [q + (s if s.ndim == 1 else s[pieces]) for s in self.shifts]
-        travel, side = (np.concatenate([values] * len(at)) for values in fixed)
-        places = np.concatenate(at)
-        names, columns = reversal_columns(self.machine, places, travel, side, self.unknowns)
-        mean = columns.reshape(len(at), *q.shape, len(names)).mean(axis=0)
-        found[:, :, [place[name] for name in names]] = mean
+            return []
+        q, travel, side = self.q[pieces], self.travel[pieces], self.side[pieces]
+        found = []
+        for shift in self.shifts:
+            at = q + (shift if shift.ndim == 1 else shift[pieces])
+            weights = reversal_weights(self.machine, at, travel, side, self.unknowns)
+            for k, (name, places) in enumerate(self._reversal_places.items()):
+                found.append(ReversalPart(weights[:, k], lever(self.machine, name, at), places))
+        return found
+
+    @cached_property
+    def _reversal_places(self) -> dict[str, Index]:
+        """Places of the reversal coefficients of each axis, see ``ReversalPart``."""
+        blocks, orders = self.unknowns.blocks, range(self.unknowns.reversal)
+        return {
+            name: np.array([
+                [blocks[reversal_block(m, k)].start for m in MOTIONS if m.axis == name]
+                for k in orders
+            ])
+            for name in self.machine.axis_names
+        }  # fmt: skip
+
+    def _reversal_rows(self, pieces: Index | slice) -> Array:
+        """Rows (c, m, k) of the reversal coefficients of some pieces."""
+        axes, columns = self.axes[:, pieces], self._reversals
+        found = np.zeros((*axes.shape[:2], len(columns)))
+        for part in self._reversed(pieces):
+            place = np.searchsorted(columns, part.places.T)
+            weight = part.splines[:, None, :] / len(self.shifts)
+            for rows, direction in zip(found, axes, strict=True):
+                rows[:, place] += six_motions(direction, part.lever) * weight
         return found
 
     def _blocks(self, size: int) -> Iterator[slice]:
@@ -185,9 +177,12 @@ class Design:
         axes, q = self.axes[:, pieces], self.q[pieces]
         # a . (dr x p) = dr . (p x a); what squareness does is linear within a piece
         angles = np.stack([squareness_influence(name, q) for name in SQUARENESS], axis=2)
-        influence = np.concatenate([angles, self._reversal(pieces)], axis=2)
-        rows = [-axes, -crossed(self.points[pieces], axes)]
-        rows.append(np.einsum('cpi,pik->cpk', axes, influence))
+        rows = [
+            -axes,
+            -crossed(self.points[pieces], axes),
+            np.einsum('cpi,pik->cpk', axes, angles),
+        ]
+        rows.append(self._reversal_rows(pieces))
         return np.concatenate([self._pose, self._angles, self._reversals]), np.concatenate(
             rows, axis=2
         )
@@ -236,15 +231,15 @@ class Design:
         size = len(columns) + width
         return columns, self._filled(pieces, few, windows, np.cumsum(mask) - 1, size)
 
-    def _windows(self, pieces: Index | slice) -> list[_Window]:
+    def _windows(self, pieces: Index | slice) -> list[Window]:
         """What the three axes do at some pieces."""
-        return [_window(list(parts)) for parts in zip(*self._at(pieces), strict=True)]
+        return [window_of(list(parts)) for parts in zip(*self._at(pieces), strict=True)]
 
     def _filled(
         self,
         pieces: Index | slice,
         few: tuple[Index, Array],
-        windows: Sequence[_Window],
+        windows: Sequence[Window],
         place_of: Index,
         size: int,
     ) -> Array:
@@ -259,7 +254,7 @@ class Design:
             place = row + place_of[splines[:, None, :] + window.parts[0].starts[:, None]]
             for values, direction in zip(flat, axes, strict=True):
                 values[place] = sum(
-                    _six(direction, part.lever) * weight[:, None, :]
+                    six_motions(direction, part.lever) * weight[:, None, :]
                     for part, weight in zip(window.parts, window.weights, strict=True)
                 )
         return dense
@@ -294,16 +289,13 @@ class Design:
         """
         if value.ndim > 1:
             return np.stack([self.times(v) for v in value.T], axis=2)
-        moved, angles, sizes = (value[k] for k in (self._pose, self._angles, self._reversals))
+        moved, angles = value[self._pose], value[self._angles]
         total = -moved[:3] - crossed(moved[3:], self.points)
         for angle, name in zip(angles, SQUARENESS, strict=True):
             total += angle * squareness_influence(name, self.q)
-        if np.any(sizes):
-            for some in self._blocks(SOME):
-                total[some] += self._reversal(some) @ sizes
         for some in self._blocks(MANY):
-            for part in chain.from_iterable(self._at(some)):
-                six = part.splines @ value[part.starts + np.arange(part.size)[:, None]]
+            for part in self._all(some):
+                six = part.splines @ value[part.places]
                 total[some] += (six[:, :3] + crossed(six[:, 3:], part.lever)) / len(self.shifts)
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, total))
 
@@ -328,64 +320,7 @@ class Design:
         found[self._pose] -= np.concatenate([pull.sum(axis=0), turned.sum(axis=0)], axis=1).T
         for place, name in zip(self._angles.tolist(), SQUARENESS, strict=True):
             found[place] += np.einsum('pi,pki->k', squareness_influence(name, q), pull)
-        if self.unknowns.reversal:
-            columns = self._reversal(some)
-            found[self._reversals] += np.einsum('pij,pki->jk', columns, pull, optimize=True)
-        for part in chain.from_iterable(self._at(some)):
+        for part in self._all(some):
             six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
             own = part.splines.T @ six.reshape(len(six), -1) / len(self.shifts)
-            place = part.starts + np.arange(part.size)[:, None]
-            found[place] += np.swapaxes(own.reshape(part.size, -1, 6), 1, 2)
-
-
-@dataclass(frozen=True)
-class _Window:
-    """Splines of one axis that the shifts of some pieces reach.
-
-    Attributes
-    ----------
-    parts : list of AxisPart
-        One for every shift.
-    first : ndarray of int64, shape (m,)
-        First spline that any of them reaches.
-    weights : list of ndarray, shape (m, n)
-        Shares of it and the following ones in the mean, for every shift.
-    """
-
-    parts: list[AxisPart]
-    first: Index
-    weights: list[Array]
-
-
-def crossed(one: Array, other: Array) -> Array:
-    """Vector products of vectors (..., 3), several times faster than ``numpy.cross``."""
-    a, b, c = one[..., 0], one[..., 1], one[..., 2]
-    x, y, z = other[..., 0], other[..., 1], other[..., 2]
-    first = b * z - c * y
-    found = np.empty((*first.shape, 3))
-    found[..., 0], found[..., 1], found[..., 2] = first, c * x - a * z, a * y - b * x
-    return found
-
-
-def _window(parts: list[AxisPart]) -> _Window:
-    if len(parts) == 1:
-        return _Window(parts, parts[0].first, [parts[0].weight])
-    first = np.minimum.reduce([part.first for part in parts])
-    width = max(int(np.max(p.first - first, initial=0)) + p.weight.shape[1] for p in parts)
-    first = np.minimum(first, parts[0].size - width)
-    row, weights = np.arange(len(first))[:, None], []
-    for part in parts:
-        weight = np.zeros((len(first), width))
-        place = (part.first - first)[:, None] + np.arange(part.weight.shape[1])
-        weight[row, place] = part.weight / len(parts)
-        weights.append(weight)
-    return _Window(parts, first, weights)
-
-
-def _six(direction: Array, arm: Array) -> Array:
-    """Rows (p, 6, 1 or n) of three translations and three rotations along directions (p, 3)."""
-    if arm.ndim == 2:
-        return np.concatenate([direction, crossed(arm, direction)], axis=1)[:, :, None]
-    turned = np.swapaxes(crossed(arm, direction[:, None, :]), 1, 2)
-    moved = np.broadcast_to(direction[:, :, None], turned.shape)
-    return np.concatenate([moved, turned], axis=1)
+            found[part.places] += np.swapaxes(own.reshape(len(own), -1, 6), 1, 2)

@@ -18,12 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.effects.backlash import HELD, Backlash
-from otf_core.effects.direction_dependent_tables import (
-    ORDER,
-    DirectionDependentTables,
-    polynomials,
-)
+from otf_core.effects.backlash import HELD, travel_sign
+from otf_core.effects.direction_dependent_tables import ORDER, polynomials
 from otf_core.effects.position import scaled_position
 from otf_core.effects.state import state_of_travel
 from otf_core.model.machine import Machine
@@ -84,10 +80,10 @@ class Reversal:
         return tuple(n for n, table in self.motions.items() if not table.identifiable)
 
 
-def reversal_columns(
+def reversal_weights(
     machine: Machine, q: Array, direction: Array, side: Array, unknowns: Unknowns
-) -> tuple[tuple[str, ...], Array]:
-    """Displacement of the target per unit of every reversal coefficient.
+) -> Array:
+    """Part of every reversal coefficient in the motion that it belongs to: 1/2 sign(d_a) P_k(u_a).
 
     Parameters
     ----------
@@ -101,16 +97,12 @@ def reversal_columns(
 
     Returns
     -------
-    blocks : tuple of str
-        Names of the blocks of unknowns, k of them.
-    columns : ndarray, shape (n, 3, k)
+    ndarray, shape (n, 3, k)
+        By axis and polynomial.
     """
     state = replace(state_of_travel(machine, q, direction), side=side)
-    shape = {HELD: float(unknowns.held)}
-    backlash = Backlash().terms(state, shape).columns
-    constant = (reversal_block(f'E{axis}{axis}', 0) for axis in machine.axis_names)
-    tables = DirectionDependentTables().terms(state, {**shape, 'order': unknowns.reversal - 1.0})
-    return (*constant, *tables.names), np.concatenate([backlash, tables.columns], axis=2)
+    sign = travel_sign(state, {HELD: float(unknowns.held)})
+    return 0.5 * sign[:, :, None] * polynomials(scaled_position(state), unknowns.reversal - 1)
 
 
 def reversal_tables(
