@@ -93,8 +93,12 @@ class Design:
         return self._made(slice(None))
 
     def _made(self, pieces: Index | slice) -> list[list[AxisPart]]:
-        q, shifts = self.q[pieces], [s if s.ndim == 1 else s[pieces] for s in self.shifts]
-        return [[self._part(k, q + shift) for k in range(3)] for shift in shifts]
+        return [[self._part(k, q) for k in range(3)] for q in self._positions(pieces)]
+
+    def _positions(self, pieces: Index | slice) -> list[Array]:
+        """Positions (m, 3) of some pieces at every shift, m."""
+        q = self.q[pieces]
+        return [q + (s if s.ndim == 1 else s[pieces]) for s in self.shifts]
 
     def _at(self, pieces: Index | slice) -> list[list[AxisPart]]:
         """The three axes at every shift, at some pieces."""
@@ -136,13 +140,11 @@ class Design:
         """Reversal of the three axes at every shift, at some pieces."""
         if not self.unknowns.reversal:
             return []
-        q, travel, side = self.q[pieces], self.travel[pieces], self.side[pieces]
-        found = []
-        for shift in self.shifts:
-            at = q + (shift if shift.ndim == 1 else shift[pieces])
-            weights = reversal_weights(self.machine, at, travel, side, self.unknowns)
+        travel, side, found = self.travel[pieces], self.side[pieces], []
+        for q in self._positions(pieces):
+            weights = reversal_weights(self.machine, q, travel, side, self.unknowns)
             for k, (name, places) in enumerate(self._reversal_places.items()):
-                found.append(ReversalPart(weights[:, k], lever(self.machine, name, at), places))
+                found.append(ReversalPart(weights[:, k], lever(self.machine, name, q), places))
         return found
 
     @cached_property
@@ -181,8 +183,8 @@ class Design:
             -axes,
             -crossed(self.points[pieces], axes),
             np.einsum('cpi,pik->cpk', axes, angles),
+            self._reversal_rows(pieces),
         ]
-        rows.append(self._reversal_rows(pieces))
         return np.concatenate([self._pose, self._angles, self._reversals]), np.concatenate(
             rows, axis=2
         )
