@@ -3,13 +3,11 @@
 
 import ast
 import runpy
+from functools import cache
 from pathlib import Path
 
-import pytest
+from source_trees import ROOT, parsed
 
-import otf_core
-
-ROOT = Path(next(iter(otf_core.__path__)))
 FACES = ('__init__', 'aside', 'config', 'errors', 'memory', 'threads', 'version')
 """All that lies beside the rooms: what is used everywhere, and the public names, loaded lazily."""
 FLOORS = (
@@ -55,12 +53,11 @@ def module_of(file):
 
 
 MODULES = {module_of(f): f for f in sorted(ROOT.rglob('*.py'))}
-every_module = pytest.mark.parametrize('module', MODULES)
 
 
-def imported(module):
+def imports_of(module):
     """Modules of the package that a module imports, dotted names below it."""
-    for node in ast.walk(ast.parse(MODULES[module].read_text())):
+    for node in ast.walk(parsed(MODULES[module])):
         if isinstance(node, ast.ImportFrom) and node.module.split('.')[0] == 'otf_core':
             base = node.module.split('.')[1:]
             for alias in node.names:
@@ -70,6 +67,12 @@ def imported(module):
             for alias in node.names:
                 if alias.name.startswith('otf_core.'):
                     yield alias.name.partition('.')[2]
+
+
+@cache
+def imported():
+    """What every module imports."""
+    return {module: list(imports_of(module)) for module in MODULES}
 
 
 def room_of(module):
@@ -91,33 +94,38 @@ def test_every_room_stands_on_a_floor_and_every_floor_has_its_rooms():
     assert len(FLOORS) <= 12
 
 
-@every_module
-def test_imports_lead_down(module):
-    room = room_of(module)
-    if room in FACES:
-        return
-    for other in imported(module):
-        target = room_of(other)
-        if target != room and target not in FACES and other:
-            assert FLOOR_OF[target] > FLOOR_OF[room], f'{module} imports {other}'
+def test_imports_lead_down():
+    up = []
+    for module, names in imported().items():
+        room = room_of(module)
+        for other in names:
+            target = room_of(other)
+            if target != room and not {room, target, other} & {*FACES, ''}:
+                up += [f'{module} imports {other}'] * (FLOOR_OF[target] <= FLOOR_OF[room])
+    assert not up
 
 
-@every_module
-def test_imports_lead_down_inside_a_room(module):
-    floors = INSIDE.get(room_of(module), ())
-    level = {room: k for k, floor in enumerate(floors) for room in floor}
-    own = inner_room_of(module)
-    for other in imported(module):
-        target = inner_room_of(other)
-        if target != own and target in level:
-            assert level[target] > level[own], f'{module} imports {other}'
+def test_imports_lead_down_inside_a_room():
+    up = []
+    for module, names in imported().items():
+        floors = INSIDE.get(room_of(module), ())
+        level = {room: k for k, floor in enumerate(floors) for room in floor}
+        own = inner_room_of(module)
+        for other in names:
+            target = inner_room_of(other)
+            if target != own and target in level:
+                up += [f'{module} imports {other}'] * (level[target] <= level[own])
+    assert not up
 
 
-@every_module
-def test_rooms_that_never_meet(module):
-    for a, b in NEVER:
-        if f'{module}.'.startswith(f'{a}.'):
-            assert not [o for o in imported(module) if f'{o}.'.startswith(f'{b}.')]
+def test_rooms_that_never_meet():
+    assert not [
+        f'{module} imports {other}'
+        for a, b in NEVER
+        for module, names in imported().items()
+        for other in names
+        if f'{module}.'.startswith(f'{a}.') and f'{other}.'.startswith(f'{b}.')
+    ]
 
 
 def test_picture_of_the_house_is_that_of_the_imports():

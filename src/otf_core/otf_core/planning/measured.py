@@ -79,6 +79,8 @@ def joint_rows(planned: Planned, before: Sequence[Observed], limit: float) -> Ro
         whitener = Whitener.of(system, run.pieces, run.noise)
         solved.append(SolvedRun(run.pose, system, whitener, np.zeros_like(system.deviation)))
     nothing = np.zeros(unknowns.full)
-    solution = Solution(nothing, np.outer(nothing, nothing), done.solution.accepted, 0, 0)
+    solution = Solution(
+        nothing, np.outer(nothing, nothing), done.solution.accepted, 0, np.zeros((0, 0))
+    )
     joint = replace(done, unknowns=unknowns, solution=solution, runs=tuple(solved))
     return rows_of(runs, joint, limit)

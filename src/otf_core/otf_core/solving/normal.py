@@ -115,15 +115,21 @@ def sum_groups(
     size = unknowns.full + further.shape[2]
     batches = list(_batches(system, whitener, group))
 
-    def added(own: Sequence[tuple[int, list[int]]]) -> Array:
-        total = np.zeros((groups, size, size))
+    def added(own: Sequence[tuple[int, list[int]]]) -> dict[int, Array]:
+        total = {g: np.zeros((size, size)) for g in {g for g, _ in own}}
         for g, legs in own:
             inverses = [whitener.inverses[k] for k in legs]
             columns, white = white_rows(system, inverses, pieces_of(whitener, legs), further)
             total[g][np.ix_(columns, columns)] += white.T @ white
         return total
 
-    products = reduce(np.add, side_by_side(added, _shared(system, whitener, batches)))
+    shares = _shared(system, whitener, batches)
+    if groups > 1:  # every group by one worker: there is one sum of each
+        shares = [[b for b in batches if b[0] % WORKERS == k] for k in range(WORKERS)]
+    totals, nothing = side_by_side(added, shares), np.zeros((size, size))
+    products = [
+        reduce(np.add, [t[g] for t in totals if g in t] or [nothing]) for g in range(groups)
+    ]
     components, size_of = len(system.deviation), np.array([h - low for low, h in whitener.bounds])
     rows = components * np.bincount(group, size_of, groups).astype(int)
     return [of_free(p, unknowns, int(n)) for p, n in zip(products, rows, strict=True)]

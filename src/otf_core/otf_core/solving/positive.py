@@ -28,7 +28,8 @@ class Positive:
 
     def __init__(self, matrix: Array) -> None:
         self._scale = 1.0 / np.sqrt(np.diag(matrix))
-        unit = matrix * self._scale[:, None] * self._scale
+        unit = matrix * self._scale[:, None]
+        unit *= self._scale
         for ridge in RIDGES:
             unit[np.diag_indices_from(unit)] += ridge
             try:
@@ -47,9 +48,12 @@ class Positive:
     @property
     def inverse(self) -> Array:
         """Inverse matrix, shape (n, n)."""
-        half = np.tril(linalg.lapack.dpotri(self._factor, lower=1)[0])
-        whole = half + np.tril(half, -1).T
-        return np.asarray(whole * self._scale[:, None] * self._scale)
+        half = linalg.lapack.dpotri(self._factor, lower=1)[0]  # of zeros above the diagonal
+        whole = np.asarray(half + half.T)
+        whole[np.diag_indices_from(whole)] *= 0.5
+        whole *= self._scale[:, None]
+        whole *= self._scale
+        return whole
 
     @property
     def log_determinant(self) -> float:

@@ -59,11 +59,13 @@ def taken_once(system: System, whitener: Whitener) -> Once:
     lines, line = np.unique(whitener.first, return_inverse=True)
     several = np.bincount(line) > 1
     pieces = np.concatenate([np.arange(*whitener.bounds[leg]) for leg in lines.tolist()])
-    pulled = whitener.only(several[line]).weighted(system.deviation)
+    # whatever is treated together with repeated lines costs less than to set these apart
+    pulled = whitener.beside(several[line]).weighted(system.deviation)
+    pulled[:, ~np.repeat(several[line], [high - low for low, high in whitener.bounds])] = 0.0
     place = np.concatenate([np.arange(*once.bounds[k]) for k in line.tolist()])
     pull = np.array([np.bincount(place, own) for own in pulled], dtype=float)
     mean = system.deviation[:, pieces]
     again = np.repeat(several, [high - low for low, high in once.bounds])
-    mean[:, again] = once.only(several).covaried(pull)[:, again]
+    mean[:, again] = once.beside(several).covaried(pull)[:, again]
     square = float(np.sum(system.deviation * pulled) - np.sum(mean * pull))
     return Once(replace(system.at(pieces), deviation=mean), once, pieces, square, rows)

@@ -15,7 +15,7 @@ better, by the same rule, no reversal is modelled.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -23,7 +23,7 @@ from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
+from scipy import linalg
 
 from otf_core.config import CalibrationConfig
 from otf_core.effects.servo_mismatch import ServoMismatch
@@ -33,7 +33,7 @@ from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.solving.design import Design
 from otf_core.solving.folds import FOLDS, fold_of
 from otf_core.solving.joint import JointSolution, Progress, solve_robustly, tables_of
-from otf_core.solving.normal import sum_groups
+from otf_core.solving.normal import NormalEquations, sum_groups
 from otf_core.solving.repeated import Once, taken_once
 from otf_core.solving.reversal import MODELS
 from otf_core.solving.roughness import TRACE
@@ -262,17 +262,39 @@ def _held_out_squares(
     width = rivals[0].shape[2]
     columns[RIVAL.name] = np.append(columns['none'], unknowns.free + np.arange(width))
     loose = unknowns.free - done.unknowns.free + width
-    prior = block_diag(done.roughness.precision, TRACE / limit**2 * np.eye(loose))
+    prior = linalg.block_diag(done.roughness.precision, TRACE / limit**2 * np.eye(loose))
     held_out = [_folds(*run) for run in zip(lines, fold, rivals, strict=True)]
     for some in (part for folds in held_out for part in folds):
         some.rows.prepare()
 
-    def left(use: Index) -> Array:
-        values = [estimated(total.less(part), use, prior) for part in parts]
-        pairs = zip(lines, held_out, strict=True)
-        return np.concatenate([_squares(own, folds, unknowns, values) for own, folds in pairs])
+    values = side_by_side(lambda part: _estimates(total.less(part), columns, prior), parts)
 
-    return dict(zip(columns, side_by_side(left, list(columns.values())), strict=True))
+    def left(model: str) -> Array:
+        own = [of_fold[model] for of_fold in values]
+        pairs = zip(lines, held_out, strict=True)
+        return np.concatenate([_squares(line, folds, unknowns, own) for line, folds in pairs])
+
+    return dict(zip(columns, side_by_side(left, list(columns)), strict=True))
+
+
+def _estimates(
+    normal: NormalEquations, columns: Mapping[str, Index], prior: Array
+) -> dict[str, Array]:
+    """Estimates of some columns each, see ``estimated``; one factor for all that begin alike."""
+    most = max(columns.values(), key=len)
+    place = np.ix_(most, most)
+    factor = linalg.cholesky(normal.matrix[place] + prior[place], lower=True)
+    half = linalg.solve_triangular(factor, normal.right[most], lower=True)
+    found = {}
+    for model, use in columns.items():
+        own = slice(0, len(use))
+        if not np.array_equal(use, most[own]):
+            found[model] = estimated(normal, use, prior)
+            continue
+        value = linalg.solve_triangular(factor[own, own], half[own], lower=True, trans='T')
+        found[model] = np.zeros(len(normal.right))
+        found[model][use] = value
+    return found
 
 
 def _motion(block: str) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,15 +43,20 @@ class Solution:
         Blocks that were solved for; all others are zero.
     unknowns : int
         Free unknowns after the gauge.
-    rank : int
-        Independent combinations of them that the data determine.
+    data : ndarray, shape (k, k)
+        Normal matrix of those solved for, in units of ``unidentifiable_above``.
     """
 
     value: Array
     covariance: Array
     accepted: tuple[str, ...]
     unknowns: int
-    rank: int
+    data: Array
+
+    @cached_property
+    def rank(self) -> int:
+        """Independent combinations of the unknowns that the data determine."""
+        return int(np.sum(linalg.eigvalsh(self.data) > 1.0))
 
 
 def smoothness(unknowns: Unknowns) -> Array:
@@ -172,9 +178,8 @@ def solve(
     cover = np.zeros((unknowns.free, unknowns.free))
     cover[np.ix_(use, use)] = factor.inverse
     covariance = unknowns.lifted(cover)
-    rank = int(np.sum(linalg.eigvalsh(data) > 1.0))
     value = unknowns.gauge @ free * limit
-    return Solution(value, covariance * limit**2, accepted, unknowns.free, rank)
+    return Solution(value, covariance * limit**2, accepted, unknowns.free, data)
 
 
 def determined_by_data(

@@ -197,25 +197,39 @@ class Whitener:
         if len(lines) == len(self.bounds):
             return self
         size = np.array([high - low for low, high in self.bounds])[lines]
-        end, passes, found = np.cumsum(size), _places(line, len(lines)), []
-        for some in _alike(size):
-            pieces = (end - size)[some, None] + np.arange(size[some[0]])
+        end, passes = np.cumsum(size), _places(line, len(lines))
+        several = np.bincount(line) > 1
+
+        def placed(some: Index, inverse: Array) -> Alike:
+            return Alike(some, (end - size)[some, None] + np.arange(size[some[0]]), inverse)
+
+        found = [placed(line[one.legs], one.inverse) for one in self._only(~several[line])]
+        for own in _alike(size[several]):
+            some = np.flatnonzero(several)[own]
             inverse = [self._of_passes(passes[k]) for k in some.tolist()]
-            found.append(Alike(some, pieces, np.stack(inverse, axis=1)))
+            found.append(placed(some, np.stack(inverse, axis=1)))
         bounds = list(zip((end - size).tolist(), end.tolist(), strict=True))
         return Whitener(bounds, tuple(found), np.arange(len(lines)))
 
     def _of_passes(self, legs: Sequence[int]) -> Array:
         """Inverse factors (c, m, m) with the weight of legs over one line."""
         inverses = [self.inverses[leg] for leg in legs]
-        if len(inverses) == 1:
-            return inverses[0]
         return _root(reduce(np.add, (np.swapaxes(own, 1, 2) @ own for own in inverses)))
 
-    def only(self, legs: NDArray[np.bool_]) -> Whitener:
-        """Leave out the other legs, by a mask (legs,): their rows become zero."""
-        found = [one.only(legs[one.legs]) for one in self.alike]
-        return Whitener(self.bounds, tuple(one for one in found if len(one.legs)), self.first)
+    def _only(self, legs: NDArray[np.bool_]) -> Iterator[Alike]:
+        """Some of the legs, by a mask (legs,)."""
+        for one in self.alike:
+            own = legs[one.legs]
+            if own.any():
+                yield one if own.all() else one.only(own)
+
+    def beside(self, legs: NDArray[np.bool_]) -> Whitener:
+        """Leave out legs that are not treated together with any of those of a mask (legs,).
+
+        Their rows become zero.
+        """
+        found = (one for one in self.alike if legs[one.legs].any())
+        return Whitener(self.bounds, tuple(found), self.first)
 
     @cached_property
     def expected(self) -> Array:
