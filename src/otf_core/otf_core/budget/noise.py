@@ -27,6 +27,7 @@ from otf_core.noise.model import MISFIT_TIME, NoiseModel, misfit_covariance, noi
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.solving.normal import NormalEquations, of_free, pieces_of, shares_of, white_rows
+from otf_core.solving.triangular import turned_times
 from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
@@ -145,10 +146,13 @@ def _summed(run: Observed, solved: SolvedRun, batches: Sequence[list[int]]) -> _
         for leg, inverse, part in zip(legs, inverses, parts, strict=True):
             own = slice(start, start + inverse.shape[1])
             start = own.stop
-            rows[:, own] = np.swapaxes(inverse, 1, 2) @ rows[:, own]
+            turned_times(inverse, rows[:, own])
             windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
             shares, here = solved.system.shares[:, :, part], rows[:, own]
-            odd[:, own] = np.linalg.cholesky(sum(misfit_covariance(misfit, windows))).T @ here
+            odd[:, own] = here
+            turned_times(
+                np.linalg.cholesky(sum(misfit_covariance(misfit, windows)))[None], odd[:, own]
+            )
             for k, (a, b) in enumerate(pairs):
                 tied[k, own] = (
                     sum(noise_covariance(noise, shares[:, a], shares[:, b], windows)) @ here[b]

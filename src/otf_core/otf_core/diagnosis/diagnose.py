@@ -99,7 +99,8 @@ def diagnose(
     examined = examine_recordings(recordings, config, progress)
     whole = len(examined.runs) == len(recordings)
     with ExitStack() as aside:
-        uncut = Aside(partial(_as_recorded, recordings, config, mend=whole), recordings)
+        as_recorded = partial(_as_recorded, recordings, config, mend=whole)
+        uncut = Aside(as_recorded, recordings, later=True)
         aside.enter_context(uncut)  # in case it is needed
         plain = solve_plainly(examined.runs, examined.nodes, config, progress)
         done = Aside(partial(_calibrated, examined, plain, config), later=True)

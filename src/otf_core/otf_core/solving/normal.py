@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from otf_core.solving.repeated import taken_once
 from otf_core.solving.system import System
+from otf_core.solving.triangular import lower_times
 from otf_core.solving.unknowns import Unknowns
 from otf_core.solving.whitener import Whitener
 from otf_core.threads import side_by_side
@@ -205,7 +206,7 @@ def white_rows(
     start = 0
     for inverse in inverses:
         part = slice(start, start + inverse.shape[1])
-        np.matmul(inverse, rows[:, part], out=white[:, part])
+        lower_times(inverse, rows[:, part], out=white[:, part])
         start = part.stop
     full = system.rows.unknowns.full
     return np.append(columns, full + np.arange(width)), white.reshape(-1, white.shape[2])

@@ -13,6 +13,7 @@ The functions with the largest restricted likelihood are taken, the size of the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
@@ -61,6 +62,8 @@ NOTABLE = 0.05
 """Share of the variance of a step between pieces."""
 FEW = 3000
 """Pieces that the first solution is made of, which finds poses and positions on the paths."""
+LEGS = 20
+"""Fewer legs, however long, are not enough for that."""
 QUICK = 8
 """Iterations after which that is given up for one of all pieces: so few legs are not enough."""
 MANY = 1.5
@@ -165,11 +168,12 @@ def _started(
     progress: Progress,
 ) -> tuple[Start, list[RigidTransform]]:
     """First tables and poses."""
-    quick = replace(config, max_iterations=min(QUICK, config.max_iterations))
-    try:
-        first = solve_jointly(_thinned(runs), smooth, quick, progress, start)
-    except InputError:  # too few legs
-        first = solve_jointly(runs, smooth, config, progress, start)
+    quick, first = replace(config, max_iterations=min(QUICK, config.max_iterations)), None
+    some = _thinned(runs)
+    if sum(_leg_number(run)[-1] + 1 for run in some) >= LEGS:
+        with suppress(InputError):  # too few legs
+            first = solve_jointly(some, smooth, quick, progress, start)
+    first = first or solve_jointly(runs, smooth, config, progress, start)
     return Start.after(runs[0].machine, first), [solved.pose for solved in first.runs]
 
 
