@@ -13,12 +13,13 @@ from core_cells import constant_tables, some_machine
 from html_cells import Page, number, unloading
 
 import otf_core.reports.calibration_sections as folder_of_sections
-from otf_core.calibration.calibrate import calibrate
+from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.model.circumstances import Circumstances
 from otf_core.model.declared import DeclaredUncertainty
 from otf_core.model.limits import Limits
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
+from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import facts_of, format_result, write_calibration
 from otf_core.reports.calibration_report import SECTIONS, calibration_sections
 from otf_core.reports.calibration_sections.diagonals import deviations, diagonals
@@ -240,6 +241,15 @@ def test_samples_of_the_page_add_up(page, tables):
     samples, used, outliers, excluded = map(int, row[1:5])
     assert samples == used + outliers + excluded == tables['fit']['samples']
     assert used == tables['fit']['used']
+
+
+def test_what_was_repaired_is_said_beside_the_data(cell):
+    samples = cell.recording.measured(cell.truth)
+    read = Recording(samples, cell.path, cell.machine, 'Monday', ('dropped 3 of 200 points',))
+    result = calibrate_runs([read])
+    assert result.runs[0].remarks == read.remarks
+    (data,) = [s for s in calibration_sections(facts_of(result)) if s.name == 'data']
+    assert 'While reading Monday: dropped 3 of 200 points.' in data.words
 
 
 # ---------------------------------------------------------------- single sections

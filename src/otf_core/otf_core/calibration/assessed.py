@@ -91,7 +91,7 @@ def _run_result(run: Run, solved: SolvedRun, config: CalibrationConfig) -> RunRe
         name=Path(run.recording.name).name,
         target_offset=run.machine.target_offset,
         samples=len(run.recording.samples),
-        remarks=tuple(run.recording.remarks),
+        remarks=run.recording.remarks,
         rate=1.0 / run.recording.samples.step,
         lost=lost_samples(run.recording.samples),
         T_machine_tracker=solved.pose,

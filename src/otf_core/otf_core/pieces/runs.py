@@ -98,12 +98,15 @@ class Run(Observed):
     alignment : Alignment
     remarks : tuple of Finding
         What ``contradictions.examine`` found, with the first of several runs.
+    read : tuple of str
+        Remarks of the recording.
     """
 
     samples: Samples
     path: NominalPath
     alignment: Alignment
     remarks: tuple[Finding, ...] = ()
+    read: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -127,6 +130,7 @@ class Run(Observed):
             alignment=alignment,
             signals=recording.signals,
             first_ns=int(recording.samples.stamp_ns[0]),
+            read=tuple(recording.remarks),
         )
 
     @cached_property
@@ -139,8 +143,9 @@ class Run(Observed):
 
     @property
     def recording(self) -> Recording:
-        """What was recorded."""
-        return Recording(self.samples, self.path, self.machine, self.name)
+        """What was recorded; its remarks with the first part of a run that was cut."""
+        read = self.read if self.late == 0.0 else ()
+        return Recording(self.samples, self.path, self.machine, self.name, read)
 
 
 def check_same_machine(recordings: Sequence[Recording]) -> None:
