@@ -47,15 +47,12 @@ def pieces_of(corners, feed, ratio, step=0.008):
 
 def correlated(view_time, leg, rng, size, tau=0.3):
     """Gauss-Markov noise of unit time constant tau, shape (2, p), m."""
-    noise = np.zeros((2, len(view_time)))
-    for k in range(len(view_time)):
-        fresh = rng.normal(size=2) * size
-        if k and leg[k] == leg[k - 1]:
-            rho = np.exp(-(view_time[k] - view_time[k - 1]) / tau)
-            noise[:, k] = rho * noise[:, k - 1] + np.sqrt(1 - rho**2) * fresh
-        else:
-            noise[:, k] = fresh
-    return noise
+    apart, same = np.diff(view_time, prepend=0.0), np.diff(leg, prepend=leg[0] - 1) == 0
+    rho = np.where(same, np.exp(-apart / tau), 0.0)
+    noise = rng.normal(size=(len(view_time), 2)) * size * np.sqrt(1 - rho**2)[:, None]
+    for k in np.flatnonzero(same):
+        noise[k] += rho[k] * noise[k - 1]
+    return noise.T.copy()
 
 
 def run_view(gap=None, seed=1, name='run', noise=NOISE, laps=2, feed=0.25, ratio=0.6, after=None):

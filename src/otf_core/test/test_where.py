@@ -188,7 +188,7 @@ def test_significance_of_correlated_noise_is_about_normal():
     for seed in range(6):
         view = small(None, seed=20 + seed)
         for grouping in (by_time([view]), by_line([view]), by_region([view]), by_feed([view])):
-            groups = partition([view], grouping.indices, grouping.labels, grouping.kind)
+            [groups] = partition([view], [grouping])
             scores += [g.significance for g in groups]
     assert np.mean(scores) == pytest.approx(0.0, abs=0.3)
     assert 0.6 < np.std(scores) < 1.25

@@ -53,7 +53,7 @@ def group_bars(diagnosis: Diagnosis, parts: Sequence[Grouping], title: str) -> s
     """Bars of groups: without the causes, below it with them; strokes for the noise expected."""
     views: Sequence[RunView] = diagnosis.shown.views
     drawn = [
-        [g for p in parts for g in partition(views, p.indices, p.labels, p.kind, state.residuals)]
+        [group for own in partition(views, parts, state.residuals) for group in own]
         for state in states(diagnosis)
     ]
     rows = []

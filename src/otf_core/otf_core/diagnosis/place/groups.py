@@ -10,16 +10,16 @@ of the legs, where it is larger.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.diagnosis.place.groupings import Grouping
 from otf_core.diagnosis.place.views import RunView
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 FEWEST_LEGS = 4
 """From here on the scatter of the legs is looked at."""
@@ -90,6 +90,10 @@ class LegSums:
     noise: Array
     variance: Array
     pieces: Array
+
+    def only(self, groups: slice) -> LegSums:
+        """Sums for some of the groups."""
+        return LegSums(*(getattr(self, part.name)[groups] for part in fields(self)))
 
 
 def leg_rows(view: RunView, residual: Array) -> Iterator[tuple[slice, list[LegRows]]]:
@@ -180,31 +184,32 @@ def make_groups(labels: Sequence[str], kind: str, sums: Sequence[LegSums]) -> li
 
 def partition(
     views: Sequence[RunView],
-    indices: Sequence[Index],
-    labels: Sequence[str],
-    kind: str,
+    groupings: Sequence[Grouping],
     residuals: Sequence[Array] | None = None,
-) -> list[Group]:
-    """Groups of pieces that have the same index; index -1 belongs to none.
+) -> list[list[Group]]:
+    """Groups of pieces that have the same index, of every grouping.
 
     Parameters
     ----------
     views : sequence of RunView
-    indices : sequence of ndarray of int, shape (p,)
-        One per run.
-    labels : sequence of str
-        One per index.
-    kind : str
+    groupings : sequence of Grouping
     residuals : sequence of ndarray, shape (c, p), optional
         ``residual_before`` where not given.
     """
     sums = []
-    for k, (view, index) in enumerate(zip(views, indices, strict=True)):
+    for k, view in enumerate(views):
         residual = view.residual_before if residuals is None else residuals[k]
-        member = index[:, None] == np.arange(len(labels))
+        member = np.concatenate(
+            [own.indices[k][:, None] == np.arange(len(own.labels)) for own in groupings], axis=1
+        )
         for part, rows in leg_rows(view, residual):
             sums.append(leg_sums(rows, member[part], member[part].sum(axis=0)))
-    return make_groups(labels, kind, sums)
+    found, start = [], 0
+    for own in groupings:
+        part = slice(start, start + len(own.labels))
+        start = part.stop
+        found.append(make_groups(own.labels, own.kind, [one.only(part) for one in sums]))
+    return found
 
 
 def unevenness(groups: Sequence[Group]) -> float:

@@ -100,13 +100,12 @@ def _screened(
     pull = [v.vectors(v.whitener.whiten_transposed(part)) for v, part in _parts(views, residual)]
     sample = np.unique(np.linspace(0, len(shapes) - 1, EXACT // 2).round().astype(int))
     exact = _candidates(views, [shapes[k] for k in sample], project)
-    normals = np.array([(c.white.T @ c.white).ravel() for c in exact])
-    gains = []
-    for number, shape in enumerate(shapes):
+    known = np.array([(c.white.T @ c.white).diagonal() for c in exact]).T
+    numbers, gains = np.arange(len(shapes)), []
+    diagonals = np.stack([np.interp(numbers, sample, own) for own in known], axis=1)
+    for shape, diagonal in zip(shapes, diagonals, strict=True):
         products = sum(shape.scales(v).T @ p for v, p in zip(views, pull, strict=True))
         right = np.asarray(products).ravel()
-        normal = np.array([np.interp(number, sample, n) for n in normals.T])
-        diagonal = normal.reshape(right.size, right.size).diagonal()
         gains.append(float((right**2 / np.maximum(diagonal, 1e-300)).sum()))
     best = np.argsort(gains)[::-1][:KEPT]
     return _candidates(views, [shapes[k] for k in np.sort(best)], project)

@@ -72,21 +72,26 @@ class RunView:
         return leg_bounds(self.leg)
 
     @cached_property
-    def whitener(self) -> Whitener:
-        """Frees rows of the correlation of the noise, scaled so that it gives ``expected``."""
+    def _scaled(self) -> list[list[Array]]:
+        """Factors of the noise of every leg and component, scaled so that it is ``expected``."""
         given = self.factors or tuple(self._typical(low, high) for low, high in self.bounds)
-        plain = Whitener.from_factors(self.bounds, given)
-        scale = self.expected / plain.expected
-        scaled = [
-            tuple(factor * scale[c, low:high, None] for c, factor in enumerate(leg))
+        return [
+            [
+                factor * (self.expected[c, low:high] / np.linalg.norm(factor, axis=1))[:, None]
+                for c, factor in enumerate(leg)
+            ]
             for (low, high), leg in zip(self.bounds, given, strict=True)
         ]
-        return Whitener.from_factors(self.bounds, scaled)
 
     @cached_property
-    def covariances(self) -> tuple[tuple[Array, ...], ...]:
+    def whitener(self) -> Whitener:
+        """Frees rows of the correlation of the noise."""
+        return Whitener.from_factors(self.bounds, self._scaled)
+
+    @cached_property
+    def covariances(self) -> list[list[Array]]:
         """Noise covariance of every leg and component, m^2."""
-        return tuple(tuple(f @ f.T for f in leg) for leg in self.whitener.factors)
+        return [[factor @ factor.T for factor in leg] for leg in self._scaled]
 
     def _typical(self, low: int, high: int) -> tuple[Array, ...]:
         gap = np.abs(self.time[low:high, None] - self.time[None, low:high])

@@ -103,13 +103,16 @@ def _leg_details(views: Sequence[RunView], residuals: Sequence[Array]) -> Rows:
 def total_group(views: Sequence[RunView], residuals: Sequence[Array]) -> Group:
     """All pieces of all runs as one group."""
     indices = [np.zeros(len(v.leg), dtype=np.int64) for v in views]
-    return partition(views, indices, ['all'], 'all', residuals)[0]
+    [[total]] = partition(views, [by.Grouping('all', ['all'], indices)], residuals)
+    return total
 
 
 def _all_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[str, list[Group]]:
+    groupings = groupings_of(views)
+    every = [part for parts in groupings.values() for part in parts]
+    found = iter(partition(views, every, residuals))
     groups = {
-        name: [g for p in parts for g in partition(views, p.indices, p.labels, p.kind, residuals)]
-        for name, parts in groupings_of(views).items()
+        name: [group for _ in parts for group in next(found)] for name, parts in groupings.items()
     }
     groups['by_axis_and_direction'] += pointing_groups(views, residuals)
     [bands] = band_groups(views, [residuals], usual_bands(views))
