@@ -222,7 +222,7 @@ def estimates(
         columns.append(across(solved, whole))
     cross = projected(done, columns)
     change = done.solution.covariance @ cross
-    size = column_size(np.concatenate([c.reshape(-1, c.shape[2]) for c in columns]))
+    size = column_size(*(c.reshape(-1, c.shape[2]) for c in columns))
     matrix, right, own = -cross.T @ change, np.zeros(len(size)), np.zeros(len(size))
     for part, solved in zip(columns, done.runs, strict=True):
         flat = part.reshape(-1, part.shape[2])

@@ -32,6 +32,10 @@ Columns = Callable[[slice], Array]
 """Columns (c, m, k), m, of m pieces of a run."""
 SOME = 2048
 """Pieces whose columns are made together, and the rest of their line."""
+ACTS, TINY = 0.02, 1e-150
+"""Share of its largest value, and m, above which a column acts."""
+VALUES = 65_536
+"""Values that are looked at together."""
 
 
 def piece_state(
@@ -116,8 +120,18 @@ def name_in_run(name: str, run: int) -> str:
     return f'{name} (run {run + 1})' if run else name
 
 
-def column_size(plain: Array) -> Array:
-    """Root mean square of columns (r, k) over the rows where they act at all, shape (k,)."""
-    square = plain**2
-    acts = square > 0.02**2 * square.max(axis=0, initial=1e-300)
-    return np.asarray(np.sqrt(square.sum(axis=0) / np.maximum(acts.sum(axis=0), 1)))
+def column_size(*parts: Array) -> Array:
+    """Root mean square of columns over the rows where they act at all, shape (k,).
+
+    Parameters
+    ----------
+    parts : ndarray, shape (r, k)
+        One below the other.
+    """
+    step = max(1, VALUES // max(1, parts[0].shape[1]))
+    some = [part[low : low + step] for part in parts for low in range(0, len(part), step)]
+    most = np.max([np.maximum(own.max(axis=0), -own.min(axis=0)) for own in some], axis=0)
+    least = ACTS * np.maximum(most, TINY)
+    square = np.sum([np.einsum('rk,rk->k', own, own) for own in some], axis=0)
+    count = np.sum([np.count_nonzero(np.abs(own) > least, axis=0) for own in some], axis=0)
+    return np.asarray(np.sqrt(square / np.maximum(count, 1)))

@@ -45,8 +45,6 @@ FAINT = 1e-6
 projected themselves."""
 ADDED = 9.0
 """Evidence that an input without which a free form would be another effect has to add."""
-NARROW = 32
-"""Columns whose sizes are found at once."""
 MEMORY = 16e6
 """Bytes of columns that are whitened at once; more if one shape alone needs it."""
 
@@ -303,14 +301,14 @@ def _group(
     """Sums over runs that share their coefficients."""
     ends = np.cumsum([0, *(s.system.deviation.size for s in rows.done.runs)])
     plain = [_beside([_columns(rows, one, k) for one in batch]) for k in group]
-    size = _sizes(plain)
+    size = column_size(*plain)
     cross, right = np.zeros((len(rows.use), len(size))), np.zeros(len(size))
     squares = [np.zeros((s.place.stop - s.place.start,) * 2) for s in batch]
     for k, columns in zip(group, plain, strict=True):
         part = slice(ends[k], ends[k + 1])
         right += columns.T @ pulled.plain[part, 0]
         rows.whiten_run(columns, k)
-        cross += rows.base[part].T @ columns
+        cross += (columns.T @ rows.base[part]).T  # faster than the other way round
         for square, one in zip(squares, batch, strict=True):
             own = columns[:, one.place]
             square += own.T @ own
@@ -327,18 +325,6 @@ def _columns(rows: Rows, one: _Shape, run: int) -> Array:
 def _beside(parts: Sequence[Array]) -> Array:
     """Columns side by side; no copy of one part alone."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-
-
-def _sizes(plain: Sequence[Array]) -> Array:
-    """``column_size`` of columns (r, k) of several runs, without another copy of all."""
-    wide = plain[0].shape[1]
-    parts = (slice(k, k + NARROW) for k in range(0, wide, NARROW))
-    return np.concatenate([column_size(_under([p[:, s] for p in plain])) for s in parts])
-
-
-def _under(parts: Sequence[Array]) -> Array:
-    """Columns one below the other; no copy of one part alone."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _joined(rows: Rows, one: _Shape, parts: Sequence[_Sums], pulled: Pulled) -> Tried:
