@@ -52,6 +52,7 @@ def core_environment() -> dict[str, str]:
 
 def all_checks(workspace_env: dict[str, str]) -> list[Check]:
     core, python = core_environment(), layout.PYTHON
+    workers = [python, '-m', 'pytest', '-n', '2', '--dist', 'worksteal']
     node_python = shutil.which('python', path=workspace_env['PATH'])
     return [
         Check('ruff check', [python, '-m', 'ruff', 'check'], core),
@@ -60,10 +61,10 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
         Check('no ROS for the core suite', [python, '-c', PROOF], core),
         Check(
             f'pytest {CORE_SUITE}',
-            [python, '-m', 'pytest', '-n', '2', f'--ignore={WHOLE_CELLS}', CORE_SUITE],
+            [*workers, f'--ignore={WHOLE_CELLS}', CORE_SUITE],
             core,
         ),
-        Check(f'pytest {WHOLE_CELLS}', [python, '-m', 'pytest', '-n', '2', WHOLE_CELLS], core),
+        Check(f'pytest {WHOLE_CELLS}', [*workers, WHOLE_CELLS], core),
         Check(
             f'pytest {DEVICES}',
             [node_python, '-m', 'pytest', '-n', '4', '--dist', 'worksteal', DEVICES],
