@@ -76,19 +76,6 @@ class SolvedRecordings(Examined):
     left: tuple[LeftOut, ...] = ()
 
 
-def examine_recordings(
-    recordings: Sequence[Recording],
-    config: CalibrationConfig,
-    progress: Progress | None = None,
-    prepare: Preparation = prepare_runs,
-    *,
-    mend: bool = True,
-) -> Examined:
-    """Align, reduce to pieces and examine; parameters as of ``solve_recordings``."""
-    runs, nodes = _prepared(recordings, config, progress or silent, prepare)
-    return Examined(_examined(recordings, runs, nodes, config, mend=mend), nodes)
-
-
 def _prepared(
     recordings: Sequence[Recording],
     config: CalibrationConfig,

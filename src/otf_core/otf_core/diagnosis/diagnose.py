@@ -21,7 +21,7 @@ from otf_core.calibration.calibrate import assemble
 from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.solved import (
     Examined,
-    examine_recordings,
+    examined_and_solved,
     solve_on,
     solve_recordings,
 )
@@ -39,11 +39,11 @@ from otf_core.diagnosis.engine.catalogue import (
 from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose, straight_rows
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.shaken import calmed
-from otf_core.diagnosis.explanation import explain
+from otf_core.diagnosis.explanation import Explanation, explain
 from otf_core.diagnosis.fitted import FittedCause, fitted_causes
 from otf_core.diagnosis.judged import Judged, judge, run_views
-from otf_core.diagnosis.place.where import where_and_shape
-from otf_core.diagnosis.result import Diagnosis, NamedCause, Shown
+from otf_core.diagnosis.place.where import Where, where_and_shape
+from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
 from otf_core.effects import REGISTRY, Effect
 from otf_core.errors import InputError
@@ -54,7 +54,7 @@ from otf_core.pieces.finding import Finding
 from otf_core.pieces.runs import Recording, Run
 from otf_core.solving.basis import Basis
 from otf_core.solving.joint import JointSolution, Progress
-from otf_core.solving.reversal_choice import PlainSolution, choose, solve_plainly
+from otf_core.solving.reversal_choice import PlainSolution, choose
 from otf_core.threads import in_one_thread
 
 Array = NDArray[np.float64]
@@ -96,13 +96,12 @@ def diagnose(
     """
     config = config or CalibrationConfig()
     progress = progress or silent
-    examined = examine_recordings(recordings, config, progress)
-    whole = len(examined.runs) == len(recordings)
     with ExitStack() as aside:
-        as_recorded = partial(_as_recorded, recordings, config, mend=whole)
-        uncut = Aside(as_recorded, recordings, later=True)
+        as_recorded = partial(_as_recorded, recordings, config)
+        uncut = Aside(partial(as_recorded, mend=True), recordings, later=True)
         aside.enter_context(uncut)  # in case it is needed
-        plain = solve_plainly(examined.runs, examined.nodes, config, progress)
+        examined, plain = examined_and_solved(recordings, config, progress)
+        whole = len(examined.runs) == len(recordings)
         done = Aside(partial(_calibrated, examined, plain, config), later=True)
         aside.enter_context(done)
         seen = _Seen(plain.runs, plain.done, examined.nodes)
@@ -110,7 +109,7 @@ def diagnose(
             examined, seen = done.result().moved or (examined, seen)
         del plain
         if _by_machine(examined.runs, seen.runs):
-            seen = uncut.result()
+            seen = uncut.result() if whole else as_recorded(mend=False)
         elif not whole:
             seen = _solved_uncut(recordings, config, mend=False)
         uncut.stop()
@@ -123,20 +122,20 @@ def diagnose(
     bases = seen.done.unknowns.bases
     causes = partial(_causes, bases=bases, examined=examined)
     fitted = fitted_causes(explained.causes, searched.rows)
-    weigh = partial(judge, searched.rows, explained, config, exclude)
+    weigh = partial(_weighed, searched, explained, config, exclude)
     made = None
-    with Aside(weigh, (searched, explained)) as weighed:
-        if weighed.under_way:  # here the correction, which takes longer, has copies of its own
+    with Aside(weigh, (searched, explained)) as weighing:
+        if weighing.under_way:  # here the correction, which takes longer, has copies of its own
             with suppress(InputError):  # told below, if the causes stay
                 made = without_causes(examined, causes(fitted), config)
-        judged = weighed.result()
+        weighed = weighing.result()
     progress('correcting', 0.0)
-    if made is None and judged.explained.causes:
+    if not weighed.fitted:
+        made = None
+    elif made is None:
         made = without_causes(examined, causes(fitted), config)
-    fitted = fitted_causes(judged.explained.causes, searched.rows)
-    made = made if judged.explained.causes else None
-    beside = partial(with_causes, calibrated.result, made, causes(fitted), config)
-    return _diagnosis(recordings, examined, searched, judged, fitted, beside)
+    beside = partial(with_causes, calibrated.result, made, causes(weighed.fitted), config)
+    return _diagnosis(recordings, examined, searched, weighed, beside)
 
 
 @dataclass(frozen=True)
@@ -216,6 +215,46 @@ class _Seen:
     nodes: dict[str, Array]
 
 
+@dataclass(frozen=True)
+class _Weighed:
+    """Causes after what else could be, and where the gap lies.
+
+    Attributes
+    ----------
+    judged : Judged
+    fitted : tuple of FittedCause
+    gap : Gap
+    causes : tuple of NamedCause
+    where : Where
+    shape : str
+    """
+
+    judged: Judged
+    fitted: tuple[FittedCause, ...]
+    gap: Gap
+    causes: tuple[NamedCause, ...]
+    where: Where
+    shape: str
+
+
+def _weighed(
+    searched: _Searched, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
+) -> _Weighed:
+    """Weigh the causes found, name those that stay, and tell where the gap lies."""
+    rows = searched.rows
+    judged = judge(rows, explained, config, exclude)
+    explained, nameless = judged.explained, judged.nameless
+    fitted, gap = fitted_causes(explained.causes, rows), gap_of(explained, judged.noise)
+    causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)
+    where, shape = where_and_shape(
+        run_views(rows, explained),
+        project=rows.project,
+        known=known_words(causes, nameless.said if nameless else None),
+        certain=nameless is None,
+    )
+    return _Weighed(judged, tuple(fitted), gap, causes, where, shape)
+
+
 def _by_machine(runs: Sequence[Run], kept: Sequence[Run]) -> bool:
     """Tell whether what is left out as outliers is what the machine does."""
     return any(left_out(run, own).by_machine for run, own in zip(runs, kept, strict=True))
@@ -254,36 +293,28 @@ def _diagnosis(
     recordings: Sequence[Recording],
     examined: Examined,
     searched: _Searched,
-    judged: Judged,
-    fitted: Sequence[FittedCause],
+    weighed: _Weighed,
     beside: Callable[[str], EffectsCalibration],
 ) -> Diagnosis:
     """Put everything into words; ``beside`` makes the calibration for a sentence."""
-    rows, visible, nameless = searched.rows, searched.found.visible, judged.nameless
-    explained = judged.explained
-    applied = tuple(tuple(part.applied(k) for part in fitted) for k in range(len(rows.runs)))
-    gap = gap_of(explained, judged.noise)
-    causes = named_causes(explained, fitted, judged.noise_cause, gap, rows.states)
-    said = nameless.said if nameless else None
-    sentence = sentence_of(judged.verdict, gap, causes, judged.noise, said)
-    views = run_views(rows, explained)
-    where, shape = where_and_shape(
-        views,
-        project=rows.project,
-        known=known_words(causes, said),
-        certain=nameless is None,
+    rows, visible, judged = searched.rows, searched.found.visible, weighed.judged
+    explained, nameless, causes = judged.explained, judged.nameless, weighed.causes
+    applied = tuple(
+        tuple(part.applied(k) for part in weighed.fitted) for k in range(len(rows.runs))
     )
+    said = nameless.said if nameless else None
+    sentence = sentence_of(judged.verdict, weighed.gap, causes, judged.noise, said)
     calibration = beside(sentence)
     return Diagnosis(
         runs=tuple(r.name or f'run {k}' for k, r in enumerate(recordings, start=1)),
         verdict=judged.verdict,
         sentence=sentence,
-        gap=gap,
+        gap=weighed.gap,
         causes=causes,
-        unexplained_um=gap.after_um,
-        unexplained_where=judged.left if explained.causes else shape,
+        unexplained_um=weighed.gap.after_um,
+        unexplained_where=judged.left if explained.causes else weighed.shape,
         not_visible=_not_visible(visible, causes),
-        where=where,
+        where=weighed.where,
         considered=searched.found.considered,
         smallest_found_um={
             n: 1e6 * v.smallest for n, v in visible.items() if np.isfinite(v.smallest)
@@ -294,7 +325,7 @@ def _diagnosis(
         applied=nameless.applied if nameless else applied,
         calibration=calibration,
         origin=calibration.plain.origin,
-        shown=Shown(tuple(replace(v) for v in views), _conditions(examined, calibration.plain)),
+        shown=Shown(run_views(rows, explained), _conditions(examined, calibration.plain)),
     )
 
 

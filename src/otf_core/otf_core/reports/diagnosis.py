@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from otf_core.aside import shared_out
 from otf_core.diagnosis.measured import measured_run
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects.effects_yaml import write_effects
@@ -87,11 +88,19 @@ def write_diagnosis(
             if not number or applied != first:
                 written.append(folder / effects_file(number))
                 write_effects(written[-1], applied, machine)
+    tables = {}
     if first and diagnosis.causes:
-        write_calibration(calibration.plain, folder / 'calibration_plain', 'diagnose')
-        write_calibration(calibration.result, folder / 'calibration_with_effects', 'diagnose')
+        tables['calibration_plain'] = calibration.plain
+        tables['calibration_with_effects'] = calibration.result
         written.append(folder / 'calibration_with_effects')
-    write_text(folder / report, report_html(diagnosis))
+
+    def write(name: str) -> None:
+        if name in tables:
+            write_calibration(tables[name], folder / name, 'diagnose')
+        else:
+            write_text(folder / name, report_html(diagnosis))
+
+    shared_out(write, [report, *tables])
     content = diagnosis_to_dict(diagnosis)
     write_text(folder / 'gap.json', json.dumps(content, indent=1) + '\n')
     return [*written, folder / report, folder / 'gap.json']

@@ -13,8 +13,8 @@ wave of any period.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import pairwise, product
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from otf_core.diagnosis.engine.courses import CourseInTime, Courses
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES, SlowWave
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
+from otf_core.effects.acting import Acting
 from otf_core.effects.base import Effect, Shape
 from otf_core.effects.free import FreeForm, switched
 from otf_core.effects.switching import Switching, responses
@@ -59,6 +60,12 @@ BEHIND, HOPELESS = 0.9, 30.0
 """Share of the evidence of the best candidate, less so much, that a course in time needs to be
 looked at: what has less is neither named nor not told from what is."""
 
+_Kind = tuple[bool, bool] | None
+"""Whether it jumps and is alike each time it is on; None for what no moment is looked for."""
+KINDS: tuple[_Kind, ...] = (
+    (False, False), (False, True), (True, False), (True, True), None,
+)  # fmt: skip
+
 
 def with_switches(beside: Beside, variance: float) -> Beside:
     """The same with drifts and jumps of what switches, and waves, at their likeliest moments."""
@@ -71,10 +78,12 @@ def with_switches(beside: Beside, variance: float) -> Beside:
     amount = beside.basis.T @ rows.residual
     best = max(t.odds(k, variance) for g in groups.values() for t in g for k in t.takes)
     least = BEHIND * best - HOPELESS
+    ways = [_Way.of(t, groups, rows, variance) for t in courses]
+    jobs = [(way, kind) for way in ways if way.courses.most >= least for kind in KINDS]
 
-    def switching(course: Tried) -> list[Tried]:
+    def switching(job: tuple[_Way, _Kind]) -> list[Tried]:
         found = []
-        for effect, shape, price in _likely(course, groups, rows, variance, least):
+        for effect, shape, price in job[0].likely(job[1], rows, least):
             (made,) = tried_shapes(rows, effect, [shape])
             if pulled:
                 made = made.without(made.source.shared(pulled), amount)
@@ -82,48 +91,70 @@ def with_switches(beside: Beside, variance: float) -> Beside:
         return found
 
     rows.prepare()
-    drivers = [e for t in courses if isinstance(t.effect, CourseInTime) for e in t.effect.drivers]
-    for made in [
-        one for found in shared_out(switching, courses, (rows, *drivers)) for one in found
-    ]:
+    known = (rows, *(e for way in ways for e in way.drivers))
+    for made in chain.from_iterable(shared_out(switching, jobs, known)):
         groups[made.effect.name].append(made)
     return replace(beside, candidates=groups)
 
 
-def _likely(
-    tried: Tried,
-    groups: Mapping[str, Sequence[Tried]],
-    rows: Rows,
-    variance: float,
-    least: float,
-) -> Iterator[tuple[Effect, Shape, float]]:
-    """Effects that act as a ``CourseInTime`` does, at their likeliest moments, and their price.
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """One way to act, in which effects may switch.
 
-    None where no course can have so much evidence as ``least``.
+    Attributes
+    ----------
+    acts : Acting
+    drivers : tuple of Effect
+        Those that are candidates.
+    courses : Courses
     """
-    assert isinstance(tried.effect, CourseInTime)
-    acts, drivers = tried.effect.acts, [e for e in tried.effect.drivers if e.name in groups]
-    courses = Courses.of(tried, rows.states[0].end, variance)
-    if courses.most < least:
-        return
-    for jumps, alike in product((False, True), repeat=2):
+
+    acts: Acting
+    drivers: tuple[Effect, ...]
+    courses: Courses
+
+    @classmethod
+    def of(
+        cls, tried: Tried, groups: Mapping[str, Sequence[Tried]], rows: Rows, variance: float
+    ) -> _Way:
+        """Take the way of a ``CourseInTime``."""
+        assert isinstance(tried.effect, CourseInTime)
+        drivers = tuple(e for e in tried.effect.drivers if e.name in groups)
+        return cls(tried.effect.acts, drivers, Courses.of(tried, rows.states[0].end, variance))
+
+    def likely(
+        self, kind: _Kind, rows: Rows, least: float
+    ) -> Iterator[tuple[Effect, Shape, float]]:
+        """Effects that act in this way, at their likeliest moments, and their price.
+
+        Those that have more evidence than ``least``.
+        """
+        if kind is None:
+            yield from self._formulas(rows, least)
+            return
+        jumps, alike = kind
         named = [
-            e for e in drivers if (e.name in DECOY_NAMES) == jumps and not isinstance(e, SlowWave)
+            e
+            for e in self.drivers
+            if (e.name in DECOY_NAMES) == jumps and not isinstance(e, SlowWave)
         ]
-        found = likeliest(courses, jumps=jumps, alike=alike) if named else []
+        found = likeliest(self.courses, jumps=jumps, alike=alike) if named else []
         for switching, price in (one[1:] for one in found if one[0] > least):
-            free = switched(acts, switching, 1 if alike else len(switching.moments))
+            free = switched(self.acts, switching, 1 if alike else len(switching.moments))
             for effect in named:
                 yield FreeForm.bound(effect, free, rows.states), {}, price
-    waves = [e for e in drivers if isinstance(e, SlowWave)]
-    drifts = [e for e in drivers if e.name not in DECOY_NAMES]
-    score, period = swing(courses) if waves else (-np.inf, 0.0)
-    for effect in waves if score > least else ():
-        yield effect, {'period': period}, float(np.log(MOST_TURNS / TURN))
-    score, lag = lag_from_start(courses) if drifts else (-np.inf, 0.0)
-    for effect in drifts if score > least else ():
-        shape = {'tau': lag, 'until': rows.states[0].end, 'order': 1.0}
-        yield effect, effect.complete_shape(shape), float(np.log(len(LAGS)))
+
+    def _formulas(self, rows: Rows, least: float) -> Iterator[tuple[Effect, Shape, float]]:
+        """Waves at their likeliest period, drifts from the start with their likeliest lag."""
+        waves = [e for e in self.drivers if isinstance(e, SlowWave)]
+        drifts = [e for e in self.drivers if e.name not in DECOY_NAMES]
+        score, period = swing(self.courses) if waves else (-np.inf, 0.0)
+        for wave in waves if score > least else ():
+            yield wave, {'period': period}, float(np.log(MOST_TURNS / TURN))
+        score, lag = lag_from_start(self.courses) if drifts else (-np.inf, 0.0)
+        for effect in drifts if score > least else ():
+            shape = {'tau': lag, 'until': rows.states[0].end, 'order': 1.0}
+            yield effect, effect.complete_shape(shape), float(np.log(len(LAGS)))
 
 
 def _something_in_time(groups: Mapping[str, Sequence[Tried]], variance: float) -> bool:
