@@ -233,13 +233,14 @@ class Rows:
             whitener.whiten(part).reshape(-1, *columns.shape[1:]) for whitener, part in parts
         ])  # fmt: skip
 
-    def whiten_run(self, columns: Array, run: int) -> None:
-        """Whiten columns (r of the run, k) of one run in place."""
-        values = columns.reshape(*self.done.runs[run].system.deviation.shape, -1)
-        whitener = self.whiteners[run]
-        for (low, high), leg in zip(whitener.bounds, whitener.inverses, strict=True):
-            for component, inverse in enumerate(leg):
-                values[component, low:high] = inverse @ values[component, low:high]
+    def whiten_lines(self, values: Array, run: int, lines: range) -> None:
+        """Whiten columns (c, m, k) of the pieces of some lines of a run in place."""
+        whitener, start = self.whiteners[run], 0
+        for inverses in (whitener.inverses[k] for k in lines):
+            own = slice(start, start + inverses.shape[1])
+            for component, inverse in enumerate(inverses):
+                values[component, own] = inverse @ values[component, own]
+            start = own.stop
 
     def pulled(self, white: Array) -> Pulled:
         """Set up products of whitened columns (r, q) with what effects add beyond the tables."""
@@ -271,12 +272,10 @@ class Rows:
     def base(self) -> Array:
         """Whitened columns of the unknowns in ``use``, in units of ``limit``, shape (r, b)."""
         gauge = self.done.unknowns.gauge[:, self.use] * self.limit
-        ends = np.cumsum([0, *(s.system.deviation.size for s in self.done.runs)])
-        found = np.empty((ends[-1], len(self.use)))
-        for k, solved in enumerate(self.done.runs):
-            white = found[ends[k] : ends[k + 1]]
-            (solved.system.design @ gauge).toarray(out=white)
-            self.whiten_run(white, k)
+        found = np.empty((len(self.plain_deviation), len(self.use)))
+        for k, (solved, white) in enumerate(zip(self.done.runs, self.by_run(found), strict=True)):
+            (solved.system.design @ gauge).toarray(out=white.reshape(-1, white.shape[2]))
+            self.whiten_lines(white, k, range(len(self.whiteners[k].bounds)))
         return found
 
     @cached_property

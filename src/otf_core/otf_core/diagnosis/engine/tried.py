@@ -30,6 +30,7 @@ from otf_core.diagnosis.engine.evidence import (
     log_evidence,
     motion_subsets,
 )
+from otf_core.diagnosis.engine.products import add_products
 from otf_core.diagnosis.engine.rows import Pulled, Rows
 from otf_core.effects import Effect, Shape, Terms
 from otf_core.effects.free import FreeForm
@@ -299,19 +300,15 @@ def _group(
     rows: Rows, batch: Sequence[_Shape], group: Sequence[int], pulled: Pulled
 ) -> list[_Sums]:
     """Sums over runs that share their coefficients."""
-    ends = np.cumsum([0, *(s.system.deviation.size for s in rows.done.runs)])
+    pull = rows.by_run(pulled.plain)
     plain = [_beside([_columns(rows, one, k) for one in batch]) for k in group]
     size = column_size(*plain)
     cross, right = np.zeros((len(rows.use), len(size))), np.zeros(len(size))
     squares = [np.zeros((s.place.stop - s.place.start,) * 2) for s in batch]
     for k, columns in zip(group, plain, strict=True):
-        part = slice(ends[k], ends[k + 1])
-        right += columns.T @ pulled.plain[part, 0]
-        rows.whiten_run(columns, k)
-        cross += (columns.T @ rows.base[part]).T  # faster than the other way round
-        for square, one in zip(squares, batch, strict=True):
-            own = columns[:, one.place]
-            square += own.T @ own
+        values = columns.reshape(*pull[k].shape[:2], -1)
+        right += columns.T @ pull[k].reshape(-1)
+        add_products(rows, k, values, [s.place for s in batch], cross, squares)
     return [
         _Sums(size[s.place], square, cross[:, s.place], right[s.place])
         for s, square in zip(batch, squares, strict=True)
