@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain, combinations_with_replacement
 
 import numpy as np
@@ -42,10 +43,11 @@ class Scores:
     Attributes
     ----------
     pull : ndarray, shape (p, 3), 1/m
-    information : ndarray, shape (3, 3, p), 1/m^2
+    information : ndarray, shape (p, 6), 1/m^2
+        For every pair of ``DIRECTIONS``.
     slow : sparse array, shape (s, p)
         Polynomials over every leg, sum of squares 1.
-    beyond : ndarray, shape (3, 3, s), 1/m^2
+    beyond : ndarray, shape (s, 6), 1/m^2
         Information about these, less what it would be by that about single pieces.
     """
 
@@ -60,23 +62,19 @@ class Scores:
         pull = np.concatenate(rows.pulled_residual.turned)[:, :, 0]
         axes = np.concatenate([s.system.axes for s in rows.done.runs], axis=1)
         weights = _weights(rows.whiteners)
-        information = np.einsum('cpi,cpj,cp->ijp', axes, axes, weights.pieces)
-        middle = axes[:, weights.middle]
-        beyond = np.einsum('cli,clj,cl->ijl', middle, middle, weights.beyond)
+        information = _by_directions(axes, weights.pieces)
+        beyond = _by_directions(axes[:, weights.middle], weights.beyond)
         return cls(pull, information, weights.slow, beyond)
 
     def gain(self, functions: Array) -> float:
         """Half the fall of the sum of squares by functions (p, k), each along X, Y and Z."""
         right = (functions.T @ self.pull).T.ravel()
-        whole = np.einsum('pa,ijp,pb->iajb', functions, self.information, functions, optimize=True)
-        matrix = whole.reshape(len(right), -1) + self._beyond(functions)
+        matrix = _information(functions, self.information) + self._beyond(functions)
         return float(_gains(matrix[None], right[None])[0])
 
     def _beyond(self, functions: Array) -> Array:
         """Information about functions (p, k) beyond that by single pieces, shape (3 k, 3 k)."""
-        own = self.slow @ functions
-        whole = np.einsum('la,ijl,lb->iajb', own, self.beyond, own, optimize=True)
-        return np.asarray(whole.reshape(3 * own.shape[1], -1))
+        return _information(self.slow @ functions, self.beyond)
 
     def gains_of_products(self, first: Array, others: Sequence[Array]) -> list[float]:
         """The same of products of functions (p, a) of one input with those (p, b) of others.
@@ -84,21 +82,19 @@ class Scores:
         The first of each is the constant; the constant of the product is left out. Sums over the
         pieces of products of four functions are those of two products of two.
         """
-        pairs, directions = _pairs(first.shape[1]), _pairs(3)
-        weights = np.stack([self.information[i, j] for i, j in directions.once], axis=1)
-        weighted = (pairs.products(first)[:, :, None] * weights[:, None, :]).reshape(
-            len(first), -1
-        )
+        pairs = _pairs(first.shape[1])
+        weighted = pairs.products(first)[:, :, None] * self.information[:, None, :]
+        weighted = weighted.reshape(len(first), -1)
         pulled = (first[:, :, None] * self.pull[:, None, :]).reshape(len(first), -1)
         found = []
         for other in others:
             own, count = _pairs(other.shape[1]), first.shape[1] * other.shape[1]
             sums = (weighted.T @ own.products(other)).reshape(
-                -1, len(directions.once), len(own.once)
+                -1, len(DIRECTIONS.once), len(own.once)
             )
             whole = sums[
                 pairs.place[:, :, None, None, None, None],
-                directions.place[:, :, None, None],
+                DIRECTIONS.place[:, :, None, None],
                 own.place,
             ]
             matrix = whole.transpose(2, 0, 4, 3, 1, 5).reshape(3 * count, -1)
@@ -120,23 +116,23 @@ class Scores:
         )
 
     def _gains_of_each(self, functions: Array) -> Array:
-        one = np.ones_like(functions)
-        matrix = self._of_pairs(one, functions)
+        (one, first), own = self._constant, self.slow @ functions
+        both = functions.T @ self.information + (one[:, None] * own).T @ self.beyond
+        matrix = _of_pairs(np.broadcast_to(first, both.shape), both, self._squares(functions, own))
         right = np.zeros((functions.shape[1], 2, 3))
         right[:, 1] = functions.T @ self.pull
         return _gains(matrix, right.reshape(-1, 6))
 
-    def _of_pairs(self, first: Array, second: Array) -> Array:
-        """Information about pairs of functions, (p, f) each, shape (f, 6, 6)."""
-        parts = ((first, second, self.information),
-                 (self.slow @ first, self.slow @ second, self.beyond))  # fmt: skip
-        found = []
-        for a, b, known in parts:
-            flat = known.reshape(9, -1).T
-            both = (a * b).T @ flat
-            found.append(np.array([[(a * a).T @ flat, both], [both, (b * b).T @ flat]]))
-        whole = (found[0] + found[1]).reshape(2, 2, -1, 3, 3)
-        return np.asarray(whole.transpose(2, 0, 3, 1, 4).reshape(-1, 6, 6))
+    @cached_property
+    def _constant(self) -> tuple[Array, Array]:
+        """The constant in terms of what is slow along a leg, and information about it."""
+        one = np.ones((len(self.pull), 1))
+        own = self.slow @ one
+        return own[:, 0], self._squares(one, own)
+
+    def _squares(self, functions: Array, own: Array) -> Array:
+        """Information about functions (p, f), ``own`` what is slow of them, shape (f, 6)."""
+        return np.asarray((functions**2).T @ self.information + (own**2).T @ self.beyond)
 
     def gains_of_waves(self, time: Array, frequency: Array) -> Array:
         """The same of cosine and sine of time (p,) at evenly spaced frequencies (f,), Hz."""
@@ -145,10 +141,40 @@ class Scores:
             if turned is None:
                 turned = np.exp(2j * np.pi * time[:, None] * (part - part[0]))
             turn = turned[:, : len(part)] * np.exp(2j * np.pi * part[0] * time)[:, None]
-            waves = turn.real, turn.imag
-            right = np.stack([wave.T @ self.pull for wave in waves], axis=1)
-            found.append(_gains(self._of_pairs(*waves), right.reshape(-1, 6)))
+            waves = np.ascontiguousarray(turn.real), np.ascontiguousarray(turn.imag)
+            slow = [self.slow @ wave for wave in waves]
+            first, second = (self._squares(w, own) for w, own in zip(waves, slow, strict=True))
+            both = (
+                np.prod(waves, axis=0).T @ self.information + np.prod(slow, axis=0).T @ self.beyond
+            )
+            right = np.concatenate([wave.T @ self.pull for wave in waves], axis=1)
+            found.append(_gains(_of_pairs(first, both, second), right))
         return np.concatenate(found)
+
+
+def _of_pairs(first: Array, both: Array, second: Array) -> Array:
+    """Information about two functions along X, Y and Z, shape (f, 6, 6).
+
+    By the sums (f, 6) of their squares and products for every pair of ``DIRECTIONS``.
+    """
+    whole = np.array([first, both, both, second])[:, :, DIRECTIONS.place]
+    whole = whole.reshape(2, 2, -1, 3, 3)
+    return np.asarray(whole.transpose(2, 0, 3, 1, 4).reshape(-1, 6, 6))
+
+
+def _by_directions(axes: Array, weights: Array) -> Array:
+    """Information by weights (c, p) of rows along axes (c, p, 3), shape (p, 6)."""
+    pairs = (axes[:, :, i] * axes[:, :, j] * weights for i, j in DIRECTIONS.once)
+    return np.stack([own.sum(axis=0) for own in pairs], axis=1)
+
+
+def _information(functions: Array, known: Array) -> Array:
+    """Information about functions (p, k) by that about single pieces (p, 6), (3 k, 3 k)."""
+    count = functions.shape[1]
+    whole = np.empty((3, count, 3, count))
+    for (i, j), weight in zip(DIRECTIONS.once, known.T, strict=True):
+        whole[i, :, j] = whole[j, :, i] = functions.T @ (weight[:, None] * functions)
+    return whole.reshape(3 * count, -1)
 
 
 @dataclass(frozen=True)
@@ -169,6 +195,10 @@ def _pairs(count: int) -> _Pairs:
     for number, (i, j) in enumerate(once):
         place[i, j] = place[j, i] = number
     return _Pairs(once, place)
+
+
+DIRECTIONS = _pairs(3)
+"""Pairs of X, Y and Z."""
 
 
 def _gains(matrix: Array, right: Array) -> Array:
