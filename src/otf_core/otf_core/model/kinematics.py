@@ -42,8 +42,11 @@ def lever(machine: Machine, axis: str, q: Points) -> Points:
     -------
     ndarray, shape (n, 3), m
     """
-    carried = np.array([a in machine.chain.lever_axes(axis) for a in AXES])
-    return np.asarray(machine.target_offset + np.where(carried, _checked(q), 0.0))
+    q, carried = _checked(q), machine.chain.lever_axes(axis)
+    arm = np.empty_like(q)
+    for k, (name, offset) in enumerate(zip(AXES, machine.target_offset, strict=True)):
+        arm[:, k] = offset + q[:, k] if name in carried else offset
+    return arm
 
 
 def motion_influence(machine: Machine, motion: ErrorMotion, q: Points) -> Points:
@@ -107,9 +110,15 @@ def displacement(tables: ErrorTables, q: Points) -> Points:
     """
     q = _checked(q)
     total = np.zeros_like(q)
+    arms = {axis: lever(tables.machine, axis, q) for axis in AXES}
     for motion in MOTIONS:
         error = tables.motions[motion].at(q[:, motion.place])
-        total += error[:, None] * motion_influence(tables.machine, motion, q)
+        if motion.is_translation:
+            total[:, motion.along] += error
+            continue
+        arm, after, last = arms[motion.axis], (motion.along + 1) % 3, (motion.along + 2) % 3
+        total[:, after] -= error * arm[:, last]
+        total[:, last] += error * arm[:, after]
     for name in SQUARENESS:
         total += tables.squareness[name].value * squareness_influence(name, q)
     return total
