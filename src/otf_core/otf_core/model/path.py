@@ -152,11 +152,15 @@ class Legs:
 
     def along(self, points: Array, leg: NDArray[np.int64]) -> Array:
         """Position of points (n, 3) on their legs (n,), m from the start, not clipped."""
-        return np.asarray(np.einsum('ij,ij->i', points - self.corners[leg], self.unit[leg]))
+        away = points - self.corners.take(leg, axis=0)
+        return np.asarray(np.einsum('ij,ij->i', away, self.unit.take(leg, axis=0)))
 
     def at(self, along: Array, leg: NDArray[np.int64]) -> Array:
         """Points on legs (n,) at positions (n,), m from their start, shape (n, 3), m."""
-        return np.asarray(self.corners[leg] + along[:, None] * self.unit[leg])
+        found = self.corners.take(leg, axis=0)
+        for k in range(3):
+            found[:, k] += along * self.unit[:, k].take(leg)
+        return np.asarray(found)
 
 
 def leg_bounds(leg: NDArray[np.int64]) -> list[tuple[int, int]]:

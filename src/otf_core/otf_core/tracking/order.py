@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,15 +125,16 @@ class _Emission:
 def _possible(possible: Bool, cost: Array, anew: Array, of: Index) -> list[_Emission]:
     """Emission of some measured legs (rows), from what holds for every line (columns)."""
     row, leg = np.nonzero(possible[:, of])
-    own = (leg, cost[row, of[leg]], anew[row, of[leg]])
-    ends = np.searchsorted(row, np.arange(1, len(cost)))
-    return [_Emission(*parts) for parts in zip(*(np.split(v, ends) for v in own), strict=True)]
+    cost_of, anew_of = cost[row, of[leg]], anew[row, of[leg]]
+    ends = np.searchsorted(row, np.arange(len(cost) + 1)).tolist()
+    parts = (slice(low, high) for low, high in pairwise(ends))
+    return [_Emission(leg[own], cost_of[own], anew_of[own]) for own in parts]
 
 
 def _emissions(
-    pose: RigidTransform, track: Track, corners: Array, tolerance: float
-) -> Iterator[tuple[_Emission, _Emission]]:
-    """Emission of every measured leg, forward and backward."""
+    pose: RigidTransform, track: Track, corners: Array, tolerance: float, free: bool
+) -> Iterator[tuple[_Emission, _Emission | None]]:
+    """Emission of every measured leg, forward and, if the other sense is allowed, backward."""
     lines, starts, ends = _Lines.of_path(corners), pose.apply(track.starts), pose.apply(track.ends)
     least = np.maximum(0.9 * track.lengths[:, None] - 4 * tolerance, 0.0)
     size, slack = max(1, BLOCK // len(lines.of)), 4 * tolerance
@@ -145,21 +147,22 @@ def _emissions(
         advance = end - begin
         before = np.concatenate([begin[:1] if ended is None else ended, end[:-1]])
         ended = end[-1:]
-        yield from zip(
-            _possible(
-                near & (advance > least[part]),
-                cost,
-                np.where(begin < before - slack, OFF_COST, 0.0),
-                lines.of,
-            ),
-            _possible(
-                near & (-advance > least[part]),
-                cost,
-                np.where(begin > before + slack, OFF_COST, 0.0),
-                lines.of,
-            ),
-            strict=True,
+        forward = _possible(
+            near & (advance > least[part]),
+            cost,
+            np.where(begin < before - slack, OFF_COST, 0.0),
+            lines.of,
         )
+        if not free:
+            yield from ((emission, None) for emission in forward)
+            continue
+        backward = _possible(
+            near & (-advance > least[part]),
+            cost,
+            np.where(begin > before + slack, OFF_COST, 0.0),
+            lines.of,
+        )
+        yield from zip(forward, backward, strict=True)
 
 
 class _Chain:
@@ -242,7 +245,7 @@ def _follow(
     entry = np.minimum(EDGE_COST * number, cap)
     off_cost = OFF_COST * np.minimum(1.0, track.lengths / (20 * tolerance))
     start = 0.0
-    emissions = _emissions(pose, track, corners, tolerance)
+    emissions = _emissions(pose, track, corners, tolerance, free)
     for off, (forward, backward) in zip(off_cost.tolist(), emissions, strict=True):
         jump, at = np.inf, 0
         if free:
@@ -253,7 +256,7 @@ def _follow(
         elif min(start, ahead.score.min()) > most:
             return None  # costs only grow
         ahead.step(forward, off, start + entry, jump, at)
-        if free:
+        if backward is not None:
             back.step(backward.reversed(legs), off, start + JUMP_COST + entry, jump, at)
         start += off
     left = np.minimum(EDGE_COST * (legs - 1 - number), cap)
