@@ -281,6 +281,15 @@ def test_command_compares_tables_with_a_direct_measurement(tmp_path, capsys):
     }  # fmt: skip
 
 
+def test_error_vectors_of_both_are_those_at_the_target_of_the_first():
+    tables = truth_of(some_machine())
+    moved = replace(tables, machine=some_machine(offset=(0.1, 0.05, -0.3)))
+    result = compared(tables, moved)
+    assert result.volume.squareness[2] < 1e-12 < result.volume.squareness[0]
+    assert 'both at the target offset of a, X 0.020' in format_comparison(result)
+    assert 'both at' not in format_comparison(compared(tables, tables))
+
+
 def test_a_comparison_says_whether_squareness_was_known():
     machine = some_machine()
     tables = truth_of(machine)

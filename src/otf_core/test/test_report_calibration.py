@@ -200,6 +200,8 @@ def test_nodes_in_the_page_are_those_of_json_and_csv(page, tables, folder, motio
         assert number(row[0]) == pytest.approx(entry['position'][k], abs=1e-6)
         assert float(line[2]) == pytest.approx(entry['position'][k], abs=1e-15)
         assert [float(line[n]) for n in (3, 5)] == [entry['value'][k] + 0.0, entry['u'][k]]
+        seen = entry['identifiable'] and entry.get('node_identifiable', {k: True})[k]
+        assert (row[7] in {'ok', 'few data'}) == seen
 
 
 def test_squareness_in_the_page_is_that_of_json_in_both_habits_of_sign(page, tables):

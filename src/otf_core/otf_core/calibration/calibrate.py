@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from otf_core.aside import Aside
 from otf_core.budget.typical import typical_warnings
 from otf_core.calibration.assessed import Assessed, assess
+from otf_core.calibration.mixtures import mixture_warnings
 from otf_core.calibration.result import CalibrationResult, Fit
 from otf_core.calibration.solved import examined_and_solved, solve_on
 from otf_core.calibration.verdict import judge
@@ -204,6 +205,7 @@ def assemble(
             *typical_warnings(found.typical),
             *words_of(remarks, WARNING),
             *_warnings(found.fit, tables, config.unidentifiable_above),
+            *mixture_warnings([r.machine for r in runs], hidden),
             *(r.alignment.remark for r in runs if r.alignment.remark),
             *curve_remarks(runs, done),
         ),

@@ -165,6 +165,8 @@ class CalibrationResult:
         The recordings.
     effects : tuple of StatedEffect
         Taken off the runs before the tables were solved for.
+    effects_sentence : str
+        What was found and done about effects; empty where nobody asked.
     verdict : Verdict, optional
         By the limits of machine.yaml; None without any.
     """
@@ -186,6 +188,7 @@ class CalibrationResult:
     config: CalibrationConfig
     origin: tuple[Origin, ...] = ()
     effects: tuple[StatedEffect, ...] = ()
+    effects_sentence: str = ''
     verdict: Verdict | None = None
 
     @property

@@ -40,14 +40,16 @@ class EffectsCalibration:
         Without; the same if there were none.
     applied : tuple of tuple of AppliedEffect
         What was taken off, run by run.
-    words : str
-        What was done, in a sentence.
     """
 
     result: CalibrationResult
     plain: CalibrationResult
     applied: tuple[tuple[AppliedEffect, ...], ...]
-    words: str
+
+    @property
+    def words(self) -> str:
+        """What was done, in a sentence."""
+        return self.result.effects_sentence
 
 
 def beside_plain(
@@ -72,16 +74,18 @@ def beside_plain(
         Put before those of the result.
     """
     if corrected is None:
-        result = replace(plain, warnings=(*warnings, *plain.warnings))
-        return EffectsCalibration(result, plain, tuple(() for _ in plain.runs), words)
+        result = replace(plain, warnings=(*warnings, *plain.warnings), effects_sentence=words)
+        return EffectsCalibration(result, plain, tuple(() for _ in plain.runs))
     result = corrected.result
     of_plain = (f'of the plain calibration: {gate}' for gate in plain.failed_gates)
-    result = replace(result, warnings=(*warnings, *of_plain, *result.warnings))
+    result = replace(
+        result, warnings=(*warnings, *of_plain, *result.warnings), effects_sentence=words
+    )
     applied = tuple(
         tuple(AppliedEffect(one.effect, own) for one, own in zip(taking, run, strict=True))
         for run in corrected.parameters
     )
-    return EffectsCalibration(result, plain, applied, words)
+    return EffectsCalibration(result, plain, applied)
 
 
 @in_one_thread

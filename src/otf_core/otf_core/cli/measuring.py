@@ -79,20 +79,18 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
                 report=arguments.report,
                 facts=facts,
             )
-    _answer_calibration(arguments, facts, '', files)
+    _answer_calibration(arguments, facts, files)
     return _judged(result)
 
 
-def _answer_calibration(
-    arguments: argparse.Namespace, facts: Facts, more: str, files: list[Path]
-) -> None:
-    """Print a calibration; ``more`` words follow its own."""
+def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list[Path]) -> None:
+    """Print a calibration."""
     from otf_core.reports.calibration_report import calibration_sections
     from otf_core.reports.section import sections_to_dict, sections_to_text
 
     sections = calibration_sections(facts)
     report = sections_to_dict(sections)
-    answer_from(arguments, f'{sections_to_text(sections)}\n{more}', files, TABLES, report=report)
+    answer_from(arguments, f'{sections_to_text(sections)}\n', files, TABLES, report=report)
 
 
 def _judged(result: CalibrationResult) -> int:
@@ -123,7 +121,7 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
             files = write_with_effects(
                 done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
             )
-    _answer_calibration(arguments, facts_of(done.result), f'\n{done.words}\n', files)
+    _answer_calibration(arguments, facts_of(done.result), files)
     return _judged(done.result)
 
 

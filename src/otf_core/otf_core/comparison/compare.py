@@ -8,7 +8,7 @@ where two sources agree within their stated uncertainties.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +79,8 @@ class VolumeComparison:
         Standard uncertainty of the difference.
     squareness : tuple of float, or None
         Mean lengths of a, b and b - a with everything the sources know, squareness included and
-        the rigid motion taken out; None if one of them lacks squareness.
+        the rigid motion taken out, both at the target offset of a; None if one of them lacks
+        squareness.
     """
 
     q: Array
@@ -101,9 +102,10 @@ class VolumeComparison:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two sources compared: their names, common ground, motions, volume."""
+    """Two sources compared: their names, target offsets, common ground, motions, volume."""
 
     names: tuple[str, str]
+    offsets: tuple[Array, Array]
     common: Common
     motions: Mapping[str, MotionComparison]
     volume: VolumeComparison
@@ -169,10 +171,13 @@ def _field_rows(common: Common, q: Array) -> Array:
     return rows[:, :, np.array(keep)]
 
 
-def _with_squareness(a: Source, b: Source, q: Array) -> tuple[float, float, float] | None:
+def _with_squareness(
+    a: Source, b: Source, machine: Machine, q: Array
+) -> tuple[float, float, float] | None:
     if not (a.squareness and b.squareness):
         return None
-    fields = [without_rigid_motion(displacement(s.tables, q), q) for s in (a, b)]
+    tables = (replace(s.tables, machine=machine) for s in (a, b))
+    fields = [without_rigid_motion(displacement(own, q), q) for own in tables]
     return mean_length(fields[0]), mean_length(fields[1]), mean_length(fields[1] - fields[0])
 
 
@@ -213,9 +218,10 @@ def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
         rows @ values[0],
         rows @ values[1],
         np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3),
-        _with_squareness(a, b, q),
+        _with_squareness(a, b, common.machine, q),
     )
-    return Comparison((a.name, b.name), common, motions, volume)
+    offsets = a.tables.machine.target_offset, b.tables.machine.target_offset
+    return Comparison((a.name, b.name), offsets, common, motions, volume)
 
 
 def agreement(normalised: Array) -> float:

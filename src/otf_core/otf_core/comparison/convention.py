@@ -63,6 +63,7 @@ class Common:
     Attributes
     ----------
     machine : Machine
+        That of the first, with its target offset.
     position : mapping of axis to ndarray, m
         Positions at which motions are compared.
     folded : tuple of str

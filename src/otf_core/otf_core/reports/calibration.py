@@ -73,6 +73,7 @@ def result_to_dict(
         'typical_systematic': typical_to_dict(result.typical),
         'not_identifiable': list(result.not_identifiable),
         'effects': effects_to_list(result.effects),
+        'effects_sentence': result.effects_sentence,
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
         **({'verdict': result.verdict.to_dict()} if result.verdict else {}),

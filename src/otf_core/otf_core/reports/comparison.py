@@ -18,6 +18,7 @@ from otf_core.model.frames import XYZ
 from otf_core.model.motions import unit_of
 from otf_core.model.provenance import provenance
 from otf_core.reports.plots.comparison import draw_motions, draw_volume
+from otf_core.reports.quantities import place
 
 Array = NDArray[np.float64]
 
@@ -56,6 +57,7 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
         'b': result.names[1],
         'convention': CONVENTION,
         'counted_as_translations': list(result.common.folded),
+        'target_offsets': [offset.tolist() for offset in result.offsets],
         'motions': motions,
         'volume': {
             'points': len(volume.q),
@@ -110,6 +112,11 @@ def format_comparison(result: Comparison) -> str:
             'with squareness, without rigid motion: a {:.2f} um, b {:.2f} um, '
             'b - a {:.2f} um'.format(*(1e6 * v for v in volume.squareness))
         )
+        own, other = result.offsets
+        if not np.array_equal(own, other):
+            lines.append(
+                f'both at the target offset of a, {place(own)}; that of b is {place(other)}'
+            )
     return '\n'.join(lines)
 
 

@@ -151,8 +151,9 @@ def build_system(
     nodal_lever : bool
         Take an axis' own travel in a lever arm at the centre of every spline. A rotation that
         acts only through it is then exactly a translation, as it is for continuous functions,
-        instead of differing by what a spline times the travel is off a spline: for judging
-        what is identifiable.
+        instead of differing by what a spline times the travel is off a spline; and a turn of
+        the tracker is one of the nominal positions, not of points that large errors move: for
+        judging what is identifiable.
 
     Returns
     -------
@@ -176,7 +177,7 @@ def build_system(
             unknowns,
             run,
             q,
-            points,
+            q if nodal_lever else points,
             axes,
             shifts,
             pieces.direction,

@@ -14,6 +14,7 @@ from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
 from otf_core.model.tables import load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.predict import predict
+from otf_core.reports.calibration import format_result
 from otf_core.sim.twin import twin_recording
 
 CELL = {
@@ -102,4 +103,5 @@ def test_nothing_is_taken_off_where_nothing_is_found():
     done = calibrate_with_effects([STEADY.recording(rate=40.0)], 'auto', twin_recording, CONFIG)
     assert done.result.effects == () and done.applied == ((),)
     assert 'No gap' in done.words and 'No effect was taken off' in done.words
+    assert done.words in format_result(done.result)
     assert done.result.run_id == done.plain.run_id

@@ -86,6 +86,15 @@ def test_rotations_that_cannot_be_told_apart_are_carried_by_translations(chain):
     assert left < 0.01 * before
 
 
+@pytest.mark.parametrize('size', [5e-6, 3e-4])
+def test_what_is_not_seen_does_not_depend_on_the_size_of_the_errors(size):
+    """Off the origin a turn of the whole volume is told from tables by large errors alone."""
+    machine = some_machine('w-Z-Y-X-b-t', ((0.5, 0.9), (-0.8, -0.5), (-0.8, -0.5)), pitch=0.1)
+    truth = random_tables(machine, size, np.random.default_rng(4))
+    found = fitted(machine, small_plan(machine).path, truth)
+    assert found.missing == {'EAX', 'EBX', 'ECX', 'EAY'}
+
+
 # ---------------------------------------------------------------- gauge
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects that were taken off before the tables were solved for."""
+"""What was found and done about effects; those that were taken off before solving."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from otf_core.reports.section import Section, Table
 
 
 def section(facts: Facts) -> Section | None:
-    """Return the section; None without effects."""
-    stated = facts.result.effects
+    """Return the section; None where nobody asked for effects."""
+    stated, sentence = facts.result.effects, facts.result.effects_sentence
+    said = (sentence,) if sentence else ()
     if not stated:
-        return None
+        return Section('effects', 'Effects', said, text=(*said, '')) if said else None
     rows = []
     for one in stated:
         how = 'found by a diagnosis' if one.how == FOUND else 'named in a file'
@@ -22,6 +23,7 @@ def section(facts: Facts) -> Section | None:
             unit = one.units.get(name, '')
             rows.append((one.effect.replace('_', ' '), how, name, f'{value:.5g}', known, unit))
     words = (
+        *said,
         'These effects were taken off the runs first, so the tables do not hold them. Without '
         'them the tables are in the folder plain beside this report.',
     )
@@ -29,4 +31,4 @@ def section(facts: Facts) -> Section | None:
     table = Table(head, tuple(rows), numbers=(3, 4))
     data = {'effects': effects_to_list(stated)}
     return Section('effects', 'Effects taken off', words, data, (table,),
-                   (format_effects(stated), ''))  # fmt: skip
+                   (*said, format_effects(stated), ''))  # fmt: skip

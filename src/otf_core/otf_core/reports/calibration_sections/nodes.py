@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from otf_core.files.csv_points import tidy
 from otf_core.model.motions import MOTIONS, ErrorMotion
-from otf_core.prediction.table_prior import MotionPrior
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.quantities import micro, micro_unit
 from otf_core.reports.section import Section, Table
@@ -39,8 +38,8 @@ def node_counts(facts: Facts, axis: str) -> NDArray[np.int64]:
     return np.asarray(found, dtype=np.int64)
 
 
-def _flag(seen: bool, identifiable: bool, count: int, prior: MotionPrior | None) -> str:
-    if not identifiable or prior is not None:
+def _flag(seen: bool, identifiable: bool, count: int) -> str:
+    if not identifiable:
         return 'unobservable'
     if not seen:
         return 'not determined, continued'
@@ -61,7 +60,7 @@ def _table(facts: Facts, name: ErrorMotion, counts: NDArray[np.int64]) -> Table:
             f'{k:.2f}',
             f'{dof:.0f}' if dof < 1e6 else 'infinite',
             str(int(n)),
-            _flag(bool(seen), table.identifiable, int(n), facts.result.prior.get(name)),
+            _flag(bool(seen), table.identifiable, int(n)),
         )
         for x, v, u, n, seen in zip(
             table.position, table.value, table.u, counts, flags, strict=True
