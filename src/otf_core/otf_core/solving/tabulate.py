@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from otf_core.model.evaluation import free_rows, mean_length, without_rigid_motion
-from otf_core.model.kinematics import motion_influence
+from otf_core.model.kinematics import lever, motion_influence, turned
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
@@ -56,12 +56,15 @@ class Tabulation:
         Nodes stand ``table_pitch / fraction`` apart.
     costs : mapping of fraction to TableCost
         What straight lines between nodes cost, for 1 (the wish) and for the fraction taken.
+    bends : mapping of motion to float, m
+        See ``unseen_bends``.
     """
 
     tables: ErrorTables
     rows: Array
     fraction: int
     costs: Mapping[int, TableCost]
+    bends: Mapping[ErrorMotion, float]
 
     @property
     def straight(self) -> Array:
@@ -70,8 +73,9 @@ class Tabulation:
         Independent nodes of variance v make 2/3 v on the average over the places between them.
         """
         cost, motions = self.costs[self.fraction].motions, self.tables.motions
+        missed = {m: cost[m] ** 2 + self.bends.get(m, 0.0) ** 2 for m in MOTIONS}
         parts = [np.zeros(len(SQUARENESS))]
-        parts += [np.full(len(motions[m].position), 1.5 * cost[m] ** 2) for m in MOTIONS]
+        parts += [np.full(len(motions[m].position), 1.5 * missed[m]) for m in MOTIONS]
         free = np.abs(self.rows).max(axis=1) > FIXED
         return np.asarray(np.concatenate(parts) * free)
 
@@ -149,6 +153,34 @@ def _cost(
     return TableCost(motions, mean_length(without_rigid_motion(field, grid)))
 
 
+def unseen_bends(machine: Machine, done: JointSolution) -> dict[ErrorMotion, float]:
+    """What rotations that are not seen bend translations between straight nodes, rms, m.
+
+    On the table side a rotation acts over the travel of its own axis: as a translation, which is
+    not straight where the rotation is. Over an interval h in which the rotation changes with the
+    slope s it departs by s u (h - u), h^2 s / sqrt(30) in the mean square. Slopes are taken to be
+    those of the rotations that are seen.
+    """
+    unknowns, seen = done.unknowns, done.solution.accepted
+    found: dict[ErrorMotion, float] = {}
+    if any(basis.degree > 1 for basis in unknowns.bases.values()):
+        return found
+    steps = {axis: np.diff(knots) for axis, knots in unknowns.knots.items()}
+    rotations = [m for m in MOTIONS if not m.is_translation and steps[m.axis].size]
+    values = {m: done.solution.value[unknowns.blocks[m]] for m in rotations if m in seen}
+    slopes = [np.diff(value) / steps[m.axis] for m, value in values.items()]
+    slope = float(np.sqrt(np.mean(np.concatenate(slopes) ** 2))) if slopes else 0.0
+    for motion in (m for m in rotations if m not in seen):
+        travel = np.eye(3)[[motion.place]]
+        arm = lever(replace(machine, target_offset=np.zeros(3)), motion.axis, travel)
+        bent = turned(motion.along, arm)[0]
+        size = slope * float(np.sqrt(np.mean(steps[motion.axis] ** 4) / 30.0))
+        for other in MOTIONS:
+            if other.is_translation and other.axis == motion.axis and bent[other.along]:
+                found[other] = float(np.hypot(found.get(other, 0.0), size))
+    return found
+
+
 def _inner_places(low: Array, high: Array) -> Array:
     """Places that fill the volume evenly and keep no step with nodes, shape (n, 3), m.
 
@@ -205,7 +237,8 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float)
     }
     squareness = {n: Squareness(float(value[k])) for k, n in enumerate(SQUARENESS)}
     kept = {k: costs[k] for k in {1, fraction}}
-    return Tabulation(ErrorTables(machine, motions, squareness), rows, fraction, kept)
+    tables, bends = ErrorTables(machine, motions, squareness), unseen_bends(machine, done)
+    return Tabulation(tables, rows, fraction, kept, bends)
 
 
 def _finer(machine: Machine, fraction: int) -> Machine:

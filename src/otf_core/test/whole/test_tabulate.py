@@ -14,10 +14,11 @@ from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
 from otf_core.pieces.runs import prepare_runs
+from otf_core.sim.cell import random_tables
 from otf_core.solving.basis import cubic, linear
 from otf_core.solving.joint import solve_jointly, tables_of
 from otf_core.solving.normal import NormalEquations
-from otf_core.solving.shape_choice import smooth_bases
+from otf_core.solving.shape_choice import linear_bases, smooth_bases
 from otf_core.solving.tabulate import (
     FRACTIONS,
     MOST_NODES,
@@ -27,6 +28,7 @@ from otf_core.solving.tabulate import (
     projection,
     table_rows,
     tabulate,
+    unseen_bends,
 )
 from otf_core.solving.unknowns import layout, reference_position
 
@@ -207,3 +209,44 @@ def test_coarse_wishes_do_not_spoil_the_prediction_of_a_smooth_machine():
     # independent of the error, a cost of 0.3 u adds 4 %; the draw of one machine as much again
     assert judge(cell, found.tables).left_um < 1.1 * best
     assert judge(cell, coarse.tables).left_um > 3.0 * best
+
+
+def bends_of(truth, hidden):
+    """Mean square departure of translations from straight lines between nodes, by travel alone."""
+    machine, square = truth.machine, dict.fromkeys(MOTIONS, 0.0)
+    for m in hidden:
+        table = truth.motions[m]
+        q = np.linspace(table.position[0], table.position[-1], 4001)
+        point = np.zeros((len(q), 3))
+        if m.axis in machine.chain.table_side:
+            point[:, m.place] = q
+        moved = np.cross(np.eye(3)[m.along] * table.at(q)[:, None], point)
+        for k, axis in enumerate('XYZ'):
+            nodal = np.interp(table.position, q, moved[:, k])
+            off = moved[:, k] - np.interp(q, table.position, nodal)
+            square[f'E{axis}{m.axis}'] += np.mean(off**2)
+    return {m: v for m, v in square.items() if v > 1e-20}
+
+
+@pytest.mark.parametrize('chain', ['w-b-X-Y-Z-t', 'w-X-Y-b-Z-t', 'w-Z-Y-X-b-t'])
+def test_what_unseen_rotations_bend_between_straight_nodes_is_as_large_as_stated(chain):
+    """A rotation of a table axis turns the target about where its axis stands."""
+    machine = some_machine(chain, ((0.5, 0.9), (-0.8, -0.4), (-0.7, -0.3)), pitch=0.1)
+    unknowns = layout(linear_bases(table_nodes(machine, machine.lower, machine.upper)))
+    carried = {a: set(machine.chain.lever_axes(a)) - {a} for a in machine.axis_names}
+    turns = [m for m in MOTIONS if not m.is_translation]
+    hidden = {m for m in turns if carried[m.axis] <= {machine.axis_names[m.along]}}
+    seen, stated, real = tuple(m for m in MOTIONS if m not in hidden), 0.0, 0.0
+    for seed in range(20):
+        truth = random_tables(machine, 1e-4, np.random.default_rng(seed))
+        value = np.zeros(unknowns.full)
+        for m in MOTIONS:
+            value[unknowns.blocks[m]] = truth.motions[m].value
+        solution = SimpleNamespace(value=value, accepted=seen)
+        found = unseen_bends(machine, SimpleNamespace(unknowns=unknowns, solution=solution))
+        own = bends_of(truth, hidden)
+        assert set(found) == set(own)
+        stated += sum(v**2 for v in found.values())
+        real += sum(own.values())
+    assert (real > 0.0) == (chain != 'w-b-X-Y-Z-t')
+    assert real == 0.0 or stated / real == pytest.approx(1.0, abs=0.35)
