@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,20 @@ class Beside:
         """Best fit of one of the candidates, less what the causes can follow, shape (r,)."""
         trace = tried.trace(take, variance)
         return np.asarray(trace - self.basis @ (self.basis.T @ trace))
+
+    @cached_property
+    def taken(self) -> tuple[Pulled, Array] | None:
+        """What the causes can follow, and the amount of the residual along it."""
+        if not self.basis.shape[1]:
+            return None
+        return self.rows.pulled(self.basis), self.basis.T @ self.rows.residual
+
+    def less(self, tried: Tried) -> Tried:
+        """A further candidate, less what the causes can follow."""
+        if self.taken is None:
+            return tried
+        pulled, amount = self.taken
+        return tried.without(tried.source.shared(pulled), amount)
 
 
 @dataclass(frozen=True, eq=False)

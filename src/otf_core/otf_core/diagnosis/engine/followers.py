@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.beside import Beside
-from otf_core.diagnosis.engine.rows import Pulled
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.free import FreeForm, follower
 from otf_core.effects.inputs import SIGNAL
@@ -85,9 +84,8 @@ def with_lags(beside: Beside, variance: float) -> Beside:
         return beside
     if not any(signal_of(t) for group in beside.candidates.values() for t in group):
         return beside
-    pulled = beside.rows.pulled(beside.basis) if beside.basis.shape[1] else None
     groups = {
-        name: [*group, *_refined(beside, group, pulled, variance)]
+        name: [*group, *_refined(beside, group, variance)]
         for name, group in beside.candidates.items()
     }
     return replace(beside, candidates=groups)
@@ -97,9 +95,7 @@ def _score(tried: Tried, variance: float) -> float:
     return max((tried.odds(take, variance) for take in tried.takes), default=-np.inf)
 
 
-def _refined(
-    beside: Beside, group: Sequence[Tried], pulled: Pulled | None, variance: float
-) -> list[Tried]:
+def _refined(beside: Beside, group: Sequence[Tried], variance: float) -> list[Tried]:
     """The likeliest of each way to follow a signal, with its likeliest lag."""
     least = LEAST_SHARE * max((_score(t, variance) for t in group), default=0.0)
     best: dict[object, tuple[float, Tried]] = {}
@@ -111,27 +107,21 @@ def _refined(
         if score > max(least, 0.0, best.get(effect.form.acts, (0.0, tried))[0]):
             best[effect.form.acts] = score, tried
     return [
-        _with_lag(beside, tried, pulled, variance, order)
-        for _, tried in best.values()
-        for order in (1, 2)
+        _with_lag(beside, tried, variance, order) for _, tried in best.values() for order in (1, 2)
     ]
 
 
-def _with_lag(
-    beside: Beside, tried: Tried, pulled: Pulled | None, variance: float, order: int
-) -> Tried:
+def _with_lag(beside: Beside, tried: Tried, variance: float, order: int) -> Tried:
     """A function of a signal at its likeliest lag near that of a candidate."""
     effect, rows = tried.effect, beside.rows
     assert isinstance(effect, FreeForm) and effect.form.acts is not None
     topic, acts = signal_of(tried).partition('@')[0], effect.form.acts
     lag = lag_of(signal_of(tried)) or LAGS[0] / WITHIN
-    amount = beside.basis.T @ rows.residual
 
     def at(logarithm: float) -> Tried:
         free = follower(acts, f'{topic}@{np.exp(logarithm):.4g}', order)
         form = FreeForm.bound(effect.parent, free, rows.states)
-        made = tried_shapes(rows, form, ({},))[0]
-        return made.without(made.source.shared(pulled), amount) if pulled else made
+        return beside.less(tried_shapes(rows, form, ({},))[0])
 
     from scipy.optimize import minimize_scalar  # 0.1 s
 

@@ -74,8 +74,6 @@ def with_switches(beside: Beside, variance: float) -> Beside:
     if not courses or not _something_in_time(groups, variance):
         return beside
     rows = beside.rows
-    pulled = rows.pulled(beside.basis) if beside.basis.shape[1] else None
-    amount = beside.basis.T @ rows.residual
     best = max(t.odds(k, variance) for g in groups.values() for t in g for k in t.takes)
     least = BEHIND * best - HOPELESS
     ways = [_Way.of(t, groups, rows, variance) for t in courses]
@@ -85,12 +83,11 @@ def with_switches(beside: Beside, variance: float) -> Beside:
         found = []
         for effect, shape, price in job[0].likely(job[1], rows, least):
             (made,) = tried_shapes(rows, effect, [shape])
-            if pulled:
-                made = made.without(made.source.shared(pulled), amount)
-            found.append(replace(made, price=price))
+            found.append(replace(beside.less(made), price=price))
         return found
 
     rows.prepare()
+    beside.taken  # noqa: B018
     known = (rows, *(e for way in ways for e in way.drivers))
     for made in chain.from_iterable(shared_out(switching, jobs, known)):
         groups[made.effect.name].append(made)
