@@ -12,6 +12,7 @@ import pytest
 from cli_cells import run
 from core_cells import error_of
 
+from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError, InputError
 from otf_core.history.interim_check import interim_check
 from otf_core.history.interim_path import interim_path
@@ -174,6 +175,20 @@ def test_tables_hold_for_the_machine_they_are_of_and_not_for_a_changed_one(
         for tables in (cell.truth, changed)
     ]
     assert checks[0].holds and not checks[1].holds
+
+
+def test_the_command_judges_a_bag_with_the_latest_tables(
+    cell, found, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'a.json').write_text(json.dumps(found.data))
+    write_bag('same', BagContent(cell.recording.measured(cell.truth, seed=9), cell.path))
+    write_bag('other', BagContent(cell.recording.measured(cell.truth.scaled(3.0)), cell.path))
+    assert run('history', 's', '--add', 'a.json', '--at', '2026-01-01', '--interim', 'same') == 0
+    assert 'the tables still hold' in capsys.readouterr().out
+    assert run('history', 's', '--interim', 'other', '--json') == 4
+    shown = json.loads(capsys.readouterr().out)['interim']
+    assert not shown['holds'] and shown['ratio'] > 1.25
 
 
 def _plain(tables):

@@ -120,4 +120,4 @@ def _interim_check(history: History, bag: str) -> InterimCheck:
     from otf_core.inputs.recordings import read_recording
 
     machine = history.series.runs[-1].content.tables.machine
-    return interim_check(read_recording(bag, machine), history.series)
+    return interim_check(read_recording([bag], machine), history.series)
