@@ -280,12 +280,26 @@ def test_the_covariance_of_a_lattice_is_that_of_its_errors(tables):
     made = export_format('lattice-npz').export(Request(content, 'a.npz', points=3))
     with np.load(io.BytesIO(made.files['a.npz'])) as held:
         covariance, q = held['covariance'], [held[a] for a in 'xyz']
+        np.testing.assert_allclose(held['u'].ravel(), np.sqrt(np.diag(covariance)), rtol=1e-9)
     # at a node of X, EXX moves along X alone and EAX turns (y, z) with the lever (some_machine)
     points = np.stack(np.meshgrid(*q, indexing='ij'), axis=-1).reshape(-1, 3)
     first = points[0]
     lever = tables.machine.target_offset + np.array([0, first[1], first[2]])
     u = np.sqrt(np.diag(covariance)[:3])
     np.testing.assert_allclose(u, 1e-6 * np.abs([1.0, lever[2], lever[1]]), rtol=1e-9)
+
+
+@pytest.mark.parametrize('name', ['lattice-csv', 'lattice-npz'])
+def test_the_planes_of_a_lattice_stand_at_the_nodes_or_a_remark_says_why_not(name):
+    tables = random_tables(some_machine(pitch=0.02), 5e-5, np.random.default_rng(11))
+    made = exported(name, tables)
+    assert made.held(tables.machine.lower[None]).any()
+    assert remaining_error(tables, made.held).after_mean < 1e-9
+    assert [r.partition(',')[0] for r in made.remarks] == (
+        ['without covariance'] if name == 'lattice-npz' else []
+    )
+    dense = random_tables(some_machine(pitch=0.005), 5e-5, np.random.default_rng(11))
+    assert 'do not stand at the nodes' in exported(name, dense).remarks[0]
 
 
 def test_export_and_import_on_the_command_line(tables, tmp_path, capsys, monkeypatch):

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 FEWEST, MOST = 2, 101
 """Points per axis."""
+MOST_AT_NODES, INSTEAD = 60_000, 33
+"""Points of a lattice at the nodes at most, and points per axis where they make more."""
 FINER = 4
 """What trilinear interpolation leaves of a quadratic course falls to a sixteenth."""
 
@@ -52,7 +54,7 @@ class Lattice:
         return np.asarray(np.einsum('ni,nj,nk,ijkc->nc', x, y, z, self.error, optimize=True))
 
 
-def sampled_lattice(tables: ErrorTables, points: int | None, most: int, instead: int) -> Lattice:
+def sampled_lattice(tables: ErrorTables, points: int | None) -> tuple[Lattice, tuple[str, ...]]:
     """Errors of tables on a lattice over their range.
 
     Parameters
@@ -63,9 +65,13 @@ def sampled_lattice(tables: ErrorTables, points: int | None, most: int, instead:
         model is linear between them in the coordinates of axes that carry the target, so that
         trilinear interpolation is exact; rotations of an axis that carries the table act on its
         own travel too, which makes it quadratic there: these intervals are divided by
-        ``FINER``.
-    most, instead : int
-        If the nodes make more than ``most`` points, spread ``instead`` per axis.
+        ``FINER``. If that makes more than ``MOST_AT_NODES`` points, ``INSTEAD`` per axis.
+
+    Returns
+    -------
+    Lattice
+    tuple of str
+        Remark, where it does not stand at the nodes though no number is given.
 
     Raises
     ------
@@ -74,12 +80,18 @@ def sampled_lattice(tables: ErrorTables, points: int | None, most: int, instead:
     """
     if points is not None and not FEWEST <= points <= MOST:
         raise ConfigError(f'--points: {points} is out of range [{FEWEST}, {MOST}]')
+    remarks: tuple[str, ...] = ()
     x, y, z = (_planes(tables, k, points) for k in range(3))
-    if len(x) * len(y) * len(z) > most and points is None:
-        x, y, z = (axis_positions(tables, k, instead) for k in range(3))
+    count = len(x) * len(y) * len(z)
+    if count > MOST_AT_NODES and points is None:
+        x, y, z = (axis_positions(tables, k, INSTEAD) for k in range(3))
+        remarks = (
+            f'the planes do not stand at the nodes of the tables, which make {count} points, more '
+            f'than {MOST_AT_NODES}, but evenly, {INSTEAD} per axis; --points takes up to {MOST}',
+        )
     empty = Lattice((x, y, z), np.empty((len(x), len(y), len(z), 3)))
     error = displacement(tables, empty.points).reshape(empty.error.shape)
-    return Lattice(empty.axes, error)
+    return Lattice(empty.axes, error), remarks
 
 
 def _planes(tables: ErrorTables, axis: int, points: int | None) -> Array:

@@ -15,8 +15,6 @@ from otf_core.files.writing import unreadable
 from otf_core.prediction.predict import predict
 
 HEADER = ('x', 'y', 'z', 'dx', 'dy', 'dz', 'u_dx', 'u_dy', 'u_dz')
-MOST, INSTEAD = 60_000, 33
-"""Points at most if the user names no number, and points per axis where the nodes make more."""
 DECIMALS = 12
 SAME = 1e-9
 """m; coordinates that differ by less are one plane of the lattice."""
@@ -38,14 +36,14 @@ class LatticeCsv(Format):
     def export(self, request: Request) -> Exported:
         """Make the CSV."""
         self.check(request)
-        lattice = sampled_lattice(request.content.tables, request.points, MOST, INSTEAD)
+        lattice, remarks = sampled_lattice(request.content.tables, request.points)
         q = lattice.points
         rounded = Lattice(lattice.axes, lattice.error.round(DECIMALS) + 0.0)
         u = predict(request.content, q).u.round(DECIMALS)
         rows = np.hstack([q.round(DECIMALS) + 0.0, rounded.error.reshape(-1, 3), u]).tolist()
         lines = [f'# {line}' for line in request.header(self)]
         lines += [','.join(HEADER), *(','.join(map(repr, row)) for row in rows)]
-        return Exported({request.name: ('\n'.join(lines) + '\n').encode()}, rounded.at)
+        return Exported({request.name: ('\n'.join(lines) + '\n').encode()}, rounded.at, remarks)
 
 
 def read_lattice_csv(path: str | Path) -> Lattice:
