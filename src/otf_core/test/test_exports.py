@@ -289,6 +289,22 @@ def test_the_covariance_of_a_lattice_is_that_of_its_errors(tables):
     np.testing.assert_allclose(u, 1e-6 * np.abs([1.0, lever[2], lever[1]]), rtol=1e-9)
 
 
+@every_format
+def test_points_are_taken_or_refused_and_fewer_are_said(name, tables):
+    if name in ('isg', 'heidenhain', 'qif'):
+        with pytest.raises(ConfigError, match=rf'--points: {name} holds the nodes'):
+            exported(name, tables, points=20)
+        return
+    made = exported(name, tables, points=20)
+    assert not any('instead of' in remark for remark in made.remarks)
+    if name == 'linuxcnc':
+        made = exported(name, tables, points=400)
+        assert sum('256 lines, evenly spread, instead of 400' in r for r in made.remarks) == 3
+    if name == 'sinumerik-cec':
+        dense = random_tables(some_machine(pitch=0.001), 5e-5, np.random.default_rng(11))
+        assert 'no table has more than 200 points' in exported(name, dense).remarks[-1]
+
+
 @pytest.mark.parametrize('name', ['lattice-csv', 'lattice-npz'])
 def test_the_planes_of_a_lattice_stand_at_the_nodes_or_a_remark_says_why_not(name):
     tables = random_tables(some_machine(pitch=0.02), 5e-5, np.random.default_rng(11))

@@ -93,11 +93,14 @@ class Format(ABC):
         What of the tables the format cannot hold, in words.
     sign_is_asked : bool
         True where the manual does not say whether values are errors or corrections.
+    takes_points : bool
+        True where it samples the tables anew, with as many points per axis as are asked for.
     """
 
     name: str
     lacks: str
     sign_is_asked: bool = False
+    takes_points: bool = False
 
     @abstractmethod
     def sign_words(self, request: Request) -> str:
@@ -108,7 +111,7 @@ class Format(ABC):
         """Make the files; ConfigError if the format cannot hold these tables."""
 
     def check(self, request: Request) -> None:
-        """Refuse a missing or a needless sign.
+        """Refuse a missing or a needless sign, and points that mean nothing.
 
         Raises
         ------
@@ -124,6 +127,10 @@ class Format(ABC):
             )
         if not self.sign_is_asked and request.sign is not None:
             raise ConfigError(f'--sign: the sign of {self.name} is fixed; leave it out')
+        if not self.takes_points and request.points is not None:
+            raise ConfigError(
+                f'--points: {self.name} holds the nodes of the tables themselves; leave it out'
+            )
 
 
 def asked_sign_words(request: Request) -> str:

@@ -28,6 +28,7 @@ class LatticeCsv(Format):
         'the course between lattice points (take trilinear interpolation), other target offsets '
         'than the measured one, correlations; differences between the directions of travel'
     )
+    takes_points = True
 
     def sign_words(self, request: Request) -> str:
         """Say what the values are."""

@@ -26,6 +26,7 @@ class LatticeNpz(Format):
         f'than the measured one, the covariance of more than {MOST} points; differences between '
         'the directions of travel'
     )
+    takes_points = True
 
     def sign_words(self, request: Request) -> str:
         """Say what the values are."""

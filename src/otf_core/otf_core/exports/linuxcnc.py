@@ -24,6 +24,7 @@ from otf_core.exports.line_terms import (
     line_terms,
 )
 from otf_core.exports.travel import half_reversal
+from otf_core.model.tables import ErrorTables
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ class LinuxCnc(Format):
 
     name = 'linuxcnc'
     lacks = 'straightness, rotations and squareness (a file per joint corrects its own axis only)'
+    takes_points = True
 
     def sign_words(self, request: Request) -> str:
         """Say what the values are."""
@@ -50,10 +52,7 @@ class LinuxCnc(Format):
         """Make the INI piece and a file per joint."""
         self.check(request)
         tables, stem = request.content.tables, PurePath(request.name).stem
-        positions = {}
-        for k in range(3):
-            nodes = axis_positions(tables, k, request.points)
-            positions[k] = nodes if len(nodes) <= MOST else axis_positions(tables, k, MOST)
+        positions, remarks = _positions(tables, request.points)
         terms = {}
         for pair, term in line_terms(tables, OWN_PAIRS, positions).items():
             nominal = term.position.round(DECIMALS + 3)
@@ -74,8 +73,24 @@ class LinuxCnc(Format):
                 'put the lines of the .ini file into the sections of that name in the INI file of '
                 'the machine (a section that comes twice is read once); BACKLASH of a joint with '
                 'COMP_FILE is ignored: what was found of it stands in columns 2 and 3',
+                *remarks,
             ),
         )
+
+
+def _positions(tables: ErrorTables, points: int | None) -> tuple[dict[int, Array], list[str]]:
+    """Positions of the lines by joint, m, and remarks where there are fewer than wanted."""
+    positions, remarks = {}, []
+    for k, axis in enumerate(tables.machine.axis_names):
+        positions[k] = axis_positions(tables, k, points)
+        count = len(positions[k])
+        if count > MOST:
+            positions[k] = axis_positions(tables, k, MOST)
+            remarks.append(
+                f'{axis}: {MOST} lines, evenly spread, instead of {count}; the control reads no '
+                f'more'
+            )
+    return positions, remarks
 
 
 def _joint_file(term: LineTerm, half: Array, words: list[str]) -> bytes:

@@ -25,6 +25,10 @@ from otf_core.exports.line_terms import (
 MOST = 200
 """Points of a table on a SINUMERIK 828D, which cannot be changed."""
 DECIMALS = 6
+_MOST_WORDS = (
+    f'no table has more than {MOST} points, what an 828D holds, though the nodes of the error '
+    f'tables may be closer together; --points names another number'
+)
 
 
 class SinumerikCec(Format):
@@ -36,6 +40,7 @@ class SinumerikCec(Format):
         'directions of travel'
     )
     sign_is_asked = True
+    takes_points = True
 
     def sign_words(self, request: Request) -> str:
         """Say what the values are."""
@@ -59,6 +64,7 @@ class SinumerikCec(Format):
             (
                 f'needs six tables of at least {most} points (MD18342); load with MD32710 = 0, '
                 f'then MD32710 = 1 for the axes and SD41300 = 1 for the tables',
+                *((_MOST_WORDS,) if request.points is None and most == MOST else ()),
             ),
         )
 

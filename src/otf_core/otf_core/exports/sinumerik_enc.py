@@ -30,6 +30,7 @@ class SinumerikEnc(Format):
         'straightness and squareness (see sinumerik-cec), rotations; differences between the '
         'directions of travel'
     )
+    takes_points = True
 
     def sign_words(self, request: Request) -> str:
         """Say what the values are."""
