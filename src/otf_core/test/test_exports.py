@@ -4,6 +4,7 @@
 import io
 import json
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -251,6 +252,17 @@ def test_the_tables_of_sinumerik_together_hold_what_functions_of_one_axis_can(ta
 def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
     for content in exported(name, tables).files.values():
         assert b'sign: ' in content and b'not in this file: ' in content
+
+
+@every_format
+def test_no_name_leaves_its_comment(name, tables, places):
+    named = replace(tables, machine=replace(tables.machine, name='a---b\nG0 X100\ufffe--'))
+    content = TablesFile(named, {'run_id': '1\nG0 X1'})
+    sign = 'error' if name in ASKED else None
+    files = export_format(name).export(Request(content, 'cell.txt', sign)).files
+    assert not any(re.search(rb'^G0', file, re.M) for file in files.values())
+    plain = READERS[name](exported(name, tables).files, places, 'error')
+    np.testing.assert_array_equal(READERS[name](files, places, 'error'), plain)
 
 
 def test_backlash_stands_in_the_columns_of_the_directions(tables):

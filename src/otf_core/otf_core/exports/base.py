@@ -53,14 +53,18 @@ class Request:
         return -1.0 if self.sign == CORRECTION else 1.0
 
     def header(self, fmt: Format) -> list[str]:
-        """Lines that say what the file is: machine, run, sign, what it does not hold."""
+        """Lines that say what the file is: machine, run, sign, what it does not hold.
+
+        Safe in a comment: what cannot be printed, such as a line break, is a blank.
+        """
         machine = self.content.tables.machine
         run = self.content.extra.get('run_id', 'unknown')
-        return [
+        lines = [
             f'{MARK} {fmt.name}: machine {machine.name}, chain {machine.chain}, run {run}',
             f'sign: {fmt.sign_words(self)}',
             f'not in this file: {fmt.lacks}',
         ]
+        return list(map(printable, lines))
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,11 @@ class Format(ABC):
             raise ConfigError(
                 f'--points: {self.name} holds the nodes of the tables themselves; leave it out'
             )
+
+
+def printable(text: str) -> str:
+    """Text in one line: a blank for whatever cannot be printed."""
+    return ''.join(c if c.isprintable() else ' ' for c in text)
 
 
 def asked_sign_words(request: Request) -> str:

@@ -10,12 +10,13 @@ yaw about Z (of Z about Y), pitch about the third, all right-handed; a comment i
 
 from __future__ import annotations
 
+import re
 import uuid
 from xml.sax.saxutils import escape
 
 import numpy as np
 
-from otf_core.exports.base import Exported, Format, Request
+from otf_core.exports.base import Exported, Format, Request, printable
 from otf_core.exports.rounded import rounded_tables
 from otf_core.model.frames import XYZ
 from otf_core.model.kinematics import displacement
@@ -112,10 +113,10 @@ def _document(tables: ErrorTables, comments: list[str]) -> list[str]:
     body = _functions(tables)
     square = [repr(tables.squareness[k].value) for k in SQUARENESS]
     identifier = uuid.uuid5(ROOT, '\n'.join([*comments, *body, *square]))
-    name = escape(tables.machine.name)
+    name = escape(printable(tables.machine.name))
     return [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        *(f'<!-- {line.replace("--", "- -")} -->' for line in comments),
+        *(f'<!-- {re.sub("-(?=-)", "- ", line)} -->' for line in comments),
         f'<QIFDocument xmlns="{NAMESPACE}" versionQIF="3.0.0" idMax="1">',
         f'<QPId>{identifier}</QPId>',
         '<FileUnits><PrimaryUnits>',

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import re
 import reprlib
+import unicodedata
 from collections.abc import Hashable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -57,6 +58,8 @@ _WORDS = reprlib.Repr()
 _WORDS.maxlevel, _WORDS.maxlist, _WORDS.maxdict, _WORDS.maxtuple = 2, 4, 4, 4
 _WORDS.maxstring = _WORDS.maxother = _WORDS.maxlong = 60
 _LONGEST = 250
+_NOT_IN_A_LINE = ('Cc', 'Cs', 'Zl', 'Zp')
+"""Kinds of characters in Unicode: controls, halves of others, ends of lines and paragraphs."""
 
 
 def shown(value: Any) -> str:
@@ -179,6 +182,13 @@ class Fields:
         value = self.take(key)
         if not isinstance(value, str) or not value.strip():
             self.fail(key, f'expected a text, got {shown(value)}')
+        return value
+
+    def line(self, key: str) -> str:
+        """Return a text that is not empty, in one line and without control characters."""
+        value = self.text(key)
+        if any(unicodedata.category(c) in _NOT_IN_A_LINE for c in value):
+            self.fail(key, f'expected one line without control characters, got {shown(value)}')
         return value
 
     def mapping(self, key: str) -> Fields:

@@ -197,7 +197,7 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         Names the key, what it holds and what was expected.
     """
     top = Fields(data, where)
-    name = top.text('name')
+    name = top.line('name')
     try:
         chain = Chain.parse(top.text('chain'))
     except ConfigError as error:
