@@ -206,12 +206,14 @@ def test_points_are_read_as_people_have_them(tmp_path, text):
         ('X;Y;Z\n1;2;3\n1;2;a\n4;5;6\n' + '1;1;1\n' * 20, 'line 3: expected numbers'),
         ('X [mm];Y [m];Z [mm]\n1;2;3\n', 'x, y, z are in'),
         ('X;Y;Z\n1;nan;3\n', 'line 2: not finite'),
+        ('X;Y;Z\n1;10:11:12;3\n', 'line 2: not finite'),
         ('G1 X0 Y0\n', 'expected the header x,y,z'),
+        ('a,b,c\n1,2,3\n', r'names no x, y, z \(it says: a,b,c\); write there what they are'),
     ],
 )
 def test_points_that_are_none_are_refused_with_their_line(tmp_path, text, what):
     (tmp_path / 'points.csv').write_text(text, encoding='utf-8')
-    with pytest.raises((ConfigError, InputError), match=what):
+    with pytest.raises(ConfigError, match=what):
         read_points(tmp_path / 'points.csv')
 
 

@@ -139,6 +139,17 @@ def find_columns(table: TextTable, wanted: str | None) -> Columns:
     """
     if wanted is not None:
         return _wanted(table, wanted)
+    found = named_columns(table)
+    if found is None:
+        raise InputError(
+            f'{unnamed_words(table)}; name them with --columns, e.g. --columns '
+            f'time_s,x_mm,y_mm,z_mm (a - leaves a column out)'
+        )
+    return found
+
+
+def named_columns(table: TextTable) -> Columns | None:
+    """Columns by the head of a table or as they stand there; None if neither names a point."""
     labels = _labels_between(table)
     if labels is not None:
         return labels
@@ -174,20 +185,24 @@ def _labels_between(table: TextTable) -> Columns | None:
     return columns_of(labelled)
 
 
-def _unnamed(table: TextTable) -> Columns:
+def _unnamed(table: TextTable) -> Columns | None:
     """Columns of a table without names: x y z, or time x y z."""
     count = len(table.rows[0])
     named = bool(table.head) and len(split(table.head[-1], table.delimiter)) == count
     if named or count not in (3, 4) or not all(map(is_value, table.rows[0])):
-        shown = ' | '.join(table.head[-1:]) or 'nothing'
-        raise InputError(
-            f'{table.where}: line {table.lines[0]} has {count} columns, and the head names no x, '
-            f'y, z (it says: {shown[:100]}); name them with --columns, e.g. --columns '
-            f'time_s,x_mm,y_mm,z_mm (a - leaves a column out)'
-        )
+        return None
     names = [f'column {k + 1}' for k in range(count)]
     x, y, z = (Column(k, None, names[k]) for k in range(count - 3, count))
     return Columns((x, y, z), (Column(0, None, names[0]),) if count == 4 else ())
+
+
+def unnamed_words(table: TextTable) -> str:
+    """Say that nothing names the point of a table, and what stands there instead."""
+    shown = ' | '.join(table.head[-1:]) or 'nothing'
+    return (
+        f'{table.where}: line {table.lines[0]} has {len(table.rows[0])} columns, and the head '
+        f'names no x, y, z (it says: {shown[:100]})'
+    )
 
 
 def _wanted(table: TextTable, wanted: str) -> Columns:
