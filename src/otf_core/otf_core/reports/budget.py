@@ -18,6 +18,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.prediction.volumetric import table_places
+from otf_core.reports.quantities import dof_words, whole_dof
 from otf_core.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -36,8 +37,6 @@ SHORT = {
     'target offset': 'target',
 }
 """Names of sources as heads of columns."""
-MANY = 1e6
-"""Degrees of freedom that are given as infinite."""
 
 
 @dataclass(frozen=True)
@@ -98,10 +97,6 @@ def budget_lines(tables: ErrorTables, budget: Budget) -> list[BudgetLine]:
         return [*lines, _line(budget, GRID, 'm', budget.variances(free), components=3)]
 
 
-def _finite(value: float) -> int | None:
-    return int(value) if value < MANY else None
-
-
 def expanded(tables: ErrorTables, lines: list[BudgetLine]) -> dict[str, dict[str, Any]]:
     """U, k and dof of every squareness error and motion, as they stand in error_tables.json."""
     found: dict[str, dict[str, Any]] = {}
@@ -116,7 +111,7 @@ def expanded(tables: ErrorTables, lines: list[BudgetLine]) -> dict[str, dict[str
         found[name] = {
             'U': wide,
             'k': k if line else None,
-            'dof': _finite(line.dof) if line else None,
+            'dof': whole_dof(line.dof) if line else None,
         }
     return found
 
@@ -161,12 +156,11 @@ def _at_node(tables: ErrorTables, name: str, node: int) -> str:
 def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> dict[str, Any]:
     """Budget and correlations as plain data; see docs/uncertainty.md."""
     strong = correlations(tables, budget.covariance)
+    freedoms = zip(budget.names, budget.freedoms.tolist(), strict=True)
     return {
         'budget': {
             'coverage_probability': COVERAGE_PROBABILITY,
-            'dof': {
-                n: _finite(v) for n, v in zip(budget.names, budget.freedoms.tolist(), strict=True)
-            },
+            'dof': {n: whole_dof(v) for n, v in freedoms},
             'not_stated': list(budget.not_stated),
             'u_rms': {n.name: {'unit': n.unit, 'u': n.u, 'sources': n.parts} for n in lines},
         },
@@ -184,11 +178,10 @@ def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) 
     head = ''.join(f'{SHORT.get(name, name):>9}' for name in sources)
     text = [f'budget, um and urad, rms of nodes{"U (95 %)":>10}{"u, k = 1":>10}{head}']
     for line in lines:
-        dof = _finite(line.dof)
         parts = ''.join(f'{1e6 * line.parts[name]:>9.3f}' for name in sources)
         text.append(
             f'{line.name:<6}{"um" if line.unit == "m" else "urad":<6}k = {line.k:<6.2f}'
-            f'dof {dof if dof else "infinite":<7}'
+            f'dof {dof_words(line.dof):<7}'
             f'{1e6 * line.k * line.u:>10.3f}{1e6 * line.u:>10.3f}{parts}'
         )
     if budget.not_stated:

@@ -8,6 +8,9 @@ from collections.abc import Iterable
 
 from otf_core.files.csv_points import tidy
 
+MANY = 1e6
+"""Degrees of freedom that are given as infinite."""
+
 
 def micro(value: float, digits: int = 2) -> str:
     """A value in millionths: um for m, urad for rad."""
@@ -17,6 +20,17 @@ def micro(value: float, digits: int = 2) -> str:
 def micro_unit(unit: str) -> str:
     """Name of millionths of a unit."""
     return 'um' if unit == 'm' else 'urad'
+
+
+def whole_dof(dof: float) -> int | None:
+    """Effective degrees of freedom, cut to the next lower integer (GUM G.4.1); None: infinite."""
+    return int(dof) if dof < MANY else None
+
+
+def dof_words(dof: float) -> str:
+    """The same in words."""
+    whole = whole_dof(dof)
+    return 'infinite' if whole is None else str(whole)
 
 
 def place(point: Iterable[float]) -> str:

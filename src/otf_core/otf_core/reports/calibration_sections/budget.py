@@ -12,7 +12,7 @@ from otf_core.reports.budget import GRID, BudgetLine, format_budget
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.typography import text
-from otf_core.reports.quantities import listed, micro, quantity, scaled
+from otf_core.reports.quantities import dof_words, listed, micro, quantity, scaled
 from otf_core.reports.section import Picture, Section, Table
 
 TYPE_A = (NOISE, MISFIT, SMOOTHNESS)
@@ -66,7 +66,7 @@ def _source(facts: Facts, name: str, grid: BudgetLine) -> tuple[str, ...]:
         sensitivity,
         micro(part, 3),
         f'{share:.1f}',
-        f'{dof:.0f}' if dof < 1e6 else 'infinite',
+        dof_words(dof),
         SHARED.get(name, 'yes, all observations'),
     )
 
@@ -98,7 +98,7 @@ def _quantities(facts: Facts) -> Table:
             micro(line.k * line.u, 3),
             micro(line.u, 3),
             f'{line.k:.2f}',
-            f'{line.dof:.0f}' if line.dof < 1e6 else 'infinite',
+            dof_words(line.dof),
             *(micro(line.parts[n], 3) for n in names),
         )
         for line in facts.lines

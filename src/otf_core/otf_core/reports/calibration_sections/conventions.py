@@ -6,6 +6,7 @@ from __future__ import annotations
 from otf_core.calibration.result import GAUGE
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.circumstances import measured
+from otf_core.reports.quantities import dof_words
 from otf_core.reports.section import Section
 from otf_core.version import __version__
 
@@ -50,8 +51,3 @@ def section(facts: Facts) -> Section:
     date = f'measured {measured(origin)}, ' if measured(origin) else ''
     text = (CONVENTION, FILES, f'{date}calibrated by otf_core {__version__}', '')
     return Section('conventions', 'Conventions and gauge', words, {'gauge': GAUGE}, text=text)
-
-
-def dof_words(dof: float) -> str:
-    """Degrees of freedom in words."""
-    return f'{dof:.0f}' if dof < 1e6 else 'infinite'

@@ -10,7 +10,7 @@ from scipy.special import gammaincc
 
 from otf_core.budget.budget import NOISE
 from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.quantities import micro
+from otf_core.reports.quantities import dof_words, micro, whole_dof
 from otf_core.reports.section import Section, Table
 
 
@@ -27,7 +27,7 @@ def section(facts: Facts) -> Section:
         ('samples', f'{fit.samples}'),
         ('samples used', f'{fit.used}, in {fit.pieces} path pieces'),
         ('outliers', f'{fit.outliers} ({100 * fit.outliers / fit.samples:.2f} %)'),
-        ('effective degrees of freedom of the noise level (N_eff - rank)', f'{dof:.0f}'),
+        ('effective degrees of freedom of the noise level (N_eff - rank)', dof_words(dof)),
         ('unknowns, the gauge being fixed', f'{fit.unknowns}'),
         ('rank', f'{fit.rank}'),
         ('condition number of the covariance (scaled)', f'{condition:.3g}'),
@@ -42,7 +42,7 @@ def section(facts: Facts) -> Section:
     data = {
         'samples': fit.samples, 'used': fit.used, 'outliers': fit.outliers, 'pieces': fit.pieces,
         'unknowns': fit.unknowns, 'rank': fit.rank, 'condition': condition,
-        's0': math.sqrt(fit.variance_ratio), 'chi_square_p': chance, 'dof': dof,
+        's0': math.sqrt(fit.variance_ratio), 'chi_square_p': chance, 'dof': whole_dof(dof),
         'residual_rms': fit.residual_rms,
     }  # fmt: skip
     return Section('fit', 'Fit', (), data, (Table(('', ''), rows),))

@@ -14,7 +14,7 @@ from otf_core.model.motions import DIRECTIONS, MOTIONS, ErrorMotion
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.panel import Panel, words
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.quantities import micro, micro_unit
+from otf_core.reports.quantities import dof_words, micro, micro_unit
 from otf_core.reports.section import Picture, Section, Table
 
 ROLES = {True: 'positioning', False: 'straightness'}
@@ -80,7 +80,7 @@ def _row(facts: Facts, name: ErrorMotion) -> tuple[str, ...]:
         return (*start, 'not known', *[''] * 6)
     low, high = float(table.value.min()), float(table.value.max())
     k = line.k if line else 0.0
-    dof = '' if line is None else f'{line.dof:.0f}' if line.dof < 1e6 else 'infinite'
+    dof = '' if line is None else dof_words(line.dof)
     return (*start, micro(low), micro(high), micro(high - low), micro(float(table.u.mean())),
             micro(k * float(table.u.max())), f'{k:.2f}', dof)  # fmt: skip
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from otf_core.files.csv_points import tidy
 from otf_core.model.motions import MOTIONS, ErrorMotion
 from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.quantities import micro, micro_unit
+from otf_core.reports.quantities import dof_words, micro, micro_unit
 from otf_core.reports.section import Section, Table
 
 FEW = 100
@@ -58,7 +58,7 @@ def _table(facts: Facts, name: ErrorMotion, counts: NDArray[np.int64]) -> Table:
             micro(float(u), 3),
             micro(k * float(u), 3),
             f'{k:.2f}',
-            f'{dof:.0f}' if dof < 1e6 else 'infinite',
+            dof_words(dof),
             str(int(n)),
             _flag(bool(seen), table.identifiable, int(n)),
         )
