@@ -48,7 +48,8 @@ def _flag(seen: bool, identifiable: bool, count: int) -> str:
 
 def _table(facts: Facts, name: ErrorMotion, counts: NDArray[np.int64]) -> Table:
     table, line = facts.tables.motions[name], facts.by_name.get(name)
-    k, dof = (line.k, line.dof) if line else (0.0, float('inf'))
+    k = line.k if line else 0.0
+    coverage = (f'{k:.2f}', dof_words(line.dof)) if line else ('-', '-')
     known = table.node_identifiable
     flags = np.ones(len(table.position), dtype=bool) if known is None else known
     rows = tuple(
@@ -57,8 +58,7 @@ def _table(facts: Facts, name: ErrorMotion, counts: NDArray[np.int64]) -> Table:
             micro(float(v), 3),
             micro(float(u), 3),
             micro(k * float(u), 3),
-            f'{k:.2f}',
-            dof_words(dof),
+            *coverage,
             str(int(n)),
             _flag(bool(seen), table.identifiable, int(n)),
         )
