@@ -160,7 +160,15 @@ def test_repeated_point_is_a_dwell_and_no_move():
 )
 def test_comments_hold_nothing_that_ends_or_breaks_them(text, said):
     assert plain(text) == said
-    assert len(plain('x' * 300)) <= 70
+
+
+@every_dialect
+def test_a_long_comment_is_broken_between_words_and_keeps_them_all(name):
+    text = program(DIALECTS[name], little(), ['TRY IT IN THE AIR FIRST ' * 9])
+    kept = [line for line in text.splitlines() if 'TRY' in line or 'FIRST' in line]
+    assert max(map(len, kept)) <= 80 and len(kept) > 2
+    words = re.findall('TRY|IT|IN|THE|AIR|FIRST', ' '.join(kept))
+    assert words == 9 * ['TRY', 'IT', 'IN', 'THE', 'AIR', 'FIRST']
 
 
 def run(command, **options):

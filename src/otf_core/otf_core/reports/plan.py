@@ -155,7 +155,7 @@ def _mm(value: float) -> str:
 
 
 def program_header(report: PlanReport) -> list[str]:
-    """Comment lines at the head of a program."""
+    """Comments at the head of a program."""
     plan = report.plan
     low, high = plan.path.points.min(axis=0), plan.path.points.max(axis=0)
     ranges = zip(report.setup.machine.axis_names, low, high, strict=True)
@@ -166,7 +166,8 @@ def program_header(report: PlanReport) -> list[str]:
         f'{len(plan.path.points)} POINTS, {plan.path.length:.2f} M, '
         f'{report.forecast.duration:.0f} S',
         f'{", ".join(spans)} MM',
-        'ERROR COMPENSATION OFF OR AS IT IS TO BE CHECKED - TRY IN THE AIR FIRST',
+        'ERROR COMPENSATION OFF OR AS IT IS TO BE CHECKED',
+        'TRY IN THE AIR FIRST',
     ]
 
 

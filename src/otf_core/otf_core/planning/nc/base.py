@@ -6,6 +6,7 @@ Light: the command line loads it for the names of the dialects.
 
 from __future__ import annotations
 
+import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
@@ -86,9 +87,14 @@ def words(axes: str, point: Array, sign: bool = False, decimals: int = 3) -> str
     return ' '.join(f'{a}{value:{style}}' for a, value in values.items())
 
 
-def plain(text: str, limit: int = _WIDTH) -> str:
+def plain(text: str) -> str:
     """Text that every control takes in a comment: ASCII, no brackets, semicolon or percent."""
     kept = (
         text.encode('ascii', 'replace').decode().translate(str.maketrans('()[]{};%', '--------'))
     )
-    return ' '.join(kept.split())[:limit]
+    return ' '.join(kept.split())
+
+
+def comment_lines(text: str) -> list[str]:
+    """Plain text in lines that every control takes whole, broken between words."""
+    return textwrap.wrap(plain(text), _WIDTH, break_on_hyphens=False)

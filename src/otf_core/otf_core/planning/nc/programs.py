@@ -14,7 +14,7 @@ import numpy as np
 from otf_core.errors import ConfigError
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-from otf_core.planning.nc.base import Array, Dialect, plain
+from otf_core.planning.nc.base import Array, Dialect, comment_lines
 
 INCREMENT = 1e-6
 """m; resolution of the positions in a program."""
@@ -72,7 +72,7 @@ def program(dialect: Dialect, plan: Plan, header: Sequence[str]) -> str:
     plan : Plan
         Positions on the increment of the dialect, see ``on_increment``.
     header : sequence of str
-        Comment lines.
+        Comments, each of one line or more.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def program(dialect: Dialect, plan: Plan, header: Sequence[str]) -> str:
     start, slow = points[0], int(feeds.min())
     top = start.copy()
     top[2] = points[:, 2].max()
-    lines = dialect.begin([plain(h) for h in header])
+    lines = dialect.begin([line for text in header for line in comment_lines(text)])
     lines.append(dialect.comment('APPROACH: Z TO THE TOP OF THE PATH, THEN TO ITS START'))
     lines += [dialect.move(axes, top, slow) for axes in ('Z', 'XY')]
     lines.append(dialect.move('Z', start, slow))
