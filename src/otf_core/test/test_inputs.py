@@ -155,6 +155,17 @@ def test_what_is_wrong_with_a_text_is_said_with_its_line(tmp_path, text, words):
         ]
 
 
+@pytest.mark.parametrize('time', ['0', '12.5'])
+def test_a_text_of_one_sample_or_without_times_is_refused_for_that(tmp_path, time):
+    file = tmp_path / 'run.csv'
+    file.write_text(f'time_s,x,y,z\n{time},1.0,0.2,0.3\n')
+    with pytest.raises(InputError, match=r'run\.csv: samples: one sample only'):
+        read_samples(file)
+    file.write_text('time_s,x,y,z\n' + '0,1.0,0.2,0.3\n' * 9)
+    with pytest.raises(InputError, match='time_s in s: all 9 times are zero'):
+        read_samples(file)
+
+
 def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
     file, corners = tmp_path / 'run.txt', tmp_path / 'path.csv'
     file.write_text(TEXTS['plain'])

@@ -52,8 +52,9 @@ def in_time_order(
     Raises
     ------
     InputError
-        No points, coordinates that no tracker measures, hardly any beam, stamps not set, stamps
-        that go back by more than 1 s, or different points with the same stamp in many places.
+        No points or one only, coordinates that no tracker measures, hardly any beam, stamps not
+        set, stamps that go back by more than 1 s, or different points with the same stamp in many
+        places.
     """
     remarks = [] if remarks is None else remarks
     screening = screening or Screening()
@@ -61,6 +62,10 @@ def in_time_order(
     screening.check(where)
     if not stamp_ns.size:
         raise InputError(f'{where}: no points; was the tracker measuring while it was recorded?')
+    if stamp_ns.size == 1:
+        raise InputError(
+            f'{where}: one sample only; was the tracker measuring while it was recorded?'
+        )
     if not stamp_ns.any():
         raise InputError(
             f'{where}: header.stamp is not set (all {stamp_ns.size} are zero); '

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,7 @@ class TextReading:
     def __init__(
         self, source: str | Path, columns: str | None = None, rate: float | None = None
     ) -> None:
-        self.point: Topic = POINT
+        self.point: Topic = replace(POINT, name='samples')  # as messages call them
         self.path: Topic | None = PATH
         self.topics: dict[str, str] = {}
         self.paths: list[Array] = []
@@ -157,6 +158,11 @@ def _stamps(
         stamps, unit = _stamps_of(table, column, xyz, alone=len(columns.time) == 1)
         total += stamps
         words.append(f'{column.name} in {unit}')
+    if len(total) > 1 and not total.any():
+        raise InputError(
+            f'{table.where}: {words[0]}: all {len(total)} times are zero; export the time of '
+            f'measurement, or leave the column out (--columns) and state the rate (--rate)'
+        )
     return total, f'time from {" and ".join(words)}'
 
 
