@@ -209,9 +209,9 @@ def run_predict(arguments: argparse.Namespace) -> int:
         write_csv(partial, header, columns, prediction.inside)
     for text in prediction.notes:
         note(f'otf predict: {text}')
-    names = header.split(',')
-    rows = np.hstack([columns, prediction.inside[:, None]]).tolist() if arguments.json else []
-    data = {'points': [dict(zip(names, row, strict=True)) for row in rows]}
+    names, within = header.split(','), prediction.inside.astype(int).tolist()
+    rows = zip(columns.tolist(), within, strict=True) if arguments.json else ()
+    data = {'points': [dict(zip(names, [*row, inside], strict=True)) for row, inside in rows]}
     about = {'notes': list(prediction.notes), 'u_contains': prediction.holds}
     answer(arguments, prediction.summary, {**about, **data, 'out': arguments.out})
     return 0

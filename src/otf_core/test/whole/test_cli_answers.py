@@ -86,6 +86,7 @@ def test_the_object_of_a_calibration_is_its_file_and_comes_as_checked(asked, tmp
     code, answer, _ = asked('predict', *tables, out='errors.csv')
     rows = np.genfromtxt(tmp_path / 'errors.csv', delimiter=',', names=True)
     assert [p['dx'] for p in answer['points']] == rows['dx'].tolist()
+    assert [str(p['inside']) for p in answer['points']] == ['1', '0']
 
 
 def test_objects_of_the_other_quick_verbs(asked, tmp_path, capsys):
