@@ -12,9 +12,9 @@ from otf_core.exports.base import Exported, Format, Request
 from otf_core.exports.lattice import lattice_covariance, sampled_lattice
 from otf_core.prediction.predict import predict
 
-MOST_PER_AXIS = 13
+MOST_PER_AXIS = 8
 MOST = MOST_PER_AXIS**3
-"""Points whose covariance is held: that of so many takes 350 MB, and grows with their square."""
+"""Points whose covariance is held: that of so many takes 19 MB, and grows with their square."""
 
 
 class LatticeNpz(Format):
