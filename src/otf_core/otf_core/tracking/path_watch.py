@@ -25,7 +25,8 @@ class PathWatcher:
     """Follows the travelled length and recognises standstill at the end point.
 
     Travel and standstill are counted sample by sample; only a standstill after enough travel is
-    compared with the path (by ``look``, which aligns and takes a fraction of a second).
+    compared with the path (by ``look``, which aligns and takes a fraction of a second). Samples
+    that arrive after later ones are left out of both: they would count as ways there and back.
 
     Parameters
     ----------
@@ -44,6 +45,8 @@ class PathWatcher:
     def add(self, stamp_ns: int, x: float, y: float, z: float) -> None:
         """Take one sample: stamp in ns, tracker frame, m."""
         if self._last is not None:
+            if stamp_ns < self._newest_ns:
+                return
             dx, dy, dz = x - self._last[0], y - self._last[1], z - self._last[2]
             square = dx * dx + dy * dy + dz * dz
             if square < HOP * HOP:
