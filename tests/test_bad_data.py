@@ -6,11 +6,13 @@ reads that journal. What happens to samples after that is the same code with the
 """
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from otf_calibrator.collector import SILENT
 from otf_calibrator.intake import Batch
 from otf_calibrator.job import recording_of
 from otf_calibrator.params import CalibratorConfig
@@ -52,6 +54,13 @@ def repeated():
     return STAMP[order], XYZ[order], None
 
 
+def off(count):
+    """Some samples have stamps that are off."""
+    stamp, wrong = STAMP.copy(), [0, -5 * 10**9, STAMP[-1] + 3600 * 10**9, (2**31 - 1) * 10**9]
+    stamp[np.linspace(600, COUNT - 600, count).astype(int)] = np.resize(wrong, count)
+    return stamp, XYZ, None
+
+
 def foreign(share):
     frames = np.where(np.random.default_rng(6).random(COUNT) < share, 'lab', 'tracker')
     return STAMP, XYZ, frames
@@ -81,6 +90,7 @@ REPAIRED = {
     'zero points': (lambda: instead(0.4, 0.0), 'in the origin of the tracker (no beam)'),
     'points out of reach': (lambda: instead(0.005, 2e4), 'points beyond 1000 m'),
     'out of order': (shuffled, 'stamps went back'),
+    'single wrong stamps': (lambda: off(6), 'points whose stamps are off by more than 1 s'),
     'repeated samples': (repeated, 'repeated samples and 0 with the stamp of another point'),
     'points in another frame': (lambda: foreign(0.3), "frame_id is 'lab', expected 'tracker'"),
 }
@@ -89,6 +99,7 @@ REFUSED = {
     'zero points, most': (lambda: instead(0.6, 0.0), 'beam had been broken for most of the time'),
     'points out of reach, many': (lambda: instead(0.05, 2e4), 'the unit is m'),
     'points in another frame, most': (lambda: foreign(0.9), "frame_id is 'lab'"),
+    'wrong stamps, many': (lambda: off(COUNT // 20), 'the clock was set back or several runs'),
     'no stamps': (lambda: (0 * STAMP, XYZ, None), 'header.stamp is not set'),
     'two trackers, one clock': (lambda: two_trackers(0), 'two trackers publish on one topic'),
     'two trackers, clocks apart': (lambda: two_trackers(10**12), 'trackers are mixed'),
@@ -125,6 +136,8 @@ class Side:
                 for name in np.unique(names[rows])
             }
             self.session.intake.samples(Batch(points, []))
+        time.sleep(1.1 * SILENT * bool(self.session.collector.held))
+        self.session.intake.decide()
 
     def close(self):
         """Return the folders of the runs."""
@@ -164,6 +177,7 @@ def test_what_is_bad_here_and_there_is_left_out_and_said(side, name):
     assert live[:2] == offline[:2]
     stamp, xyz, frames = make()
     good = np.isfinite(xyz).all(axis=1) & (np.abs(xyz).max(axis=1) < 1e3) & xyz.any(axis=1)
+    good &= np.abs(stamp - STAMP[0]) < 10**12
     good &= True if frames is None else frames == 'tracker'
     kept, at = np.unique(stamp[good], return_index=True)
     assert live[0] == kept.tobytes() and live[1] == xyz[good][at].tobytes()

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from otf_calibrator.collector import LATE, Collector
+from otf_calibrator.collector import LATE, SILENT, Collector
 from otf_calibrator.losses import SequenceWatch
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.session import Session
@@ -151,6 +151,7 @@ def test_run_goes_on_with_a_driver_that_was_killed_and_started_again(collector):
 @pytest.mark.parametrize('first', [0, 98, 400_000])
 def test_driver_that_begins_anew_or_much_later_begins_a_run(collector, first):
     killed_and_started_again(collector, first)
+    collector.decide(1.1 * SILENT)
     assert (len(collector.buffer), collector.lost) == (10, 2)
     assert '100 samples before were set aside' in collector.remarks[0]
 
@@ -201,16 +202,72 @@ def test_stamps_that_jump_back_begin_a_new_run_and_it_is_said(taken):
     add(collector, 100, start=10_000)
     collector.taken = taken
     add(collector, 10)
+    assert collector.held == 10 and collector.undecided(0.9 * SILENT) and not said
+    collector.decide(1.1 * SILENT)
     assert (len(collector.buffer), collector.taken) == (10, False)
     assert said == [('the stamps went back by 20.2 s', 100)]
     assert len(collector.remarks) == (not taken)
 
 
-def test_stamps_of_several_publishers_begin_no_runs(collector):
-    collector.publishers = 2
-    for k in range(100):
-        collector.add((k % 2) * 3600 * 10**9 + k * 2_000_000, 1e-3 * k, 0.0, 0.0, 0.0)
-    assert len(collector.buffer) == 100
+@pytest.mark.parametrize('burst', [1, 20])
+@pytest.mark.parametrize('apart', [3600, -3600])
+@pytest.mark.parametrize('publishers', [1, 2])
+def test_two_trackers_at_once_begin_no_runs(collector, burst, apart, publishers):
+    collector.publishers, run = publishers, collector.run
+    for k in range(2000):
+        other = k // burst % 2
+        collector.add(other * apart * 10**9 + k * 2_000_000, 1e-3 * k, 0.0, 0.0, 2e-3 * k)
+    assert collector.run == run and len(collector.buffer) >= 1000 - burst
+    assert 'whose stamps are off' in collector.screening.remarks()[0]
+
+
+@pytest.mark.parametrize('publishers', [1, 2])
+def test_driver_started_again_begins_a_run_while_the_graph_still_knows_the_dead_one(publishers):
+    said = []
+    collector = Collector(CalibrationConfig, said.append)
+    collector.set_path(PATH)
+    collector.publishers = publishers
+    add(collector, 100, start=10_000)
+    for k in range(400):
+        collector.add(k * 2_000_000, 1e-3 * k, 0.0, 0.0, 1.0 + 2e-3 * k)
+    assert len(said) == 1 and len(collector.buffer) == 400
+    assert collector.buffer.snapshot().stamp_ns[0] == 0
+
+
+@pytest.mark.parametrize('wrong', [[0], [-5], [3600], [2**31 - 1], [0, 3600, -5, 7200]])
+@pytest.mark.parametrize('taken', [True, False])
+def test_single_wrong_stamps_are_left_out(collector, wrong, taken):
+    add(collector, 100, start=10_000)
+    collector.taken, run = taken, collector.run
+    for stamp in wrong:
+        collector.add(stamp * 10**9, 10.1, 0.0, 0.0, 0.0)
+    for k in range(10_100, 10_150):
+        collector.add(k * 2_000_000, 10.1, 0.0, 0.0, 2.0 * SILENT)
+    assert (collector.run, collector.held) == (run, 0)
+    kept = collector.buffer.snapshot().stamp_ns
+    assert kept.tolist() == [k * 2_000_000 for k in range(10_000, 10_100 if taken else 10_150)]
+    assert bool(collector.screening.remarks()) == (not taken)
+
+
+def test_samples_after_a_pause_are_all_there(collector):
+    add(collector, 100)
+    add(collector, 3, start=10_000)
+    assert len(collector.buffer) == 100 and collector.undecided(0.0)
+    collector.decide(1.1 * SILENT)
+    assert len(collector.buffer) == 103
+    add(collector, 5, start=20_000)
+    assert len(collector.buffer) == 108
+
+
+def test_two_drivers_at_once_lose_nothing(collector):
+    published = 1000
+    for k in range(8):
+        announce(collector, 'ab'[k % 2], published + 50 * k, 'STREAMING')
+        add(collector, 100, start=100 * k)
+    announce(collector, 'b', published, 'IDLE')
+    add(collector, 100, start=800)
+    announce(collector, 'a', published, 'STREAMING')
+    assert (len(collector.buffer), collector.lost, collector.remarks) == (900, 0, [])
 
 
 def test_silence_after_the_path_completes_a_run_without_status(collector):
@@ -272,3 +329,9 @@ def test_missing_numbers_of_one_publisher_are_counted():
     assert watch.missed([10, 14, 15, 17]) == 4
     assert watch.missed([1, 2]) == 0  # another publisher
     assert watch.missed([None, 9, None]) == 0
+
+
+def test_numbers_of_two_publishers_at_once_are_told_apart():
+    watch = SequenceWatch()
+    assert watch.missed([4000, 1, 4001, 2, 3, 4002]) == 0
+    assert watch.missed([6, 4003]) == 2

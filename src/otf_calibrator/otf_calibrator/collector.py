@@ -6,6 +6,9 @@ driver, with stamps that jump back, with another path, when the target moves on 
 run, or by request. A pause does not end it while the driver says that its stream goes on, or the
 path is not nearly driven. Samples and status come on different topics, so nothing here depends on
 which of the two comes first.
+
+Stamps that jump back begin a run only if the clock before has fallen silent: single wrong stamps
+and a second tracker do not.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from otf_core.bags.clock import Clock
 from otf_core.bags.screening import Screening
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import SampleBuffer, Samples
@@ -22,8 +26,8 @@ from otf_core.model.path import NominalPath
 from otf_core.tracking.alignment import Followed
 from otf_core.tracking.path_watch import PathWatcher
 
-JUMP_BACK_NS = 1_000_000_000
-"""ns; stamps that go back by more belong to another recording."""
+SILENT = 0.5
+"""s; trackers that stream at once take turns faster: a clock so long unheard has stopped."""
 SAME_RUN_NS = 600_000_000_000
 """ns; a driver that was started again so much later does not go on with the run."""
 LATE = 2.0
@@ -44,7 +48,11 @@ SAME_PATH = 1e-6
 
 @dataclass
 class Stream:
-    """What is known of one stream of the driver; all zero without any status."""
+    """What is known of one stream of the driver; all zero without any status.
+
+    One that was taken over from another has not shown yet whether it goes on with the run; of one
+    that is heard of again it is unknown how many of the samples before have arrived.
+    """
 
     name: str = ''
     received: int = 0
@@ -54,11 +62,12 @@ class Stream:
     ended_at: float = 0.0
     heard: float = 0.0
     taken_over: bool = False
+    unknown: int = 0
 
     @property
     def lost(self) -> int:
         """Samples that were announced and have not arrived."""
-        return max(0, self.announced - self.received)
+        return max(0, self.announced - self.unknown - self.received)
 
     def over(self, now: float) -> bool:
         """Tell whether no further sample of this stream will come."""
@@ -90,7 +99,7 @@ class Collector:
     run : int
         Changes with every new run and new path.
     publishers : int
-        Of the samples, as far as the graph knows. Of several at once, no stamp begins a run.
+        Of the samples, as far as the graph knows.
     missed : int
         Samples of the run that the transport lost by its own count.
     """
@@ -113,7 +122,9 @@ class Collector:
         self._watcher: PathWatcher | None = None
         self._stream = Stream()
         self._lost_before = 0
-        self._last_ns: int | None = None
+        self._left: dict[str, int] = {}
+        self._clock: Clock[tuple[float, float, float]] = Clock(self._off)
+        self._held_since = 0.0
         self._heard = 0.0
         self._rest: list[float] | None = None
         self._away = 0
@@ -142,6 +153,15 @@ class Collector:
         return self._next and self.travelled < BEGUN * length
 
     @property
+    def held(self) -> int:
+        """Samples, the last ones taken, that are in no run yet: what follows tells."""
+        return len(self._clock.held)
+
+    def undecided(self, now: float) -> bool:
+        """Tell whether what is held may turn out to be another run within a moment."""
+        return bool(self.held) and now - self._held_since <= SILENT
+
+    @property
     def ended(self) -> bool:
         """True if no sample can be added: calibrated, or the driver has ended its stream."""
         return self.taken or self._stream.ended
@@ -154,6 +174,8 @@ class Collector:
         """Tell whether samples that were measured until ``since`` may still arrive."""
         if self.taken:
             return False
+        if self.undecided(now):
+            return True
         if self._stream.ended:
             return not self._stream.over(now)
         return self._heard > since - UNDER_WAY and now - since < UNDER_WAY
@@ -185,31 +207,39 @@ class Collector:
 
     def reset(self) -> None:
         """Forget the samples; a stream that the driver has told of goes on."""
-        self.buffer.clear()
-        self.screening, self.remarks, self.missed = Screening(), [], 0
-        if not self._stream.name:
-            self._stream = Stream()
-        self._lost_before = -self._stream.lost
-        self.taken = self._next = False
-        self._rest, self._away = None, 0
-        self._watch()
+        self._clock.drop()
+        self._forget()
 
     def add(self, stamp_ns: int, x: float, y: float, z: float, now: float) -> None:
         """Take one sample: stamp in ns, tracker frame in m, time of arrival in s."""
-        why = self._boundary(stamp_ns, now)
-        if why:
-            self._begin(why)
-        elif self.taken and self._moved_on(x, y, z):
-            self._next_run('the target moves on')
-            self._next = True
-        self._last_ns, self._heard = stamp_ns, now
-        self._stream.received += 1
-        self._stream.heard = now
-        if self.taken:
+        stream, clock = self._stream, self._clock
+        # who is held up gets the last samples late: their stamps go on
+        late = clock.newest_ns is not None and 0 < stamp_ns - clock.newest_ns < LATE * 1e9
+        if stream.over(now) and (stream.received >= stream.announced or not late):
+            self._begin('the stream before was over')
+            stream = self._stream
+        self._heard = stream.heard = now
+        stream.received += 1
+        if clock.take(stamp_ns, (x, y, z), *((0,) if stream.taken_over else ())):
+            stream.taken_over = False
+            self._keep(stamp_ns, x, y, z)
             return
-        self.buffer.append(stamp_ns, x, y, z)
-        if self._watcher:
-            self._watcher.add(stamp_ns, x, y, z)
+        if self.held == 1:
+            self._held_since = now
+        self.decide(now)
+
+    def decide(self, now: float) -> None:
+        """Begin a run with what is held, or go on with it, as soon as it is known which."""
+        clock = self._clock
+        back, known = clock.off_ns < 0, not self.undecided(now)
+        if not self.held or not (clock.persists and known if back else clock.persists or known):
+            return
+        if back:
+            self._begin_held(f'the stamps went back by {-1e-9 * clock.off_ns:.1f} s')
+        elif self._stream.taken_over and clock.persists and clock.off_ns > SAME_RUN_NS:
+            self._begin_held('the driver was started again much later')
+        else:
+            self._release()
 
     def announce(
         self, name: str, published: int, streaming: bool, finished: bool, now: float
@@ -230,12 +260,18 @@ class Collector:
         if not name:
             return
         before = self._stream
-        if before.name and name != before.name:
-            if before.ended:
-                self._begin('the driver has begun another stream')
-            else:  # it was started again: the first sample tells whether the run goes on
-                self._lost_before += before.lost
-                self._stream = Stream(taken_over=True)
+        if name in self._left:  # the one before goes on: what is lost of which is unknown
+            self._lost_before -= self._left.pop(name)
+            self._left[before.name] = 0
+            self._stream = Stream(unknown=published)
+        elif before.name and name != before.name and before.ended:
+            begin = self._begin_held if self._clock.persists else self._begin
+            begin('the driver has begun another stream')
+        elif before.name and name != before.name:
+            # it was started again: the first sample tells whether the run goes on
+            self._left[before.name] = before.lost
+            self._lost_before += before.lost
+            self._stream = Stream(received=self.held, taken_over=True)
         stream = self._stream
         stream.name, stream.announced, stream.finished = name, published, finished
         if streaming:
@@ -265,7 +301,7 @@ class Collector:
 
     def complete(self, now: float, at_stream_end: bool, idle_timeout: float) -> str:
         """Say why the run is complete; empty if it is not."""
-        if self.taken or self.path is None or not len(self.buffer):
+        if self.taken or self.path is None or not len(self.buffer) or self.undecided(now):
             return ''
         if at_stream_end and self._stream.finished and self._stream.over(now):
             return 'the stream has ended'
@@ -282,21 +318,19 @@ class Collector:
         """Seconds since the last sample."""
         return now - self._heard
 
-    def _boundary(self, stamp_ns: int, now: float) -> str:
-        """Say why a sample begins another run; empty if it does not."""
-        stream, last = self._stream, self._last_ns
-        taken_over, stream.taken_over = stream.taken_over, False
-        # who is held up gets the last samples late: their stamps go on
-        late = last is not None and 0 < stamp_ns - last < LATE * 1e9
-        if stream.over(now) and (stream.received >= stream.announced or not late):
-            return 'the stream before was over'
-        if last is None or self.publishers > 1:
-            return ''
-        if stamp_ns < last - (0 if taken_over else JUMP_BACK_NS):
-            return f'the stamps went back by {1e-9 * (last - stamp_ns):.1f} s'
-        if taken_over and stamp_ns > last + SAME_RUN_NS:
-            return 'the driver was started again much later'
-        return ''
+    def _keep(self, stamp_ns: int, x: float, y: float, z: float) -> None:
+        if self.taken and self._moved_on(x, y, z):
+            self._next_run('the target moves on')
+            self._next = True
+        if self.taken:
+            return
+        self.buffer.append(stamp_ns, x, y, z)
+        if self._watcher:
+            self._watcher.add(stamp_ns, x, y, z)
+
+    def _off(self, stamps_ns: list[int], newest_ns: int) -> None:
+        if not self.taken:
+            self.screening.off(stamps_ns, newest_ns)
 
     def _moved_on(self, x: float, y: float, z: float) -> bool:
         if self._rest is None:
@@ -309,15 +343,46 @@ class Collector:
     def _begin(self, why: str) -> None:
         """Begin a run with another stream."""
         self._next_run(why)
-        self._stream, self._last_ns, self._lost_before = Stream(), None, 0
+        self._stream, self._lost_before, self._left = Stream(), 0, {}
+        self._clock.newest_ns = None
+
+    def _begin_held(self, why: str) -> None:
+        """Begin a run with what is held; of the stream taken over, or of one not told of yet."""
+        stream = self._stream
+        self._set_run_aside(why)
+        self._lost_before = 0
+        if not stream.taken_over:
+            self._left[stream.name] = 0
+            self._stream = Stream(received=self.held)
+        self._release()
+
+    def _release(self) -> None:
+        self._stream.taken_over = False
+        for stamp_ns, point in self._clock.release():
+            if not self.taken:
+                self._keep(stamp_ns, *point)
 
     def _next_run(self, why: str) -> None:
+        self._clock.drop()
+        self._set_run_aside(why)
+
+    def _set_run_aside(self, why: str) -> None:
         count, lost = len(self.buffer), not self.taken and self.travelled > MOTION
         if count:
             self._set_aside(why)
-        self.reset()
+        self._forget()
         if lost:
             self.remarks.append(f'the {count} samples before were set aside: {why}')
+
+    def _forget(self) -> None:
+        self.buffer.clear()
+        self.screening, self.remarks, self.missed = Screening(), [], 0
+        if not self._stream.name:
+            self._stream = Stream()
+        self._lost_before, self._left = -self._stream.lost, dict.fromkeys(self._left, 0)
+        self.taken = self._next = False
+        self._rest, self._away = None, 0
+        self._watch()
 
     def _watch(self) -> None:
         self.run += 1

@@ -72,8 +72,8 @@ class Intake:
         self.journal: Journal | None = None
         self.beside = Beside()
         self._sequence = SequenceWatch()
-        self._segment: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
-        self._first = self._at = 0
+        self._stamp_ns, self._xyz = np.zeros(0, np.int64), np.zeros((0, 3))  # in no run yet
+        self._at = self._held_at = 0
 
     def path(self, path: NominalPath, message: bytes) -> bool:
         """Take a path and its message; False if it is the present one."""
@@ -115,8 +115,7 @@ class Intake:
     def set_aside(self, why: str) -> None:
         """End the run in the journal; the collector calls this before its samples are gone."""
         collector = self._collector
-        if self._segment:
-            self._write(self._at)
+        self._write_known()
         state = 'complete' if collector.taken else f'set aside: {why}'
         folder = self.journal.end(state) if self.journal else None
         if not collector.taken:
@@ -130,6 +129,18 @@ class Intake:
             self._collector.screening.good(rest.stamp_ns, rest.xyz)
             if self.journal:
                 self.journal.points(rest.stamp_ns, rest.xyz, POINT.frame)
+
+    def decide(self) -> None:
+        """Look whether it is known by now to which run the latest samples belong."""
+        self._collector.decide(time.monotonic())
+        self._write_known()
+
+    def forget(self) -> str:
+        """Begin a run anew; say where the samples so far are kept."""
+        self._write(self._at)
+        folder = self.journal.end('set aside: reset') if self.journal else None
+        self._collector.reset()
+        return f' here; they stay in {folder}' if folder else ''
 
     def settle(self, request: Request, results: Path | None) -> None:
         """Say in the journal that a run was calibrated; one that goes on stays as it is."""
@@ -151,6 +162,7 @@ class Intake:
 
     def close(self) -> None:
         """Write what has come to the journal."""
+        self._write(self._at)
         if self.journal:
             self.journal.close()
 
@@ -195,25 +207,31 @@ class Intake:
         return {s: found[s.name] for s in self.beside.specs if s.name in found}
 
     def _take(self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]) -> None:
-        collector, now = self._collector, time.monotonic()
-        self._segment, self._first = (stamp_ns, xyz), 0
-        wrong = judged(xyz).tolist()
+        collector, now, wrong = self._collector, time.monotonic(), judged(xyz).tolist()
         rows = zip(stamp_ns.tolist(), xyz.tolist(), wrong, strict=True)
-        for self._at, (stamp, (x, y, z), bad) in enumerate(rows):
+        self._stamp_ns = np.concatenate([self._stamp_ns, stamp_ns])
+        self._xyz = np.concatenate([self._xyz, xyz])
+        for stamp, (x, y, z), bad in rows:
             if not bad:
                 collector.add(stamp, x, y, z, now)
-        self._write(len(stamp_ns))
-        self._segment = None
+                if collector.held == 1:
+                    self._held_at = self._at
+            self._at += 1
+        self._write_known()
 
-    def _write(self, stop: int) -> None:
-        """Count and journal the samples of the present run up to ``stop``."""
-        assert self._segment is not None, 'samples are being taken'
-        stamp_ns, xyz = (column[self._first : stop] for column in self._segment)
-        self._first = stop
-        if self._collector.taken or not stop:
+    def _write_known(self) -> None:
+        """Count and journal the samples of which it is known that they are of the present run."""
+        self._write(self._held_at if self._collector.held else self._at)
+
+    def _write(self, count: int) -> None:
+        """Count and journal so many samples as of the present run."""
+        stamp_ns, xyz = self._stamp_ns[:count], self._xyz[:count]
+        self._stamp_ns, self._xyz = self._stamp_ns[count:], self._xyz[count:]
+        self._at, self._held_at = self._at - count, self._held_at - count
+        if self._collector.taken or not count:
             return
         self._collector.screening.good(stamp_ns, xyz)
-        if self.journal and len(stamp_ns):
+        if self.journal:
             self.journal.points(stamp_ns, xyz, POINT.frame)
 
 

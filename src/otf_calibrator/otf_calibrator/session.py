@@ -99,6 +99,7 @@ class Session:
 
     def due(self) -> str:
         """Start what was asked for, or a run that is complete; say what, empty if nothing."""
+        self.intake.decide()
         since = self._waits_since
         if since is None:
             reason = self.complete()
@@ -178,11 +179,7 @@ class Session:
 
     def forget(self) -> tuple[bool, str]:
         """Begin a run anew; tell what was forgotten."""
-        count, kept = len(self.collector.buffer), ''
-        if self.intake.journal:
-            folder = self.intake.journal.end('set aside: reset')
-            kept = f' here; they stay in {folder}' if folder else ''
-        self.collector.reset()
+        count, kept = len(self.collector.buffer), self.intake.forget()
         self.abandon()
         return True, f'{count} samples forgotten{kept}; ready for a run'
 
@@ -242,7 +239,7 @@ class Session:
 
     def complete(self) -> str:
         """Say why the run is complete and can be calibrated; empty if it is not."""
-        if self.busy or self.answered:
+        if self.busy or self.answered or self.collector.undecided(time.monotonic()):
             return ''
         files = self._settings()[0]
         if self._verdict and self._verdict.done():

@@ -12,14 +12,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.bags.clock import MAX_OFF_NS, of_one_clock
 from otf_core.bags.screening import MAX_RANGE, Screening
 from otf_core.bags.stamp_words import stamp_words
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 
-MAX_REORDER_NS = 1_000_000_000
-"""ns; stamps that go back by more are no matter of transport."""
 MAX_CONFLICTS = 1e-3
 """Share of samples that may repeat a stamp with another point; they are dropped."""
 
@@ -34,8 +33,8 @@ def in_time_order(
     """Return samples with strictly increasing stamps.
 
     Points out of order by up to 1 s are sorted by stamp (stable), exact repetitions are dropped,
-    and so are a second point of the same stamp if that is rare (0.1 %) and points that are no
-    measurements unless they are too many; each with a remark.
+    and so are a second point of the same stamp if that is rare (0.1 %), and points that are no
+    measurements or whose stamps are off (``clock``) unless they are too many; each with a remark.
 
     Parameters
     ----------
@@ -58,7 +57,8 @@ def in_time_order(
     """
     remarks = [] if remarks is None else remarks
     screening = screening or Screening()
-    good = screening.good(stamp_ns, xyz) if stamp_ns.any() else None
+    if stamp_ns.any():
+        stamp_ns, xyz = _screened(stamp_ns, xyz, screening)
     screening.check(where)
     if not stamp_ns.size:
         raise InputError(f'{where}: no points; was the tracker measuring while it was recorded?')
@@ -72,8 +72,6 @@ def in_time_order(
             f'the driver has to fill in the time of measurement'
         )
     remarks += screening.remarks()
-    if good is not None:
-        stamp_ns, xyz = stamp_ns[good], xyz[good]
     if np.all(stamp_ns[1:] > stamp_ns[:-1]):
         return Samples(stamp_ns, xyz)
     _check_steps(where, stamp_ns)
@@ -83,6 +81,16 @@ def in_time_order(
         order = np.argsort(stamp_ns, kind='stable')
         stamp_ns, xyz = stamp_ns[order], xyz[order]
     return _without_repetitions(where, stamp_ns, xyz, remarks)
+
+
+def _screened(
+    stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64], screening: Screening
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    good = screening.good(stamp_ns, xyz)
+    if good is not None:
+        stamp_ns, xyz = stamp_ns[good], xyz[good]
+    kept = of_one_clock(stamp_ns, screening.off)
+    return (stamp_ns, xyz) if kept is None else (stamp_ns[kept], xyz[kept])
 
 
 def usable_path(where: str, points: NDArray[np.float64]) -> NominalPath:
@@ -102,8 +110,8 @@ def usable_path(where: str, points: NDArray[np.float64]) -> NominalPath:
 
 def _check_steps(where: str, stamp_ns: NDArray[np.int64]) -> None:
     back = np.maximum.accumulate(stamp_ns) - stamp_ns
-    if back.max() > MAX_REORDER_NS:
-        i = int(np.argmax(back > MAX_REORDER_NS))
+    if back.max() > MAX_OFF_NS:
+        i = int(np.argmax(back > MAX_OFF_NS))
         raise InputError(
             f'{where}: header.stamp goes back by {back[i] * 1e-9:.3f} s at sample {i}; the clock '
             f'was set back or several runs or trackers are mixed; record each in its own bag'

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.bags.cdr import frame_text
+from otf_core.bags.clock import MAX_OFF_NS
 from otf_core.bags.topics import POINT
 from otf_core.errors import InputError
 
@@ -22,13 +23,14 @@ MAX_NO_MEASUREMENT = 0.5
 """Share of points without a measurement, as trackers give them while the beam is broken (in their
 origin, or not finite), and of points in another frame, up to which they are left out."""
 MAX_FAR = 0.01
-"""The same for points out of reach."""
-NO_BEAM, NOT_FINITE, FAR, FOREIGN = range(1, 5)
+"""The same for points out of reach, and for points whose stamps are off."""
+NO_BEAM, NOT_FINITE, FAR, FOREIGN, OFF = range(1, 6)
 WORDS = {
     NO_BEAM: 'in the origin of the tracker (no beam)',
     NOT_FINITE: 'that are not finite',
     FAR: f'beyond {MAX_RANGE:g} m',
     FOREIGN: 'in another frame',
+    OFF: f'whose stamps are off by more than {1e-9 * MAX_OFF_NS:g} s',
 }
 
 
@@ -82,6 +84,12 @@ class Screening:
         self._count[FOREIGN] += frames.total()
         self.total += frames.total()
 
+    def off(self, stamps_ns: list[int], newest_ns: int) -> None:
+        """Count points that were left out because of their stamps; looked at they have been."""
+        first = f'stamped {1e-9 * stamps_ns[0]:.6f} s, after {1e-9 * newest_ns:.6f} s'
+        self._first.setdefault(OFF, first)
+        self._count[OFF] += len(stamps_ns)
+
     def good(
         self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64]
     ) -> NDArray[np.bool_] | None:
@@ -124,6 +132,12 @@ class Screening:
         if count[FOREIGN] > MAX_NO_MEASUREMENT * total:
             text = frame_text(f'{count[FOREIGN]} of {total} points', self._most(), POINT.frame)
             raise InputError(f'{where}: {text}')
+        if count[OFF] > MAX_FAR * total:
+            raise InputError(
+                f'{where}: header.stamp of {count[OFF]} of {total} points is off by more than '
+                f'{1e-9 * MAX_OFF_NS:g} s, the first is {self._first[OFF]}; the clock was set '
+                f'back or several runs or trackers are mixed; record each in its own bag'
+            )
         if count[FAR] > MAX_FAR * total:
             raise InputError(self._unusable(where, FAR, f'beyond {MAX_RANGE:g} m; the unit is m'))
         if count[NOT_FINITE] > MAX_NO_MEASUREMENT * total:
