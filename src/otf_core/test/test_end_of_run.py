@@ -66,9 +66,11 @@ def test_standstill_on_the_way_is_looked_at_later():
     assert len(asked) == 1 and asked[0] >= 1.0
 
 
-def test_samples_out_of_order_are_no_travel_to_and_fro():
+def test_samples_out_of_order_are_looked_at_by_stamp_and_no_travel_to_and_fro():
     samples, watcher = RECORDING.measured(seed=3), PathWatcher(RECORDING.path, CONFIG)
     late = np.random.default_rng(2).uniform(0.0, 1e8, len(samples))
-    for i in np.argsort(samples.stamp_ns + late).tolist():
+    order = np.argsort(samples.stamp_ns + late)
+    for i in order.tolist():
         watcher.add(int(samples.stamp_ns[i]), *samples.xyz[i].tolist())
+    assert watcher.look(Samples(samples.stamp_ns[order], samples.xyz[order])).to_the_end
     assert 0.97 < watcher.travelled / RECORDING.path.length < 1.03

@@ -61,6 +61,7 @@ def first_sight(
     Parameters
     ----------
     samples : Samples
+        May be in the order of their arrival.
     path : NominalPath
     travelled : float
         Length driven so far, m.
@@ -73,7 +74,7 @@ def first_sight(
         says why.
     """
     beginning = NominalPath(driven_part(path, travelled))
-    found = align(samples, beginning, config)
+    found = align(samples.in_order(), beginning, config)
     if found.coverage < FOLLOWED:
         raise InputError(
             f'the target has travelled {travelled:.2f} m and followed only '

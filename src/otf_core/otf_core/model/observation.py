@@ -72,6 +72,13 @@ class Samples:
         """The same in s."""
         return self.step_ns * 1e-9
 
+    def in_order(self) -> Samples:
+        """Return the samples by stamp, one of each."""
+        if np.all(self.stamp_ns[1:] > self.stamp_ns[:-1]):
+            return self
+        stamp_ns, first = np.unique(self.stamp_ns, return_index=True)
+        return Samples(stamp_ns, self.xyz[first])
+
     def part(self, start: int, stop: int) -> Samples:
         """Return samples start to stop - 1 (views, no copy)."""
         return Samples(self.stamp_ns[start:stop], self.xyz[start:stop])

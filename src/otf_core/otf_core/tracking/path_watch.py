@@ -77,8 +77,11 @@ class PathWatcher:
         return True
 
     def look(self, samples: Samples) -> Followed | None:
-        """Tell how the samples follow the path, and whether to its end; None if they do not."""
+        """Tell how the samples follow the path, and whether to its end; None if they do not.
+
+        They may be in the order of their arrival.
+        """
         try:
-            return followed(samples, self._path, self._config)
+            return followed(samples.in_order(), self._path, self._config)
         except InputError:
             return None
