@@ -99,7 +99,8 @@ def of_one_clock(
 ) -> NDArray[np.int64] | None:
     """Tell which samples go on with one clock; None: all of them.
 
-    A clock that is behind at the end is not left out unless it is of a few samples.
+    A clock that is behind at the end is not left out unless it is of a few samples; if only a few
+    came before, those are.
 
     Parameters
     ----------
@@ -122,6 +123,9 @@ def of_one_clock(
             kept.append(i)
         elif clock.persists and clock.off_ns > 0:
             kept += [at for _, at in clock.release()]
+    if clock.persists and len(kept) < FEW:
+        left_out(stamp_ns[kept].tolist(), clock.held[-1][0])
+        kept = []
     if clock.persists or clock.off_ns > 0:
         kept += [at for _, at in clock.release()]
     clock.drop()
