@@ -38,6 +38,8 @@ MOST_NODES = 1600
 """Nodes of all motions together: their covariance is part of the file."""
 FIXED = 1e-12
 """Nodes that depend less on the unknowns are fixed by the gauge."""
+FINE = 32
+"""Parts of an interval at which it is judged what bends between nodes."""
 PLACES = 216
 """At which the cost on the grid is judged."""
 
@@ -157,9 +159,9 @@ def unseen_bends(machine: Machine, done: JointSolution) -> dict[ErrorMotion, flo
     """What rotations that are not seen bend translations between straight nodes, rms, m.
 
     On the table side a rotation acts over the travel of its own axis: as a translation, which is
-    not straight where the rotation is. Over an interval h in which the rotation changes with the
-    slope s it departs by s u (h - u), h^2 s / sqrt(30) in the mean square. Slopes are taken to be
-    those of the rotations that are seen.
+    not straight where the rotation is: over an interval h in which the rotation has the slope s it
+    departs by s u (h - u), of which straight lines between the nodes follow a part. Slopes are
+    taken to be those of the rotations that are seen.
     """
     unknowns, seen = done.unknowns, done.solution.accepted
     found: dict[ErrorMotion, float] = {}
@@ -174,11 +176,21 @@ def unseen_bends(machine: Machine, done: JointSolution) -> dict[ErrorMotion, flo
         travel = np.eye(3)[[motion.place]]
         arm = lever(replace(machine, target_offset=np.zeros(3)), motion.axis, travel)
         bent = turned(motion.along, arm)[0]
-        size = slope * float(np.sqrt(np.mean(steps[motion.axis] ** 4) / 30.0))
+        size = slope * _bend(unknowns.bases[motion.axis])
         for other in MOTIONS:
             if other.is_translation and other.axis == motion.axis and bent[other.along]:
                 found[other] = float(np.hypot(found.get(other, 0.0), size))
     return found
+
+
+def _bend(basis: Basis) -> float:
+    """Root mean square of what tables do not follow of a bend by independent slopes of 1, m^2."""
+    q = np.concatenate([basis.finer(FINE), basis.knots])
+    start, end = basis.knots[:-1], basis.knots[1:]
+    bends = np.maximum((q[:, None] - start) * (end - q[:, None]), 0.0)
+    hats = basis.matrix(q)
+    left = bends - hats @ np.linalg.lstsq(hats, bends, rcond=None)[0]
+    return float(np.sqrt(np.sum(left**2) / len(q)))
 
 
 def _inner_places(low: Array, high: Array) -> Array:

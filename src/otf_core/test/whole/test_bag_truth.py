@@ -95,14 +95,15 @@ def dense_error(case):
 
 
 def published(case):
-    """Squareness and nodes of all motions seen: values and covariance."""
+    """Squareness and nodes of all motions seen: values, and covariance at the nodes themselves."""
     tables = case.result.tables
     seen = [m for m in MOTIONS if tables.motions[m].identifiable]
     values = [tables.squareness[s].value for s in SQUARENESS]
     sizes = [3, *(len(tables.motions[m].value) for m in MOTIONS)]
     kept = np.repeat([True, *(m in seen for m in MOTIONS)], sizes)
     values = np.concatenate([values, *(tables.motions[m].value for m in seen)])
-    return values, case.result.covariance[np.ix_(kept, kept)]
+    covariance = case.result.covariance - np.diag(case.result.budget.straight)
+    return values, covariance[np.ix_(kept, kept)]
 
 
 def within(error, bound):

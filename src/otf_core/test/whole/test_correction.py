@@ -300,6 +300,7 @@ class Plain:
     run_id: str
     warnings: tuple
     runs: tuple = (None,)
+    effects_sentence: str = ''
 
 
 def test_gap_of_unknown_cause_takes_nothing_off_and_warns(monkeypatch):

@@ -212,7 +212,7 @@ def test_coarse_wishes_do_not_spoil_the_prediction_of_a_smooth_machine():
 
 
 def bends_of(truth, hidden):
-    """Mean square departure of translations from straight lines between nodes, by travel alone."""
+    """Mean square of what tables do not follow of translations by turns over the own travel."""
     machine, square = truth.machine, dict.fromkeys(MOTIONS, 0.0)
     for m in hidden:
         table = truth.motions[m]
@@ -222,8 +222,10 @@ def bends_of(truth, hidden):
             point[:, m.place] = q
         moved = np.cross(np.eye(3)[m.along] * table.at(q)[:, None], point)
         for k, axis in enumerate('XYZ'):
-            nodal = np.interp(table.position, q, moved[:, k])
-            off = moved[:, k] - np.interp(q, table.position, nodal)
+            hats = np.stack(
+                [np.interp(q, table.position, one) for one in np.eye(len(table.value))]
+            ).T
+            off = moved[:, k] - hats @ np.linalg.lstsq(hats, moved[:, k], rcond=None)[0]
             square[f'E{axis}{m.axis}'] += np.mean(off**2)
     return {m: v for m, v in square.items() if v > 1e-20}
 
