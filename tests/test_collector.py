@@ -5,12 +5,14 @@ import time
 
 import numpy as np
 import pytest
+from cells import write_machine
 
 from otf_calibrator.collector import LATE, SILENT, Collector
 from otf_calibrator.losses import SequenceWatch
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.session import Session
+from otf_calibrator.session import LAST_SAMPLES, Session
 from otf_core.config import CalibrationConfig
+from otf_core.errors import Cancelled
 from otf_core.model.path import NominalPath
 
 PATH = NominalPath(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0]]))
@@ -80,6 +82,26 @@ def test_calibration_that_is_asked_for_has_the_last_samples():
     assert session.due() == '' and not session.calibrate()[0]
     add(session.collector, 10, start=90, now=now)
     assert session.due() == 'calibration of 100 samples started: requested'
+    session.close()
+
+
+def test_cancel_while_the_last_samples_are_waited_for_ends_the_calibration(tmp_path):
+    files = CalibratorConfig(machine_file=str(write_machine(tmp_path)))
+    session = Session(lambda: (files, CalibrationConfig()), lambda text: None)
+    session.collector.set_path(PATH)
+    session.worker.stage = 'saving samples and report'  # as a calibration before leaves it
+    now = time.monotonic()
+    announce(session.collector, 'a', 0, 'STREAMING', now)
+    add(session.collector, 90, now=now)
+    announce(session.collector, 'a', 100, 'FINISHED', now)
+    assert session.calibrate()[0] and session.progress == (LAST_SAMPLES, 0.0)
+    session.cancel()
+    add(session.collector, 10, start=90, now=now)
+    session.due()
+    while not (job := session.finished()):
+        time.sleep(0.01)
+    assert isinstance(job.exception(), Cancelled) and not session.busy
+    assert len(session.collector.buffer) == 100
     session.close()
 
 

@@ -69,11 +69,10 @@ class CalibrateAction:
             goal, self._goal = self._goal, None
             goal.execute(lambda goal: self._end(goal, latest))
             return
-        worker, now = self._session.worker, time.monotonic()
-        shown = worker.stage, worker.fraction
+        shown, now = self._session.progress, time.monotonic()
         if shown != self._shown or now - self._at > REPEAT:
             self._shown, self._at = shown, now
-            left = self._time_left.estimate(worker.stage, worker.fraction, now)
+            left = self._time_left.estimate(*shown, now)
             feedback = Calibrate.Feedback(stage=shown[0], fraction=shown[1], time_left=left)
             self._goal.publish_feedback(feedback)
 

@@ -38,7 +38,8 @@ def tell(node: Node, session: Session, folder: Callable[[], str]) -> Diagnostics
 
     def work() -> Finding:
         if session.busy:
-            return Finding(Level.OK, session.worker.stage, {'done': session.worker.fraction})
+            stage, fraction = session.progress
+            return Finding(Level.OK, stage, {'done': fraction})
         return Finding(Level.OK, 'waits' if session.collector.taken else 'collects')
 
     tasks = {'samples': samples, 'losses': losses, 'work': work}

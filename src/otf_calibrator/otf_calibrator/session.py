@@ -24,6 +24,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.tracking.alignment import Followed
 
 Ahead = CalibrationResult | FirstSight
+LAST_SAMPLES = 'waiting for the last samples'
 INTERIM = 'interim result: the run goes on, and its samples are still taken'
 Settings = Callable[[], tuple[CalibratorConfig, CalibrationConfig]]
 
@@ -62,11 +63,19 @@ class Session:
         self._last: Calibrated | None = None
         self._asked = (-1, 0)
         self._waits_since: float | None = None
+        self._withdrawn = False
 
     @property
     def busy(self) -> bool:
         """True from when a calibration is asked for until its samples are saved."""
         return bool(self._job or self._saving) or self._waits_since is not None
+
+    @property
+    def progress(self) -> tuple[str, float]:
+        """What a calibration asked for is at, and the part of that which is done."""
+        if self._waits_since is not None:
+            return LAST_SAMPLES, 0.0
+        return self.worker.stage, self.worker.fraction
 
     @property
     def answered(self) -> bool:
@@ -90,11 +99,8 @@ class Session:
         if not len(self.collector.buffer):
             return False, 'no samples yet: activate the tracker driver and drive the path'
         if self.collector.on_the_way(now := time.monotonic(), now):
-            self._waits_since = now
-            return (
-                True,
-                'calibration starts at once; follow calibrator/state',
-            )
+            self._waits_since, self._withdrawn = now, False
+            return True, 'calibration starts at once; follow calibrator/state'
         return True, self._start_asked() + '; follow calibrator/state'
 
     def due(self) -> str:
@@ -107,7 +113,10 @@ class Session:
         if self.collector.on_the_way(time.monotonic(), since):
             return ''
         self._waits_since = None
-        return self._start_asked()
+        started = self._start_asked()
+        if self._withdrawn:
+            self.worker.cancel()
+        return started
 
     def _start_asked(self) -> str:
         self._asked = self._present
@@ -147,7 +156,9 @@ class Session:
 
     def cancel(self) -> None:
         """End a calibration under way as soon as it can be; its samples stay."""
-        if self.busy:
+        if self._waits_since is not None:
+            self._withdrawn = True  # not before its samples are here, which would be left out
+        elif self.busy:
             self.worker.cancel()
 
     def look_ahead(self) -> Future[Ahead] | None:

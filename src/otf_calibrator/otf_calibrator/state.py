@@ -12,7 +12,7 @@ from rclpy.node import Node
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
-from otf_calibrator.session import Session
+from otf_calibrator.session import LAST_SAMPLES, Session
 from otf_core.live.time_left import TimeLeft
 from otf_msgs.msg import CalibratorState
 from otf_ros import qos
@@ -30,7 +30,11 @@ NAMES = {
 }
 SILENCE = 2.0
 """s without samples that the state speaks of."""
-STAGES = {'aligning': CalibratorState.ALIGNING, 'solving': CalibratorState.SOLVING}
+STAGES = {
+    LAST_SAMPLES: CalibratorState.BUFFERING,
+    'aligning': CalibratorState.ALIGNING,
+    'solving': CalibratorState.SOLVING,
+}
 Described = tuple[int, float, str]
 NO_DIAGNOSIS = (False, 0.0, '')
 ABANDONED = (False, 0.0, 'abandoned; calibrator/diagnose starts it again')
@@ -123,10 +127,11 @@ class StatePublisher:
         self._warned = set(said)
 
     def _describe(self, session: Session) -> Described:
-        collector, worker = session.collector, session.worker
+        collector = session.collector
         if session.busy:
-            state = STAGES.get(worker.stage, CalibratorState.SOLVING)
-            return state, worker.fraction, f'{worker.stage}, samples are still taken'
+            stage, fraction = session.progress
+            state = STAGES.get(stage, CalibratorState.SOLVING)
+            return state, fraction, f'{stage}, samples are still taken'
         if collector.taken or collector.beginning or session.answered:
             return self._outcome
         if collector.path is None:
@@ -152,7 +157,7 @@ class StatePublisher:
 def _stage(session: Session) -> str:
     """What takes its time now; empty if nothing does."""
     if session.busy:
-        return session.worker.stage
+        return session.progress[0]
     collector = session.collector
     driving = collector.path is not None and len(collector.buffer) and not collector.taken
     return 'driving' if driving else ''
