@@ -35,6 +35,8 @@ def test_action_refuses_with_a_reason_and_can_be_cancelled(graph, machine_file, 
     status, refusal = caller.outcome(second)
     assert status == GoalStatus.STATUS_ABORTED and 'under way' in refusal.message
     status, result = caller.outcome(goal)
-    assert status == GoalStatus.STATUS_CANCELED and not result.success
+    assert status == GoalStatus.STATUS_CANCELED and not result.success and result.code == 130
     assert 'cancelled; its samples stay' in result.message
-    assert graph.wait_for_state('FAILED').samples == count
+    graph.wait(lambda: 'was cancelled' in graph.state().message, 'the state')
+    assert graph.state().name == 'BUFFERING' and graph.state().samples == count
+    assert not graph.heard['calibrator/result']  # nothing is wrong, and no result came

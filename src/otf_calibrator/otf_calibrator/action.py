@@ -16,6 +16,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 from otf_calibrator.session import Session
+from otf_core.errors import Cancelled
 from otf_core.live.time_left import TimeLeft
 from otf_msgs.action import Calibrate
 from otf_msgs.msg import CalibrationResult
@@ -63,11 +64,10 @@ class CalibrateAction:
         """Tell how far the calibration is, or what it gave."""
         if self._goal is None:
             return
-        latest = self._latest()
-        told = latest is not self._before and latest is not None
-        if told and not self._session.busy:
-            goal, self._goal = self._goal, None
-            goal.execute(lambda goal: self._end(goal, latest))
+        if not self._session.busy:
+            goal, self._goal, latest = self._goal, None, self._latest()
+            told = None if latest is self._before else latest
+            goal.execute(lambda goal: self._end(goal, told) if told else self._give_up(goal))
             return
         shown, now = self._session.progress, time.monotonic()
         if shown != self._shown or now - self._at > REPEAT:
@@ -93,6 +93,12 @@ class CalibrateAction:
     def _refuse(goal: ServerGoalHandle, text: str = '') -> Calibrate.Result:
         goal.abort()
         return Calibrate.Result(code=REFUSED, message=text)
+
+    @staticmethod
+    def _give_up(goal: ServerGoalHandle) -> Calibrate.Result:
+        goal.canceled()
+        text = 'the calibration was cancelled; its samples stay'
+        return Calibrate.Result(code=Cancelled.exit_code, message=text)
 
     @staticmethod
     def _end(goal: ServerGoalHandle, outcome: CalibrationResult) -> Calibrate.Result:

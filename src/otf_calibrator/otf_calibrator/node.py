@@ -23,7 +23,7 @@ from otf_calibrator.results import ResultPublishers
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
 from otf_core.config import CalibrationConfig
-from otf_core.errors import ConfigError, OtfError
+from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_msgs.msg import TrackerStatus
 from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
@@ -119,13 +119,13 @@ class Calibrator(Node):
             for text in self._results.publish(job.result()):
                 self.get_logger().warning(text)
             return
-        if isinstance(error, OtfError):
-            text, code = str(error), error.exit_code
-        else:
-            text, code = f'internal error: {error!r}', 1
+        if not isinstance(error, OtfError):
             self.get_logger().error(''.join(traceback.format_exception(error)))
-        self._results.publish_failure(code, text)
-        self._state.failed(text + self._session.intake.kept())
+        text = self._results.publish_failure(error) + self._session.intake.kept()
+        if isinstance(error, Cancelled):
+            self._state.cancelled(text, self._session)
+        else:
+            self._state.failed(text)
 
     def _done(self, outcome: Calibrated) -> None:
         """Tell that all files of a calibration are there, and diagnose it if that is wanted."""

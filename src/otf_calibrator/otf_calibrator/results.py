@@ -109,10 +109,18 @@ class ResultPublishers:
         volume = volume_errors(result, provisional)
         self._volume.publish(convert_result.volume_to_message(volume, result.run_id, now))
 
-    def publish_failure(self, exit_code: int, text: str) -> None:
-        """Publish that there is no result, and why; the tables published before stay."""
-        now = self._clock.now().to_msg()
-        self._tell(convert_result.failure_to_message(exit_code, text, now))
+    def publish_failure(self, error: BaseException) -> str:
+        """Publish that there is no result unless it was cancelled; return why there is none.
+
+        The tables published before stay.
+        """
+        text, code = f'internal error: {error!r}', 1
+        if isinstance(error, OtfError):
+            text, code = str(error), error.exit_code
+        if not isinstance(error, Cancelled):
+            now = self._clock.now().to_msg()
+            self._tell(convert_result.failure_to_message(code, text, now))
+        return text
 
     def _tell(self, message: ResultMessage) -> None:
         self.latest = message

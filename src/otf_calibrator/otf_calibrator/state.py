@@ -9,6 +9,7 @@ import time
 
 from rclpy.node import Node
 
+from otf_calibrator.collector import Collector
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.job import Calibrated
@@ -65,6 +66,11 @@ class StatePublisher:
         """Remember why the run could not be calibrated."""
         text = f'{reason}; correct it and call calibrator/calibrate, or drive again'
         self._outcome = (CalibratorState.FAILED, 0.0, text)
+
+    def cancelled(self, reason: str, session: Session) -> None:
+        """Remember that the run was not calibrated as nobody wanted it any more."""
+        text = f'{reason}; call calibrator/calibrate, or drive on'
+        self._outcome = (CalibratorState.BUFFERING, _driven(session.collector), text)
 
     def diagnosed(self, outcome: Calibrated, answer: Answer) -> None:
         """Remember what the diagnosis of the run gave."""
@@ -151,7 +157,12 @@ class StatePublisher:
         )
         if silence > SILENCE:
             text += f'; no sample for {silence:.0f} s, the run goes on with the next'
-        return CalibratorState.BUFFERING, min(1.0, collector.travelled / length), text
+        return CalibratorState.BUFFERING, _driven(collector), text
+
+
+def _driven(collector: Collector) -> float:
+    """Part of the path that is driven."""
+    return min(1.0, collector.travelled / collector.path.length) if collector.path else 0.0
 
 
 def _stage(session: Session) -> str:

@@ -55,4 +55,6 @@ class ShapeError(OtfError, ValueError):
 
 
 class Cancelled(OtfError):
-    """The caller asked a running calibration to stop."""
+    """The caller asked a running calibration to stop (exit code 130)."""
+
+    exit_code = 130
