@@ -23,7 +23,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from otf_bringup.domain import free_domain
-from otf_bringup.processes import NodeProcess, ended_together
+from otf_bringup.processes import NodeProcess, ended_together, module_of
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.machine import load_machine
@@ -154,7 +154,7 @@ def record(name: str, cell: Cell) -> None:
     with free_domain() as domain, tempfile.TemporaryDirectory() as logs:
         environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
         nodes = [
-            NodeProcess(node, f'otf_{node}.node', parameters, Path(logs), environment)
+            NodeProcess(node, module_of(node), parameters, Path(logs), environment)
             for node, parameters in (
                 ('path_planner', {**machine, **cell.planner}),
                 ('tracker_driver', driver),

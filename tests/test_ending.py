@@ -12,6 +12,8 @@ import pytest
 from cells import FAST, SHORT, write_machine
 from graph import PATIENCE
 
+from otf_bringup.processes import module_of
+
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_all_nodes_end_with_code_0_in_the_middle_of_a_run(graph, machine_file, number):
@@ -48,6 +50,27 @@ def test_second_signal_at_the_very_end_leaves_the_exit_code(tmp_path):
     environment = {**os.environ, 'PYTHONPATH': paths}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (3, '')
+
+
+INTERRUPTED = 'import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(60.0)'
+
+
+def interrupted_while_it_loads(folder, module):
+    """What comes of a process that gets Ctrl-C as soon as it imports another package."""
+    for name in ('rclpy', 'numpy'):
+        (folder / f'{name}.py').write_text(INTERRUPTED)
+    paths = os.pathsep.join([str(folder), os.environ.get('PYTHONPATH', '')])
+    command, environment = [sys.executable, '-m', module], {**os.environ, 'PYTHONPATH': paths}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    return done.returncode, done.stderr
+
+
+NAMES = ['path_planner', 'tracker_driver', 'calibrator', 'compensator', 'viewer', 'page']
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_ctrl_c_while_a_node_loads_ends_it_with_code_0(tmp_path, name):
+    assert interrupted_while_it_loads(tmp_path, module_of(name)) == (0, '')
 
 
 STUCK = """

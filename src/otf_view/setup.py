@@ -18,6 +18,6 @@ setup(
     description='Live view of a calibration: markers, numbers for plots, a page for any browser.',
     license='Apache-2.0',
     entry_points={
-        'console_scripts': ['viewer = otf_view.processes:viewer', 'page = otf_view.processes:page']
+        'console_scripts': ['viewer = otf_view.run_viewer:main', 'page = otf_view.run_page:main']
     },
 )

@@ -15,14 +15,14 @@ from pathlib import Path
 
 GRACE = 15.0
 """s; a node that has not ended so long after SIGINT is killed."""
-MODULES = {'viewer': 'otf_view.viewer_node', 'page': 'otf_view.page_node'}
+MODULES = {'viewer': 'otf_view.run_viewer', 'page': 'otf_view.run_page'}
 """Of nodes that have not a package of their own."""
 _PR_SET_PDEATHSIG = 1
 
 
 def module_of(name: str) -> str:
     """Return the module that a node is run with."""
-    return MODULES.get(name, f'otf_{name}.node')
+    return MODULES.get(name, f'otf_{name}')
 
 
 def _end_with_parent() -> None:

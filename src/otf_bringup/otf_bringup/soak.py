@@ -19,7 +19,7 @@ from pathlib import Path
 from rclpy.executors import SingleThreadedExecutor
 
 from otf_bringup.domain import free_domain
-from otf_bringup.processes import NodeProcess, ended_together
+from otf_bringup.processes import NodeProcess, ended_together, module_of
 from otf_bringup.soak_ear import Ear, Heard
 from otf_bringup.soak_tracker import SoakTracker
 from otf_core.cli.parser import Parser
@@ -92,8 +92,8 @@ class Soak:
         """Start a node."""
         label = f'{self._started:02}-{name}'
         self._started += 1
-        arguments = label, f'otf_{name}.node', self._given[name], self._folder, self._environment
-        self.nodes.append(NodeProcess(*arguments))
+        module, given = module_of(name), self._given[name]
+        self.nodes.append(NodeProcess(label, module, given, self._folder, self._environment))
 
     def kill(self, name: str) -> None:
         """End a node in the middle of whatever it does, and start it again."""
