@@ -73,6 +73,10 @@ def test_ctrl_c_while_a_node_loads_ends_it_with_code_0(tmp_path, name):
     assert interrupted_while_it_loads(tmp_path, module_of(name)) == (0, '')
 
 
+def test_ctrl_c_while_the_demo_loads_ends_it_as_later(tmp_path):
+    assert interrupted_while_it_loads(tmp_path, 'otf_bringup') == (130, '')
+
+
 STUCK = """
 import os, signal, time
 from rclpy.node import Node
@@ -103,7 +107,7 @@ def children_of(pid):
 
 
 def start_demo(folder, *arguments):
-    command = [sys.executable, '-m', 'otf_bringup.demo', '--out', str(folder), *arguments]
+    command = [sys.executable, '-m', 'otf_bringup', '--out', str(folder), *arguments]
     text = {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT, 'text': True}
     return subprocess.Popen(command, **text)
 

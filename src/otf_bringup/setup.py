@@ -21,5 +21,5 @@ setup(
     maintainer_email='maintainers@example.org',
     description='Launch files, parameters and the demo of the calibration cell.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['demo = otf_bringup.demo:main']},
+    entry_points={'console_scripts': ['demo = otf_bringup.__main__:main']},
 )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node's process from its start to its end: Ctrl-C ends it in order at any moment.
 
-Libraries that are still loading are left with exit code 0; once the node has ended, a second
+Libraries that are still loading are left at once; once the node has ended, a second
 Ctrl-C does not change its exit code any more.
 """
 
@@ -12,25 +12,27 @@ import signal
 from importlib import import_module
 
 
-def _leave(number: int, frame: object) -> None:
-    os._exit(0)  # nothing has begun that could be ended in order
-
-
-def main(module: str) -> int:
+def main(module: str, interrupted: int = 0) -> int:
     """Load a module and run its ``main``, which has signal handlers of its own.
 
     Parameters
     ----------
     module : str
+    interrupted : int
+        Exit code of a process that is ended while it loads.
 
     Returns
     -------
     int
         Exit code.
     """
+
+    def leave(number: int, frame: object) -> None:
+        os._exit(interrupted)  # nothing has begun that could be ended in order
+
     numbers = (signal.SIGINT, signal.SIGTERM)
     for number in numbers:
-        signal.signal(number, _leave)
+        signal.signal(number, leave)
     code = int(import_module(module).main())
     for number in numbers:  # Python would go back to the default while it ends
         signal.signal(number, signal.SIG_IGN)
