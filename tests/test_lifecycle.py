@@ -55,3 +55,15 @@ def test_waits_for_the_plan_and_says_so(graph, machine_file):
     graph.wait_for_status('IDLE', 'waiting for planner/plan')
     graph.start('path_planner', machine_file=machine_file, **SHORT)
     graph.wait_for_status('STREAMING')
+
+
+def test_stop_and_start_are_answered_and_told_as_they_are(graph, machine_file):
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    graph.start('calibrator', machine_file=machine_file)
+    graph.start('tracker_driver', machine_file=machine_file, **SLOW)
+    graph.wait(lambda: graph.state() and graph.state().samples > 50, 'samples')
+    assert graph.trigger('tracker/stop').success
+    graph.wait(lambda: 'the stream has ended' in graph.state().message, 'the end in the state')
+    assert not [s for s in graph.heard['calibrator/state'] if 'run goes on' in s.message]
+    answer = graph.trigger('tracker/start')
+    assert answer.success and answer.message == 'IDLE: activated; the stream is about to begin'

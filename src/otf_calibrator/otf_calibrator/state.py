@@ -151,10 +151,12 @@ class StatePublisher:
             return CalibratorState.BUFFERING, 0.0, text
         length = collector.path.length
         silence = collector.silence(time.monotonic())
-        text = (
-            f'{collector.travelled:.2f} of {length:.2f} m driven; calibrates at standstill at the '
-            f'end point, or call calibrator/calibrate'
-        )
+        text = f'{collector.travelled:.2f} of {length:.2f} m driven; '
+        if silence > SILENCE and collector.ended:
+            text += 'the stream has ended: call calibrator/calibrate, or drive again; '
+            text += 'another stream sets these samples aside'
+            return CalibratorState.BUFFERING, _driven(collector), text
+        text += 'calibrates at standstill at the end point, or call calibrator/calibrate'
         if silence > SILENCE:
             text += f'; no sample for {silence:.0f} s, the run goes on with the next'
         return CalibratorState.BUFFERING, _driven(collector), text

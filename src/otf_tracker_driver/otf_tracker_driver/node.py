@@ -78,6 +78,7 @@ class TrackerDriver(SteadyLifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stream from the beginning as soon as source and subscribers are ready."""
         if self._streamer:
+            self._status.report(TrackerStatus.IDLE, 'activated; the stream is about to begin')
             self._streamer.begin(self._plan)
         return super().on_activate(state)
 
