@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Services of the driver over an emulated tracker, its gaps, and what it tells of its health."""
 
+from types import SimpleNamespace
+
 from cells import FAST, SHORT
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from emulated import emulator
 from geometry_msgs.msg import PointStamped
 
+from otf_calibrator.diagnostics import journal
 from otf_msgs.msg import TrackerGap, TrackerStatus
 from otf_ros import qos
+from otf_ros.diagnostics import Finding, Level
 
 
 def start_driver(graph, port, **given):
@@ -77,3 +81,23 @@ def test_other_backends_start_again_after_their_end_but_take_no_commands(graph, 
     first = graph.wait_for_status('FINISHED')
     assert graph.trigger('tracker/start').success
     graph.wait(lambda: graph.status().stream_id != first.stream_id, 'another stream')
+
+
+def test_stream_that_is_slow_on_purpose_is_no_warning(graph, machine_file):
+    diagnosed = graph.listen(DiagnosticArray, '/diagnostics', qos.DIAGNOSTICS)
+    graph.start('path_planner', machine_file=machine_file, **SHORT)
+    slow = {'simulated.rate': 200.0, 'time_scale': 0.5, 'wait_for_subscribers': 0}
+    graph.start('tracker_driver', machine_file=machine_file, **slow)
+
+    def streams():
+        return [s for one in diagnosed for s in one.status if s.name.endswith('stream')]
+
+    graph.wait(lambda: len([s for s in streams() if 'streaming' in s.message]) > 2, 'a rate')
+    assert {s.level for s in streams()} == {DiagnosticStatus.OK}, streams()
+
+
+def test_journal_that_cannot_be_written_is_an_error(tmp_path):
+    kept = SimpleNamespace(directory=tmp_path, trouble='')
+    assert journal(kept).level != Level.ERROR and 'left' in journal(kept).text
+    kept.trouble = 'the journal cannot be written (No space left on device)'
+    assert journal(kept) == Finding(Level.ERROR, kept.trouble)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the calibrator tells on ``/diagnostics``: samples, losses, run, disk, memory."""
+"""What the calibrator tells on ``/diagnostics``: samples, losses, run, disk, journal, memory."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from otf_calibrator.session import Session
+from otf_core.bags.journal import Journal
 from otf_ros.diagnostics import PERIOD, Diagnostics, Finding, Level, disk, memory
 
 
@@ -42,7 +43,21 @@ def tell(node: Node, session: Session, folder: Callable[[], str]) -> Diagnostics
             return Finding(Level.OK, stage, {'done': fraction})
         return Finding(Level.OK, 'waits' if session.collector.taken else 'collects')
 
-    tasks = {'samples': samples, 'losses': losses, 'work': work}
-    return Diagnostics(
-        node, lambda: '', {**tasks, 'disk': lambda: disk(folder()), 'memory': memory}
-    )
+    tasks = {
+        'samples': samples,
+        'losses': losses,
+        'work': work,
+        'disk': lambda: disk(folder()),
+        'journal': lambda: journal(session.intake.journal),
+        'memory': memory,
+    }
+    return Diagnostics(node, lambda: '', tasks)
+
+
+def journal(kept: Journal | None) -> Finding:
+    """Whether samples are on the disk as they come, and the room left there."""
+    if kept is None:
+        return Finding(Level.OK, 'none is kept')
+    if kept.trouble:
+        return Finding(Level.ERROR, kept.trouble)
+    return disk(str(kept.directory))

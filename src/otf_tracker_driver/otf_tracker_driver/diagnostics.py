@@ -115,7 +115,7 @@ class Rate:
         (begun, before), (now, count) = self._seen[0], self._seen[-1]
         if now == begun:
             return Finding(Level.OK, 'the stream has begun')
-        rate, nominal = (count - before) / (now - begun), message.rate
+        rate, nominal = (count - before) / (now - begun), self._status.pace
         values = {'rate [Hz]': rate, 'nominal rate [Hz]': nominal}
         if self._status.latency is not None:
             values['age of the oldest sample of a batch [s]'] = self._status.latency

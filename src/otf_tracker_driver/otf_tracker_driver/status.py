@@ -68,6 +68,11 @@ class Status:
         """How the source is; as of one that is not connected if there is none."""
         return self._backend.health if self._backend else Health(connected=False)
 
+    @property
+    def pace(self) -> float:
+        """Samples per second that the source promises, Hz; 0 if it does not."""
+        return self.message.rate * (self._backend.time_scale if self._backend else 1.0)
+
     def describe(self, name: str) -> None:
         """Say which backend will deliver samples."""
         self.message = TrackerStatus(backend=name)

@@ -75,6 +75,8 @@ class Backend(ABC):
         Samples per second of measurement time; 0 while unknown.
     expected : int
         Samples of the whole stream; 0 if the source does not know.
+    time_scale : float
+        So many times as fast as they were measured the samples come.
     path : NominalPath or None
         Nominal path that comes with the samples; known once connected.
     remark : str
@@ -87,6 +89,7 @@ class Backend(ABC):
     brings_path: ClassVar[bool] = False
     needs_plan: ClassVar[bool] = False
     rate: float = 0.0
+    time_scale: float = 1.0
     expected: int = 0
     path: NominalPath | None = None
     remark: str = ''
