@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wrong parameters are refused with one clear message; descriptions reach the tools."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,36 @@ def test_parameter_that_acts_only_at_start_is_read_only(graph, machine_file):
     graph.start('tracker_driver', machine_file=machine_file, auto_start=False)
     refused = graph.set_parameter('tracker_driver', 'auto_start', True)
     assert not refused.successful and 'read-only' in refused.reason
+
+
+WRONG_FILES = {
+    'machine_file': '/no/such/machine.yaml',
+    'effects': '/no/such/effects.yaml',
+    'output_directory': '/dev/null/x',
+    'history_directory': '/dev/null/x',
+}
+
+
+def test_file_that_is_refused_at_start_is_refused_while_running_with_the_same_words(
+    graph, machine_file
+):
+    graph.start('calibrator', machine_file=machine_file, journal_directory='none')
+    nodes = {
+        name: graph.start('calibrator', **{'machine_file': machine_file, name: value})
+        for name, value in WRONG_FILES.items()
+    }
+    for node in nodes.values():
+        graph.nodes.remove(node)
+    for name, value in WRONG_FILES.items():
+        node = nodes[name]
+        assert node.wait(timeout=60.0) == 2
+        refused = graph.set_parameter('calibrator', name, value)
+        said = re.sub(r'\d{8}T\d{6}Z', '', f'error: {refused.reason}')
+        assert not refused.successful and said in re.sub(r'\d{8}T\d{6}Z', '', node.last_lines())
+    folder = graph.set_parameter('calibrator', 'machine_file', str(graph.folder))
+    assert 'it is a folder' in folder.reason and '--' not in folder.reason
+    assert not graph.set_parameter('calibrator', 'machine_file', '').successful
+    assert graph.set_parameter('calibrator', 'machine_file', str(machine_file)).successful
 
 
 def config_file(name):

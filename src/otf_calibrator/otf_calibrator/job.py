@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
@@ -224,15 +224,35 @@ def recording_of(request: Request) -> Recording:
     return Recording(samples, request.path, machine, BAG, tuple(remarks), signals)
 
 
-def check_files(files: CalibratorConfig) -> None:
-    """Refuse descriptions that cannot be read, and a place for results that cannot be written."""
-    machine = load_machine(files.machine_file)
-    try:
-        OutputFolder(free_folder(_base(files), 'results'))
-    except ConfigError as error:
-        raise ConfigError(f'parameter output_directory: {error}') from None
-    if files.effects not in (NONE, AUTO):
-        read_effects(files.effects, machine)
+def check_files(files: CalibratorConfig, changed: Collection[str] | None = None) -> None:
+    """Refuse descriptions that cannot be read, and places that cannot be written.
+
+    Parameters
+    ----------
+    files : CalibratorConfig
+    changed : collection of str, optional
+        Only what these parameters name.
+    """
+    places = {
+        'output_directory': free_folder(_base(files), 'results'),
+        'history_directory': Path(files.history_directory).expanduser().absolute() / 'results',
+    }
+    wanted = {*places, 'machine_file', 'effects'} if changed is None else set(changed)
+    if wanted & {'machine_file', 'effects'}:
+        if not files.machine_file:
+            raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
+        machine = load_machine(files.machine_file)
+        if files.effects not in (NONE, AUTO):
+            read_effects(files.effects, machine)
+    if not files.history_directory:
+        wanted.discard('history_directory')
+    for name, place in places.items():
+        if name not in wanted:
+            continue
+        try:
+            OutputFolder(place)
+        except ConfigError as error:
+            raise ConfigError(f'parameter {name}: {error}') from None
 
 
 def _base(files: CalibratorConfig) -> Path:

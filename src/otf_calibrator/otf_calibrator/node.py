@@ -23,7 +23,7 @@ from otf_calibrator.results import ResultPublishers
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
 from otf_core.config import CalibrationConfig
-from otf_core.errors import Cancelled, ConfigError, OtfError
+from otf_core.errors import Cancelled, OtfError
 from otf_msgs.msg import TrackerStatus
 from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
@@ -52,9 +52,8 @@ class Calibrator(Node):
         groups = CalibratorConfig, CalibrationConfig
         self._settings = NodeParameters(self, *groups, read_only=['journal_directory'])
         files, _ = self._read_settings()
-        if not files.machine_file:
-            raise ConfigError('parameter machine_file: missing; give the path of machine.yaml')
         check_files(files)
+        self._settings.check_also(CalibratorConfig, check_files)
         self._session = Session(self._read_settings, self.get_logger().warning)
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)

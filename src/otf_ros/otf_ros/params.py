@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -88,6 +88,7 @@ class NodeParameters:
         self._node = node
         groups = (*groups, frames.FramesConfig)
         self._groups = [*(('', group) for group in groups), *(named or {}).items()]
+        self._checks: dict[type[Parameters], Callable[[Any, Collection[str]], None]] = {}
         self._infos = {i.name: i for group in self._groups for i in _infos(*group)}
         for info in self._infos.values():
             self._declare(info, info.name in (*read_only, 'machine_frame', 'tracker_frame'))
@@ -116,6 +117,18 @@ class NodeParameters:
             return group(**values)
         except ConfigError as error:
             raise ConfigError(f'{start}{error}') from None
+
+    def check_also(self, group: type[P], check: Callable[[P, Collection[str]], None]) -> None:
+        """Refuse changes that a check does not let pass, besides bounds and types.
+
+        Parameters
+        ----------
+        group : subclass of otf_core.config.Parameters
+        check : callable
+            Takes the values as they would be, and the names of those that shall change;
+            ConfigError if they cannot.
+        """
+        self._checks[group] = check
 
     def _declare(self, info: ParameterInfo, read_only: bool) -> None:
         # first without a type: `feed:=1` shall be accepted for 1.0, and a wrong type is refused
@@ -152,8 +165,10 @@ class NodeParameters:
         changed = {p.name: p.value for p in parameters}
         try:
             for name, group in self._groups:
-                if changed.keys() & {i.name for i in _infos(name, group)}:
-                    self.read(group, name, changed)
+                if concerned := changed.keys() & {i.name for i in _infos(name, group)}:
+                    values = self.read(group, name, changed)
+                    if check := self._checks.get(group):
+                        check(values, concerned)
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

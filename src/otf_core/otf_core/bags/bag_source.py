@@ -99,7 +99,7 @@ def locate(source: str | Path) -> BagSource:
     if path.suffix == '.bag':
         raise ConfigError(f"{path}: is a ROS 1 bag; convert it with 'rosbags-convert' first")
     if path.suffix not in ('.mcap', '.db3') or not stat.S_ISREG(mode):
-        swapped = '; are bag and --machine swapped?' if path.suffix in ('.yaml', '.yml') else ''
+        swapped = '; is that machine.yaml?' if path.suffix in ('.yaml', '.yml') else ''
         raise ConfigError(f'{path}: is no bag; {EXPECTED}{swapped}')
     return BagSource(path, (path,), path.suffix == '.mcap')
 

@@ -281,7 +281,7 @@ def load_machine(path: str | Path) -> Machine:
     if Path(path).is_dir() or Path(path).suffix in ('.mcap', '.db3'):
         what = 'a folder' if Path(path).is_dir() else 'a recording'
         raise ConfigError(
-            f'{path}: cannot be read as machine.yaml, it is {what}; are bag and --machine swapped?'
+            f'{path}: cannot be read as machine.yaml, it is {what}; is that the bag?'
         )
     data = read_yaml_bytes(path)
     machine = machine_from_dict(parse_yaml(data, path), str(path))

@@ -226,9 +226,9 @@ def test_truth_explains_the_samples_to_within_effect_and_noise(bags, name):
 @pytest.mark.parametrize(
     ('bag', 'machine', 'words'),
     [
-        ('machine.yaml', 'run', 'it is a folder; are bag and --machine swapped?'),
-        ('machine.yaml', 'run.mcap', 'it is a recording; are bag and --machine swapped?'),
-        ('machine.yaml', 'machine.yaml', 'are bag and --machine swapped?'),
+        ('machine.yaml', 'run', 'it is a folder; is that the bag?'),
+        ('machine.yaml', 'run.mcap', 'it is a recording; is that the bag?'),
+        ('machine.yaml', 'machine.yaml', 'is that machine.yaml?'),
         ('run', 'machne.yaml', 'machine.yaml?'),
         ('run', 'nothing-like-it', 'No such file or directory)'),
     ],
