@@ -100,7 +100,7 @@ class Screening:
         stamp_ns : ndarray of int64, shape (n,), ns
         xyz : ndarray of float64, shape (n, 3), m
         """
-        found, before = judged(xyz), self.total
+        found, before = judged(xyz), self.total - self._count[FOREIGN]
         self.total += len(xyz)
         if self._start_ns is None and len(xyz):
             self._start_ns = int(stamp_ns[0])
