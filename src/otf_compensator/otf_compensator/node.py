@@ -9,6 +9,7 @@ from std_msgs.msg import Header
 
 from otf_compensator.params import CompensatorConfig
 from otf_compensator.tables import Corrected, Tables
+from otf_core.bags.cdr import frame_shown
 from otf_core.errors import OtfError
 from otf_core.threads import one_thread
 from otf_msgs.msg import Compensation
@@ -60,7 +61,7 @@ class Compensator(Node):
         own = [m for m in messages if m.header.frame_id == frames.machine()]
         if len(own) < len(messages):
             others = {m.header.frame_id for m in messages} - {frames.machine()}
-            named = ', '.join(map(repr, sorted(others)))
+            named = ', '.join(map(frame_shown, sorted(others)))
             self._refused(f'frame_id is {named}, expected {frames.machine()!r}')
         if not own:
             return

@@ -4,8 +4,10 @@
 from collections import Counter
 
 import numpy as np
+import pytest
 
 from otf_core.bags.screening import Screening
+from otf_core.errors import InputError
 
 STAMPS = np.arange(1, 9, dtype=np.int64) * 10_000_000
 POINTS = np.ones((8, 3))
@@ -22,3 +24,12 @@ def test_first_bad_sample_has_its_number_in_the_stream_wherever_foreign_points_c
         said.add(screening.remarks()[0])
     (text,) = said
     assert 'dropped 1 of 11 points' in text and 'the first is sample 5, 0.050000 s' in text
+
+
+def test_long_frame_id_is_not_repeated_whole():
+    screening = Screening()
+    screening.foreign(Counter({'x' * 100_000: 3}))
+    assert "'" + 'x' * 60 + "'... (100000 characters)" in screening.remarks()[0]
+    with pytest.raises(InputError) as caught:
+        screening.check('bag')
+    assert max(map(len, [*screening.remarks(), str(caught.value)])) < 400

@@ -24,6 +24,8 @@ MAX_TRAILING = 3
 """Bytes a serializer may add after the last field."""
 MIN_POSE_SIZE = 69
 """Bytes a PoseStamped takes at least: stamp 8, empty frame_id 5, seven float64 56."""
+LONGEST_NAME = 60
+"""Characters of a frame_id that messages show."""
 
 Bytes = NDArray[np.uint8]
 Index = NDArray[np.int64]
@@ -236,11 +238,16 @@ def _foreign_frame(data: bytes, number: int, form: PointForm) -> str:
     return found if child == form.child else f'{found}, child {child}'
 
 
+def frame_shown(frame: str) -> str:
+    """Return a frame_id as messages name it; of a long one the beginning."""
+    rest = f'... ({len(frame)} characters)' if len(frame) > LONGEST_NAME else ''
+    return f'{frame[:LONGEST_NAME]!r}{rest}' if frame else 'empty'
+
+
 def frame_text(what: str, found: str, expected: str) -> str:
     """Return the message for a frame_id that is not the one the interface fixes."""
-    shown = f"'{found}'" if found else 'empty'
     return (
-        f"{what}: frame_id is {shown}, expected '{expected}'; "
+        f"{what}: frame_id is {frame_shown(found)}, expected '{expected}'; "
         f'publish in that frame, or name the topic (--topic, --path-topic) to take any'
     )
 

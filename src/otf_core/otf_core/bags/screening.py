@@ -12,7 +12,7 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.bags.cdr import frame_text
+from otf_core.bags.cdr import frame_shown, frame_text
 from otf_core.bags.clock import MAX_OFF_NS
 from otf_core.bags.topics import POINT
 from otf_core.errors import InputError
@@ -159,7 +159,5 @@ class Screening:
         return self._frames.most_common(1)[0][0]
 
     def _shown(self) -> str:
-        named = ', '.join(
-            repr(name) if name else 'empty' for name, _ in self._frames.most_common(3)
-        )
+        named = ', '.join(frame_shown(name) for name, _ in self._frames.most_common(3))
         return f"their frame_id is {named}, expected '{POINT.frame}'"
