@@ -12,9 +12,10 @@ import yaml
 from cells import MACHINE
 
 from otf_calibrator.diagnosis_job import DiagnosisJob
-from otf_calibrator.job import Request, Worker, free_folder
+from otf_calibrator.job import Calibrated, Request, Worker, free_folder
 from otf_calibrator.params import CalibratorConfig
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
+from otf_core.errors import ConfigError
 from otf_core.history.store import read_store
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
@@ -52,6 +53,24 @@ def test_calibrations_of_one_run_get_folders_of_their_own(tmp_path):
     assert kept[0].content.extra['run_id'] == outcomes[0].result.run_id
     names = {o.folder.name for o in outcomes}
     assert set(os.listdir(tmp_path / 'out')) == {*names, 'latest'}
+
+
+def test_all_that_could_not_be_saved_is_named(tmp_path):
+    def no_report(folder):
+        raise ConfigError(f'{folder}: cannot be written (No space left on device)')
+
+    (tmp_path / 'samples').write_text('in the way')
+    samples = Samples(np.array([1, 2]), np.eye(3)[:2])
+    files, path = CalibratorConfig(machine_file='none.yaml'), NominalPath(np.eye(3))
+    request = Request(samples, path, files, CalibrationConfig(), 0)
+    recording = Recording(samples, path, None, 'samples')
+    before, said = 'not added to the history: no', []
+    worker = Worker(said.append)
+    outcome = Calibrated(request, recording, None, tmp_path, no_report, before)
+    problem = worker.save(outcome).result().problem
+    worker.close()
+    assert problem == '; '.join([before, *said]) and len(said) == 2
+    assert 'the samples were not saved' in said[0] and 'the report was not written' in said[1]
 
 
 def test_name_that_is_taken_gets_a_number(tmp_path):

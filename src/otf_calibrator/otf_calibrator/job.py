@@ -129,23 +129,25 @@ class Worker:
         return self._pool.submit(self._save, outcome)
 
     def _save(self, outcome: Calibrated) -> Calibrated:
-        files, recording, folder = outcome.request.files, outcome.recording, outcome.folder
+        files, folder = outcome.request.files, outcome.folder
         if not folder:
             return outcome
-        what = 'the samples were not saved'
-        try:
-            if files.save_bag:
-                signals = outcome.request.signals
-                content = BagContent(recording.samples, recording.path, signals=signals)
-                write_bag(folder / BAG, content)
-            what = 'the report was not written'
-            if files.report:
-                outcome.report(folder)
-        except OtfError as error:
-            problem = f'{what}: {error}'
-            self._warn(problem)
-            return replace(outcome, problem=problem)
-        return outcome
+        problems = [outcome.problem] if outcome.problem else []
+        for wanted, write, what in (
+            (
+                files.save_bag,
+                lambda: _write_samples(outcome, folder),
+                'the samples were not saved',
+            ),
+            (files.report, lambda: outcome.report(folder), 'the report was not written'),
+        ):
+            try:
+                if wanted:
+                    write()
+            except OtfError as error:
+                problems.append(f'{what}: {error}')
+                self._warn(problems[-1])
+        return replace(outcome, problem='; '.join(problems))
 
     def follow(self, look: Look, samples: Samples) -> Future[Followed | None]:
         """Find out how samples follow the path; the next calibration begins with that."""
@@ -211,6 +213,12 @@ class Worker:
             return found, write, lambda folder: write_report(folder, facts_of(found))
         write = functools.partial(write_with_effects, found, report=False)
         return found.result, write, functools.partial(write_reports, found)
+
+
+def _write_samples(outcome: Calibrated, folder: Path) -> None:
+    """Write path and samples of a run as a bag beside its results."""
+    recording, signals = outcome.recording, outcome.request.signals
+    write_bag(folder / BAG, BagContent(recording.samples, recording.path, signals=signals))
 
 
 def recording_of(request: Request) -> Recording:
