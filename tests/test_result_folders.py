@@ -84,8 +84,8 @@ def test_name_that_is_taken_gets_a_number(tmp_path):
 
 
 @pytest.fixture
-def job(tmp_path):
-    """Diagnosis whose process is ended at once."""
+def begun(tmp_path):
+    """Diagnosis that has just been started."""
     (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(MACHINE))
     samples = Samples(np.arange(500) * 2_000_000, np.ones((500, 3)))
     path = NominalPath(np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.15, 0], [0, 0, 0.0]]))
@@ -94,10 +94,22 @@ def job(tmp_path):
     folder.mkdir()
     request = SimpleNamespace(config=CalibrationConfig())
     job = DiagnosisJob(SimpleNamespace(recording=recording, request=request, folder=folder))
-    job._process.kill()
-    job._process.wait()
     yield job
     job.close()
+
+
+@pytest.fixture
+def job(begun):
+    """Diagnosis whose process is ended at once."""
+    begun._process.kill()
+    begun._process.wait()
+    return begun
+
+
+def test_diagnosis_whose_node_was_killed_leaves_nothing(begun, tmp_path):
+    begun._answers.close()  # as the end of the node does
+    assert begun._process.wait(60.0) == 1
+    assert list((tmp_path / 'run').iterdir()) == []
 
 
 def test_diagnosis_without_a_cause_leaves_none_of_an_earlier_one(job, tmp_path):

@@ -9,6 +9,7 @@ with its twin, and is given the twin from here.
 from __future__ import annotations
 
 import pickle
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -55,11 +56,13 @@ def main() -> int:
     answer = Connection(int(sys.argv[1]), readable=False)
     task: Task = pickle.load(sys.stdin.buffer)
     try:
-        answer.send(perform(task, lambda stage, share: answer.send((stage, share))))
-    except OtfError as error:
-        answer.send(Failure(error.exit_code, str(error)))
-    except BrokenPipeError:
-        return 1  # the node is gone
+        try:
+            answer.send(perform(task, lambda stage, share: answer.send((stage, share))))
+        except OtfError as error:
+            answer.send(Failure(error.exit_code, str(error)))
+    except BrokenPipeError:  # the node is gone, which would remove it
+        shutil.rmtree(task.folder, ignore_errors=True)
+        return 1
     return 0
 
 
