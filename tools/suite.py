@@ -50,9 +50,13 @@ def core_environment() -> dict[str, str]:
     return {**env, 'PYTHONPATH': str(ROOT / 'src/otf_core')}
 
 
+def shared_out(python: str, workers: int, *words: str) -> list[str]:
+    """Command that runs tests in so many processes, each taking more when it has none left."""
+    return [python, '-m', 'pytest', '-n', str(workers), '--dist', 'worksteal', *words]
+
+
 def all_checks(workspace_env: dict[str, str]) -> list[Check]:
     core, python = core_environment(), layout.PYTHON
-    workers = [python, '-m', 'pytest', '-n', '2', '--dist', 'worksteal']
     node_python = shutil.which('python', path=workspace_env['PATH'])
     return [
         Check('ruff check', [python, '-m', 'ruff', 'check'], core),
@@ -61,22 +65,18 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
         Check('no ROS for the core suite', [python, '-c', PROOF], core),
         Check(
             f'pytest {CORE_SUITE}',
-            [*workers, f'--ignore={WHOLE_CELLS}', CORE_SUITE],
+            shared_out(python, 2, f'--ignore={WHOLE_CELLS}', CORE_SUITE),
             core,
         ),
-        Check(f'pytest {WHOLE_CELLS}', [*workers, WHOLE_CELLS], core),
+        Check(f'pytest {WHOLE_CELLS}', shared_out(python, 2, WHOLE_CELLS), core),
         Check(
             f'pytest {DEVICES}',
-            [node_python, '-m', 'pytest', '-n', '4', '--dist', 'worksteal', DEVICES],
+            shared_out(node_python, 4, DEVICES),
             workspace_env,
         ),
         Check(
             'pytest tests',
-            [
-                node_python,
-                *('-m', 'pytest', '-n', '3', '--dist', 'worksteal'),
-                *(f'--ignore={DEVICES}', 'tests'),
-            ],
+            shared_out(node_python, 3, f'--ignore={DEVICES}', 'tests'),
             workspace_env,
         ),
     ]

@@ -76,9 +76,15 @@ def turned(along: int, arm: Points) -> Points:
     Several times faster than ``numpy.cross``, which counts where positions come one by one.
     """
     found = np.zeros_like(arm)
-    after, last = (along + 1) % 3, (along + 2) % 3
-    found[:, after], found[:, last] = -arm[:, last], arm[:, after]
+    _add_turned(found, along, arm, 1.0)
     return found
+
+
+def _add_turned(total: Points, along: int, arm: Points, angle: Points | float) -> None:
+    """Add the displacements by small angles (n,) about one axis of the machine frame."""
+    after, last = (along + 1) % 3, (along + 2) % 3
+    total[:, after] -= angle * arm[:, last]
+    total[:, last] += angle * arm[:, after]
 
 
 def squareness_influence(name: str, q: Points) -> Points:
@@ -115,10 +121,8 @@ def displacement(tables: ErrorTables, q: Points) -> Points:
         error = tables.motions[motion].at(q[:, motion.place])
         if motion.is_translation:
             total[:, motion.along] += error
-            continue
-        arm, after, last = arms[motion.axis], (motion.along + 1) % 3, (motion.along + 2) % 3
-        total[:, after] -= error * arm[:, last]
-        total[:, last] += error * arm[:, after]
+        else:
+            _add_turned(total, motion.along, arms[motion.axis], error)
     for name in SQUARENESS:
         total += tables.squareness[name].value * squareness_influence(name, q)
     return total

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from otf_core.model.evaluation import free_rows, mean_length, without_rigid_motion
-from otf_core.model.kinematics import lever, motion_influence, turned
+from otf_core.model.kinematics import motion_influence, turned
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.nodes import table_nodes
@@ -172,14 +172,16 @@ def unseen_bends(machine: Machine, done: JointSolution) -> dict[ErrorMotion, flo
     values = {m: done.solution.value[unknowns.blocks[m]] for m in rotations if m in seen}
     slopes = [np.diff(value) / steps[m.axis] for m, value in values.items()]
     slope = float(np.sqrt(np.mean(np.concatenate(slopes) ** 2))) if slopes else 0.0
-    for motion in (m for m in rotations if m not in seen):
-        travel = np.eye(3)[[motion.place]]
-        arm = lever(replace(machine, target_offset=np.zeros(3)), motion.axis, travel)
-        bent = turned(motion.along, arm)[0]
-        size = slope * _bend(unknowns.bases[motion.axis])
-        for other in MOTIONS:
-            if other.is_translation and other.axis == motion.axis and bent[other.along]:
-                found[other] = float(np.hypot(found.get(other, 0.0), size))
+    for axis in machine.axis_names:
+        hidden = [m for m in rotations if m.axis == axis and m not in seen]
+        if not hidden or axis not in machine.chain.lever_axes(axis):
+            continue
+        size = slope * _bend(unknowns.bases[axis])
+        for motion in hidden:
+            bent = turned(motion.along, np.eye(3)[[motion.place]])[0]
+            for other in MOTIONS:
+                if other.is_translation and other.axis == axis and bent[other.along]:
+                    found[other] = float(np.hypot(found.get(other, 0.0), size))
     return found
 
 
