@@ -14,7 +14,7 @@ splits in a factor per piece, so the sum over all pairs of legs is one pass over
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
 from itertools import combinations
@@ -126,8 +126,10 @@ class _Sums:
     misfit: dict[int, _Line]
 
 
-def _summed(run: Observed, solved: SolvedRun, batches: Sequence[list[int]]) -> _Sums:
-    """Sum over the lines of some batches."""
+def _summed(
+    run: Observed, solved: SolvedRun, blocks: Collection[str], batches: Sequence[list[int]]
+) -> _Sums:
+    """Sum over the lines of some batches, for some blocks of the unknowns."""
     size, pieces = solved.system.rows.unknowns.full, run.pieces
     noise, misfit = run.noise_and_misfit
     slow, lasts = slow_amplitudes(run, solved), np.array([MISFIT_TIME])
@@ -138,7 +140,7 @@ def _summed(run: Observed, solved: SolvedRun, batches: Sequence[list[int]]) -> _
         inverses = [solved.whitener.inverses[leg] for leg in legs]
         parts = pieces_of(solved.whitener, legs)
         deviation = solved.system.deviation[:, :, None]
-        columns, white = white_rows(solved.system, inverses, parts, deviation)
+        columns, white = white_rows(solved.system, inverses, parts, deviation, blocks)
         sums.product[np.ix_(columns, columns)] += white.T @ white
         use, rows = columns[:-1], white.reshape(len(slow), -1, len(columns))[:, :, :-1]
         pairs = list(combinations(range(len(rows)), 2))
@@ -176,11 +178,11 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
     done : JointSolution
         Of the same runs.
     """
-    size, normals = done.unknowns.full, []
+    size, normals, solved_for = done.unknowns.full, [], done.solution.accepted
     within, between, corners, lasting = (np.zeros((size, size)) for _ in range(4))
     for run, solved in zip(runs, done.runs, strict=True):
         shares = shares_of(solved.system, solved.whitener)
-        parts = side_by_side(partial(_summed, run, solved), shares)
+        parts = side_by_side(partial(_summed, run, solved, solved_for), shares)
         product = reduce(np.add, (sums.product for sums in parts))
         normals.append(of_free(product, done.unknowns, solved.residual.size))
         for sums in parts:

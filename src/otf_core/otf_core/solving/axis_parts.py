@@ -91,11 +91,19 @@ class Window:
         First spline that any of them reaches.
     weights : list of ndarray, shape (m, n)
         Shares of it and the following ones in the mean, for every shift.
+    kept : ndarray of int64, shape (k,)
+        Which of the six motions count.
     """
 
     parts: list[AxisPart]
     first: Index
     weights: list[Array]
+    kept: Index
+
+    @property
+    def starts(self) -> Index:
+        """Places of the blocks of these motions, full vector, shape (k,)."""
+        return self.parts[0].starts[self.kept]
 
 
 def crossed(one: Array, other: Array) -> Array:
@@ -108,10 +116,10 @@ def crossed(one: Array, other: Array) -> Array:
     return found
 
 
-def window_of(parts: list[AxisPart]) -> Window:
+def window_of(parts: list[AxisPart], kept: Index) -> Window:
     """Splines that the parts of one axis at all shifts reach."""
     if len(parts) == 1:
-        return Window(parts, parts[0].first, [parts[0].weight])
+        return Window(parts, parts[0].first, [parts[0].weight], kept)
     first = np.minimum.reduce([part.first for part in parts])
     width = max(int(np.max(p.first - first, initial=0)) + p.weight.shape[1] for p in parts)
     first = np.minimum(first, parts[0].size - width)
@@ -121,7 +129,7 @@ def window_of(parts: list[AxisPart]) -> Window:
         place = (part.first - first)[:, None] + np.arange(part.weight.shape[1])
         weight[row, place] = part.weight / len(parts)
         weights.append(weight)
-    return Window(parts, first, weights)
+    return Window(parts, first, weights, kept)
 
 
 def six_motions(direction: Array, arm: Array) -> Array:

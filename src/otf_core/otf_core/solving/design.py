@@ -8,7 +8,7 @@ the error vector of every piece only, and dense rows are made for a few legs at 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -204,7 +204,9 @@ class Design:
         few, windows = self._few(pieces), self._windows(pieces)
         return self._filled(pieces, few, windows, np.arange(full), full)
 
-    def touched(self, pieces: Index, width: int = 0) -> tuple[Index, Array]:
+    def touched(
+        self, pieces: Index, width: int = 0, blocks: Collection[str] | None = None
+    ) -> tuple[Index, Array]:
         """Rows of some pieces by the unknowns that they depend on.
 
         Parameters
@@ -213,6 +215,8 @@ class Design:
             m of the pieces.
         width : int
             Further columns of zeros behind the unknowns.
+        blocks : collection of str, optional
+            Motions that are not among them are left out.
 
         Returns
         -------
@@ -220,22 +224,29 @@ class Design:
             Places of these unknowns in the full vector, ascending.
         rows : ndarray, shape (c, m, k + width)
         """
-        windows, few = self._windows(pieces), self._few(pieces)
+        windows, few = self._windows(pieces, blocks), self._few(pieces)
         mask = np.zeros(self.unknowns.full, dtype=bool)
         mask[few[0]] = True
         for window in windows:
             own = np.zeros(window.parts[0].size, dtype=bool)
             for step in range(window.weights[0].shape[1]):
                 own[window.first + step] = True
-            for start in window.parts[0].starts.tolist():
+            for start in window.starts.tolist():
                 mask[start : start + len(own)] |= own
         columns = np.flatnonzero(mask)
         size = len(columns) + width
         return columns, self._filled(pieces, few, windows, np.cumsum(mask) - 1, size)
 
-    def _windows(self, pieces: Index | slice) -> list[Window]:
-        """What the three axes do at some pieces."""
-        return [window_of(list(parts)) for parts in zip(*self._at(pieces), strict=True)]
+    def _windows(
+        self, pieces: Index | slice, blocks: Collection[str] | None = None
+    ) -> list[Window]:
+        """What the three axes do at some pieces, by those of their motions that are ``blocks``."""
+        found = []
+        for name, parts in zip(self.machine.axis_names, zip(*self._at(pieces), strict=True)):
+            own = [m for m in MOTIONS if m.axis == name]
+            kept = [k for k, m in enumerate(own) if blocks is None or m in blocks]
+            found.append(window_of(list(parts), np.array(kept, dtype=np.int64)))
+        return found
 
     def _filled(
         self,
@@ -253,10 +264,10 @@ class Design:
         row = (np.arange(axes.shape[1]) * size)[:, None, None]
         for window in windows:
             splines = window.first[:, None] + np.arange(window.weights[0].shape[1])
-            place = row + place_of[splines[:, None, :] + window.parts[0].starts[:, None]]
+            place = row + place_of[splines[:, None, :] + window.starts[:, None]]
             for values, direction in zip(flat, axes, strict=True):
                 values[place] = sum(
-                    six_motions(direction, part.lever) * weight[:, None, :]
+                    six_motions(direction, part.lever)[:, window.kept] * weight[:, None, :]
                     for part, weight in zip(window.parts, window.weights, strict=True)
                 )
         return dense

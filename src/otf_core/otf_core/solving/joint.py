@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -78,7 +78,7 @@ class JointSolution:
     solution : Solution
     roughness : Roughness
     normal : NormalEquations
-        Of the first iteration, or of the last, see ``settled``.
+        Of what was solved for, in the first iteration, or in the last, see ``settled``.
     runs : tuple of SolvedRun
     iterations : int
     """
@@ -153,14 +153,17 @@ def systems_of(
 
 
 def summed(
-    systems: Sequence[System], unknowns: Unknowns, whiteners: Sequence[Whitener]
+    systems: Sequence[System],
+    unknowns: Unknowns,
+    whiteners: Sequence[Whitener],
+    blocks: Collection[str] | None = None,
 ) -> NormalEquations:
-    """Sum up the normal equations of the lines of all runs.
+    """Sum up the normal equations of the lines of all runs, of some ``blocks`` or of all.
 
     Rows of two passes over a line are those of the first: good for what is compared or repeated.
     """
     pairs = zip(systems, whiteners, strict=True)
-    return reduce(add, (line_equations(s, unknowns, w) for s, w in pairs))
+    return reduce(add, (line_equations(s, unknowns, w, blocks) for s, w in pairs))
 
 
 def solve_robustly(
@@ -290,7 +293,7 @@ def solve_jointly(
     systems = systems_of(runs, poses, unknowns, start.tables if start else None)
     whiteners = whiteners_of(runs, systems)
     accepted = start.accepted if start else seen_blocks(runs, unknowns, whiteners, limit)
-    normal = summed(systems, unknowns, whiteners)
+    normal = summed(systems, unknowns, whiteners, accepted)
     rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
     left = left_by(systems, solution)
@@ -302,7 +305,7 @@ def solve_jointly(
         del systems  # as large as the next ones
         systems = systems_of(runs, poses, unknowns, tables_of(machine, unknowns, solution))
         if stuck:
-            normal = summed(systems, unknowns, whiteners)
+            normal = summed(systems, unknowns, whiteners, accepted)
             solution = solve(normal, unknowns, limit, accepted, rough.precision)
         else:
             solution = _improved(solution, unknowns, rough, systems, whiteners)
@@ -339,8 +342,9 @@ def settled(
     normal : NormalEquations, optional
         Of all passes, where known.
     """
-    sums = (normal_equations(s.system, done.unknowns, s.whitener) for s in done.runs)
-    normal, old = normal or reduce(add, sums), done.solution
+    old = done.solution
+    sums = (normal_equations(s.system, done.unknowns, s.whitener, old.accepted) for s in done.runs)
+    normal = normal or reduce(add, sums)
     last = solve(normal, done.unknowns, limit, old.accepted, done.roughness.precision)
     return replace(done, normal=normal, solution=replace(old, covariance=last.covariance))
 

@@ -8,7 +8,7 @@ this is the paper's weighting (Eq. 4-6).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TypeVar
@@ -71,15 +71,26 @@ class NormalEquations:
         )
 
 
-def normal_equations(system: System, unknowns: Unknowns, whitener: Whitener) -> NormalEquations:
-    """Sum up the whitened rows of all legs for the free unknowns."""
-    return sum_groups(system, unknowns, whitener, np.zeros(len(whitener.bounds), dtype=int))[0]
+def normal_equations(
+    system: System,
+    unknowns: Unknowns,
+    whitener: Whitener,
+    blocks: Collection[str] | None = None,
+) -> NormalEquations:
+    """Sum up the whitened rows of all legs for the free unknowns; see ``sum_groups``."""
+    group = np.zeros(len(whitener.bounds), dtype=int)
+    return sum_groups(system, unknowns, whitener, group, blocks=blocks)[0]
 
 
-def line_equations(system: System, unknowns: Unknowns, whitener: Whitener) -> NormalEquations:
+def line_equations(
+    system: System,
+    unknowns: Unknowns,
+    whitener: Whitener,
+    blocks: Collection[str] | None = None,
+) -> NormalEquations:
     """Sum up the rows of every line with the weight of all passes, see ``repeated``."""
     once = taken_once(system, whitener)
-    found = normal_equations(once.system, unknowns, once.whitener)
+    found = normal_equations(once.system, unknowns, once.whitener, blocks)
     return replace(found, square=found.square + once.square, rows=once.rows)
 
 
@@ -90,6 +101,7 @@ def sum_groups(
     group: Index,
     extra: Array | None = None,
     groups: int = 0,
+    blocks: Collection[str] | None = None,
 ) -> list[NormalEquations]:
     """Sum up whitened rows, group by group of legs.
 
@@ -104,6 +116,9 @@ def sum_groups(
         Further columns, appended to the free unknowns.
     groups : int
         Number of groups, if some may be empty.
+    blocks : collection of str, optional
+        What is solved for: sums of motions that are not among it stay zero. They cost as much as
+        others, and with one target offset a fifth of the motions is not identifiable.
 
     Returns
     -------
@@ -120,7 +135,8 @@ def sum_groups(
         total = {g: np.zeros((size, size)) for g in {g for g, _ in own}}
         for g, legs in own:
             inverses = [whitener.inverses[k] for k in legs]
-            columns, white = white_rows(system, inverses, pieces_of(whitener, legs), further)
+            parts = pieces_of(whitener, legs)
+            columns, white = white_rows(system, inverses, parts, further, blocks)
             total[g][np.ix_(columns, columns)] += white.T @ white
         return total
 
@@ -178,7 +194,11 @@ def pieces_of(whitener: Whitener, legs: Sequence[int]) -> list[slice]:
 
 
 def white_rows(
-    system: System, inverses: Sequence[Array], legs: Sequence[slice], further: Array
+    system: System,
+    inverses: Sequence[Array],
+    legs: Sequence[slice],
+    further: Array,
+    blocks: Collection[str] | None = None,
 ) -> tuple[Index, Array]:
     """Whitened rows of some legs by the unknowns that they depend on.
 
@@ -191,6 +211,8 @@ def white_rows(
         Its pieces.
     further : ndarray, shape (c, p, j)
         Further columns, behind the unknowns.
+    blocks : collection of str, optional
+        Motions that are not among them are left out.
 
     Returns
     -------
@@ -200,7 +222,7 @@ def white_rows(
         Of the first component of all legs, then of the next.
     """
     own, width = np.concatenate([np.arange(s.start, s.stop) for s in legs]), further.shape[2]
-    columns, rows = system.rows.touched(own, width)
+    columns, rows = system.rows.touched(own, width, blocks)
     rows[:, :, len(columns) :] = further[:, own]
     white = np.empty_like(rows)
     start = 0

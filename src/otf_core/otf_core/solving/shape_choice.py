@@ -284,7 +284,8 @@ def _tried(
 ) -> _Tried:
     """One linear solution at the poses and positions of rows of any functions."""
     unknowns = layout(bases, len(systems))
-    normal = summed([s.of_unknowns(unknowns) for s in systems], unknowns, whiteners)
+    own = [s.of_unknowns(unknowns) for s in systems]
+    normal = summed(own, unknowns, whiteners, start.accepted)
     rough = Search(normal, unknowns, start.accepted, limit).run(start.logs)
     solution = solve(normal, unknowns, limit, start.accepted, rough.precision)
     return _Tried(unknowns, solution, rough, normal)
