@@ -321,7 +321,8 @@ def corner_path(machine, *shares):
 
 
 def leg_parts(system, pieces, noise, misfit, component, low, high):
-    """Parts of the covariance of one component of the pieces of one leg."""
+    """Parts of the covariance of one component of the pieces of one leg, all as matrices."""
     part = slice(low, high)
     windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
-    return covariance_parts(noise, misfit, system.shares[:, component, part], windows)
+    parts = covariance_parts(noise, misfit, system.shares[:, component, part], windows)
+    return [np.diag(p) if p.ndim == 1 else p for p in parts]

@@ -160,19 +160,34 @@ def test_sums_of_groups_are_those_of_generalised_least_squares(case):
         assert own.rows == 2 * sum(laps)
 
 
+def moments_of(whitener):
+    """What is held of the covariance of every leg."""
+    found = {}
+    for alike in whitener.alike:
+        found |= {leg: alike.only(alike.legs == leg).moments for leg in alike.legs.tolist()}
+    return [found[k] for k in range(len(whitener.bounds))]
+
+
 def test_whitened_noise_is_white_whatever_the_lengths_of_the_legs(case):
     machine, pieces, _, system = case
     whitener = Whitener.of(system, pieces, white(machine), Misfit(4e-7, 9e-7))
     assert len({high - low for low, high in whitener.bounds}) > 1
     values = np.random.default_rng(8).standard_normal((2, len(pieces)))
     close(whitener.unwhiten(whitener.whiten(values)), values)
-    for c, low, high, factor in whitener.parts():
-        covariance = sum(
-            leg_parts(system, pieces, white(machine), Misfit(4e-7, 9e-7), c, low, high)
-        )
-        close(factor @ factor.T, covariance)
-        close(whitener.expected[c, low:high], np.sqrt(np.diag(covariance)))
-        wanted = np.linalg.solve(covariance, values[c, low:high])
-        close(whitener.weighted(values)[c, low:high], wanted)
+    moments = moments_of(whitener)
+    for k, (low, high) in enumerate(whitener.bounds):
+        for c, factor in enumerate(whitener.factors[k]):
+            covariance = sum(
+                leg_parts(system, pieces, white(machine), Misfit(4e-7, 9e-7), c, low, high)
+            )
+            close(factor @ factor.T, covariance)
+            close(whitener.expected[c, low:high], np.sqrt(np.diag(covariance)))
+            step = np.diff(np.eye(high - low), axis=0)
+            close(moments[k].step[c, 0], np.diag(step @ covariance @ step.T))
+            close(moments[k].square[c, 0], np.sum(covariance**2))
+            wanted = np.linalg.solve(covariance, values[c, low:high])
+            close(whitener.weighted(values)[c, low:high], wanted)
     again = Whitener.from_factors(whitener.bounds, whitener.factors)
     close(again.whiten(values), whitener.whiten(values))
+    for one, other in zip(moments, moments_of(again), strict=True):
+        close(one.step, other.step)

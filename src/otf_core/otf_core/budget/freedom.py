@@ -27,11 +27,9 @@ COVERAGE_PROBABILITY = 0.95
 
 def residual_freedom(done: JointSolution, correlation_factor: float) -> float:
     """Degrees of freedom of the noise level as the residuals tell it; at least 1."""
-    trace = square = 0.0
-    for solved in done.runs:
-        for *_, factor in solved.whitener.parts():
-            trace += float(np.sum(factor**2))
-            square += float(np.sum((factor @ factor.T) ** 2))
+    moments = [alike.moments for solved in done.runs for alike in solved.whitener.alike]
+    trace = sum(float(np.sum(m.variance)) for m in moments)
+    square = sum(float(np.sum(m.square)) for m in moments)
     return max(1.0, (trace**2 / square - done.solution.rank) / correlation_factor)
 
 

@@ -23,7 +23,13 @@ from operator import add, attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.noise.model import MISFIT_TIME, NoiseModel, misfit_covariance, noise_covariance
+from otf_core.noise.model import (
+    MISFIT_TIME,
+    NoiseModel,
+    misfit_covariance,
+    noise_covariance,
+    with_diagonal,
+)
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.solving.normal import NormalEquations, of_free, pieces_of, shares_of, white_rows
@@ -152,13 +158,14 @@ def _summed(
             windows = (pieces.time[part], pieces.duration[part], pieces.count[part])
             shares, here = solved.system.shares[:, :, part], rows[:, own]
             odd[:, own] = here
-            turned_times(
-                np.linalg.cholesky(sum(misfit_covariance(misfit, windows)))[None], odd[:, own]
-            )
+            own_misfit, lasting = misfit_covariance(misfit, windows)
+            root = np.asarray(np.linalg.cholesky(with_diagonal(lasting, own_misfit)))
+            turned_times(root[None], odd[:, own])
             for k, (a, b) in enumerate(pairs):
-                tied[k, own] = (
-                    sum(noise_covariance(noise, shares[:, a], shares[:, b], windows)) @ here[b]
+                white_noise, slow_noise = noise_covariance(
+                    noise, shares[:, a], shares[:, b], windows
                 )
+                tied[k, own] = with_diagonal(slow_noise, white_noise) @ here[b]
             time = windows[0]
             sums.noise[leg] = _line(here, use, slow[:, part], time, _times(noise))
             sums.misfit[leg] = _line(here, use, shared[:, part], time, lasts)

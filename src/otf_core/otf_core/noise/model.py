@@ -241,7 +241,9 @@ def noise_covariance(
 
     Returns
     -------
-    white, slow : ndarray, shape (..., m, m), m^2
+    white : ndarray, shape (..., m), m^2
+        Of every piece; none between pieces.
+    slow : ndarray, shape (..., m, m), m^2
     """
     time, duration, count = windows
     white = np.einsum('k,k...m,k...m->...m', noise.white**2, shares, other) / count
@@ -250,13 +252,9 @@ def noise_covariance(
         level = np.array([c.slow if c.correlation_time == tau else 0.0 for c in noise])
         one, two = (np.moveaxis(s, 0, -1) * level for s in (shares, other))
         amplitude = one @ np.swapaxes(two, -1, -2)
-        slow += amplitude * mean_covariance(0.0, tau, time, duration, count)
-    return _diagonal(white), slow
-
-
-def _diagonal(values: Array) -> Array:
-    """Diagonal matrices (..., m, m) of values (..., m)."""
-    return values[..., None] * np.eye(values.shape[-1])
+        amplitude *= mean_covariance(0.0, tau, time, duration, count)
+        slow += amplitude
+    return white, slow
 
 
 def covariance_parts(
@@ -275,9 +273,9 @@ def covariance_parts(
 
     Returns
     -------
-    white, slow : ndarray, shape (..., m, m), m^2
-        Noise of the tracker.
-    independent, lasting : ndarray, shape (..., m, m), m^2
+    white, slow : ndarray, shape (..., m) and (..., m, m), m^2
+        Noise of the tracker, see ``noise_covariance``.
+    independent, lasting : ndarray, shape (..., m) and (..., m, m), m^2
         The parts of the misfit.
     """
     return (
@@ -297,13 +295,23 @@ def misfit_covariance(misfit: Misfit, windows: Windows) -> tuple[Array, Array]:
 
     Returns
     -------
-    independent, lasting : ndarray, shape (..., m, m), m^2
+    independent : ndarray, shape (..., m), m^2
+        Of every piece; none between pieces.
+    lasting : ndarray, shape (..., m, m), m^2
     """
     time, duration, count = windows
     lasting = np.zeros((*time.shape, time.shape[-1]))
     if misfit.slow:
         lasting = misfit.slow**2 * mean_covariance(0.0, MISFIT_TIME, time, duration, count)
-    return misfit.independent**2 * _diagonal(np.ones(time.shape)), lasting
+    return np.full(time.shape, misfit.independent**2), lasting
+
+
+def with_diagonal(matrices: Array, *values: Array) -> Array:
+    """Add values (..., m) to the diagonals of matrices (..., m, m), in place."""
+    place = np.arange(matrices.shape[-1])
+    for value in values:
+        matrices[..., place, place] += value
+    return matrices
 
 
 def mean_covariance(
@@ -329,14 +337,18 @@ def mean_covariance(
     """
     x = np.maximum(duration / correlation_time, 1e-6)
     half = np.sinh(np.minimum(0.5 * x, 50.0)) / (0.5 * x)
-    gap = np.abs(time[..., :, None] - time[..., None, :]) / correlation_time
-    matrix = half[..., :, None] * half[..., None, :] * np.exp(-gap)
+    gap = time[..., :, None] - time[..., None, :]
+    np.abs(gap, out=gap)
+    gap /= correlation_time
+    matrix = np.negative(gap)
+    np.exp(matrix, out=matrix)
+    matrix *= half[..., :, None] * half[..., None, :]
+    diagonal = np.arange(time.shape[-1])
+    matrix[..., diagonal, diagonal] = 0.0
     over = matrix > np.exp(-0.001 * gap.max(initial=0.0))  # only windows that overlap by rounding
     if np.any(over):
         matrix[over] = np.minimum(matrix[over], np.exp(-0.001 * gap[over]))
     own = np.where(x < 1e-3, 1.0 - x / 3.0, 2.0 * (x - 1.0 + np.exp(-x)) / x**2)
-    diagonal = np.arange(time.shape[-1])
-    matrix[..., diagonal, diagonal] = own
     matrix *= 1.0 - white
-    matrix[..., diagonal, diagonal] += white / count
-    return np.asarray(matrix)
+    matrix[..., diagonal, diagonal] = (1.0 - white) * own + white / count
+    return matrix

@@ -241,8 +241,8 @@ class Design:
         self, pieces: Index | slice, blocks: Collection[str] | None = None
     ) -> list[Window]:
         """What the three axes do at some pieces, by those of their motions that are ``blocks``."""
-        found = []
-        for name, parts in zip(self.machine.axis_names, zip(*self._at(pieces), strict=True)):
+        found, of_axis = [], zip(*self._at(pieces), strict=True)
+        for name, parts in zip(self.machine.axis_names, of_axis, strict=True):
             own = [m for m in MOTIONS if m.axis == name]
             kept = [k for k, m in enumerate(own) if blocks is None or m in blocks]
             found.append(window_of(list(parts), np.array(kept, dtype=np.int64)))

@@ -212,11 +212,9 @@ def improved_runs(
     settled : bool
         Nothing was left out, and the noise has not changed.
     """
-    drop = [
-        _far_pieces(s.residual, r.pieces.leg, config.outlier_limit)
-        for s, r in zip(done.runs, runs, strict=True)
-    ]
-    fitted = [fitted_noise(r, s, done) for r, s in zip(runs, done.runs, strict=True)]
+    pairs, limit = list(zip(runs, done.runs, strict=True)), config.outlier_limit
+    drop = [_far_pieces(s.residual, r.pieces.leg, limit) for r, s in pairs]
+    fitted = [fitted_noise(r, s, done) for r, s in pairs]
     same = not any(d.any() for d in drop) and all(
         r.fitted is not None and _same_noise(f, r.fitted)
         for f, r in zip(fitted, runs, strict=True)
@@ -342,10 +340,10 @@ def settled(
     normal : NormalEquations, optional
         Of all passes, where known.
     """
-    old = done.solution
-    sums = (normal_equations(s.system, done.unknowns, s.whitener, old.accepted) for s in done.runs)
+    old, of = done.solution, done.unknowns
+    sums = (normal_equations(s.system, of, s.whitener, old.accepted) for s in done.runs)
     normal = normal or reduce(add, sums)
-    last = solve(normal, done.unknowns, limit, old.accepted, done.roughness.precision)
+    last = solve(normal, of, limit, old.accepted, done.roughness.precision)
     return replace(done, normal=normal, solution=replace(old, covariance=last.covariance))
 
 

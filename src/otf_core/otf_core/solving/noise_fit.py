@@ -39,6 +39,7 @@ from otf_core.noise.model import (
     misfit_of,
     noise_covariance,
     scaled,
+    with_diagonal,
 )
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.design import Design
@@ -58,6 +59,8 @@ STEPS = 6
 LONGEST_STEP = 1.5
 SETTLED, CERTAIN = 0.03, 0.3
 """Steps that are smaller, or than this share of their standard deviation, end the search."""
+_DIAGONAL = (WHITE, INDEPENDENT)
+"""Parts of the covariance without any between pieces."""
 _DERIVATIVE = 1e-3
 _LONGER = np.array([0.0, 0.0, np.log1p(_DERIVATIVE)])
 
@@ -105,7 +108,7 @@ def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -
 
     def of_size(size: int) -> _Lines:
         own = low[high - low == size, None] + np.arange(size)
-        explained = np.stack([_explained(system.rows, line, covariance) for line in own], axis=1)
+        explained = _explained(system.rows, own, covariance)
         windows = (pieces.time[own], pieces.duration[own], pieces.count[own])
         return _Lines(system.shares[:, :, own], windows, residual[:, own], explained)
 
@@ -113,19 +116,21 @@ def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -
     return side_by_side(of_size, np.unique(high - low).tolist())
 
 
-def _explained(rows: Design, line: Index, covariance: Array) -> Array:
-    """A V A^T of the pieces (m,) of a line, shape (c, m, m), m^2."""
-    use, own = rows.touched(line)
-    return np.asarray(own @ covariance[np.ix_(use, use)] @ np.swapaxes(own, 1, 2))
+def _explained(rows: Design, lines: Index, covariance: Array) -> Array:
+    """A V A^T of the pieces (n, m) of lines, shape (c, n, m, m), m^2."""
+    use, flat = rows.touched(lines.ravel())
+    own = flat.reshape(len(flat), *lines.shape, len(use))
+    half = (flat @ covariance[np.ix_(use, use)]).reshape(own.shape)
+    return np.asarray(half @ np.swapaxes(own, -1, -2))
 
 
 def _derivatives(noise: NoiseModel, logs: Array, lines: _Lines) -> list[Array]:
+    """Parts of the covariance by their places, (..., m) where diagonal, else (..., m, m), m^2."""
     now, misfit = scaled(noise, logs), misfit_of(logs)
     white, slow, independent, lasting = covariance_parts(now, misfit, lines.shares, lines.windows)
     longer = scaled(now, _LONGER)
     other = noise_covariance(longer, lines.shares, lines.shares, lines.windows)[1]
-    parts = [white, slow, (other - slow) / _DERIVATIVE, independent, lasting]
-    return [np.broadcast_to(part, slow.shape) for part in parts]
+    return [white, slow, (other - slow) / _DERIVATIVE, independent, lasting]
 
 
 def _slopes(noise: NoiseModel, logs: Array, groups: list[_Lines]) -> tuple[Array, Array]:
@@ -138,17 +143,20 @@ def _slopes(noise: NoiseModel, logs: Array, groups: list[_Lines]) -> tuple[Array
 def _slopes_of(noise: NoiseModel, logs: Array, lines: _Lines) -> tuple[Array, Array]:
     """What some lines add to the score and to the information."""
     parts = _derivatives(noise, logs, lines)
-    inverse = np.linalg.inv(parts[WHITE] + parts[SLOW] + parts[INDEPENDENT] + parts[LASTING])
+    whole = with_diagonal(parts[SLOW] + parts[LASTING], parts[WHITE] + parts[INDEPENDENT])
+    inverse = np.linalg.inv(whole)
     P = inverse - inverse @ lines.explained @ inverse
     pull = inverse @ lines.residual[..., None]
-    moved = np.empty((len(parts), *P.shape))
+    moved, pulled = np.empty((len(parts), *P.shape)), np.empty(len(parts))
     for k, K in enumerate(parts):
-        if k in (WHITE, INDEPENDENT):  # diagonal
-            np.multiply(P, np.diagonal(K, axis1=-2, axis2=-1)[..., None, :], out=moved[k])
+        if k in _DIAGONAL:
+            np.multiply(P, K[..., None, :], out=moved[k])
+            pulled[k] = np.sum(pull * (K[..., None] * pull))
         else:
             np.matmul(P, K, out=moved[k])
+            pulled[k] = np.sum(pull * (K @ pull))
     trace = np.trace(moved, axis1=-2, axis2=-1).sum(axis=(1, 2))
-    score = 0.5 * (np.array([float(np.sum(pull * (K @ pull))) for K in parts]) - trace)
+    score = 0.5 * (pulled - trace)
     turned = np.ascontiguousarray(np.swapaxes(moved, -1, -2)).reshape(len(parts), -1)
     return score, 0.5 * (moved.reshape(len(parts), -1) @ turned.T)
 

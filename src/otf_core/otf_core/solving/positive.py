@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.linalg.lapack import dpotrf, dpotri
 
 Array = NDArray[np.float64]
 
@@ -31,12 +32,10 @@ class Positive:
         unit = matrix * self._scale[:, None]
         unit *= self._scale
         for ridge in RIDGES:
-            unit[np.diag_indices_from(unit)] += ridge
-            try:
-                self._factor = linalg.cholesky(unit, lower=True, check_finite=False)
-            except linalg.LinAlgError:
-                continue
-            return
+            _diagonal(unit)[:] += ridge
+            self._factor, failed = dpotrf(unit, lower=1)
+            if not failed:
+                return
         raise linalg.LinAlgError('matrix is not positive definite')
 
     def solve(self, right: Array) -> Array:
@@ -48,9 +47,9 @@ class Positive:
     @property
     def inverse(self) -> Array:
         """Inverse matrix, shape (n, n)."""
-        half = linalg.lapack.dpotri(self._factor, lower=1)[0]  # of zeros above the diagonal
+        half = dpotri(self._factor, lower=1)[0]  # of zeros above the diagonal
         whole = np.asarray(half + half.T)
-        whole[np.diag_indices_from(whole)] *= 0.5
+        _diagonal(whole)[:] *= 0.5
         whole *= self._scale[:, None]
         whole *= self._scale
         return whole
@@ -59,3 +58,8 @@ class Positive:
     def log_determinant(self) -> float:
         """Logarithm of the determinant."""
         return 2.0 * float(np.sum(np.log(np.diag(self._factor)) - np.log(self._scale)))
+
+
+def _diagonal(matrix: Array) -> Array:
+    """View of the diagonal of a contiguous matrix, shape (n,)."""
+    return np.asarray(matrix.reshape(-1, order='A')[:: len(matrix) + 1])

@@ -264,14 +264,16 @@ class Search:
         return Roughness(point.logs, precision, moved, point.likelihood, point.square)
 
 
-def _like(motion: str, logs: Mapping[str, Array]) -> list[Array]:
-    """Logarithms of the motions that have the unit of a motion."""
-    return [own for other, own in logs.items() if unit_of(other) == unit_of(motion)]
+def _of_unit(unit: str, logs: Mapping[str, Array]) -> list[Array]:
+    """Logarithms of the motions that have a unit."""
+    return [own for motion, own in logs.items() if unit_of(motion) == unit]
 
 
 def _centres(logs: Mapping[str, Array]) -> dict[str, Array]:
     """Median of the logarithms of the motions of one unit, for each motion."""
-    return {motion: np.median(_like(motion, logs), axis=0) for motion in logs}
+    units = {motion: unit_of(motion) for motion in logs}
+    middle = {u: np.median(_of_unit(u, logs), axis=0) for u in set(units.values())}
+    return {motion: middle[unit] for motion, unit in units.items()}
 
 
 def precision_like_others(
@@ -292,7 +294,7 @@ def precision_like_others(
     ndarray, shape (n, n), 1 / limit^2, or None
         Of its n free coefficients; None if no other motion of its unit is determined.
     """
-    like = _like(motion, logs)
+    like = _of_unit(unit_of(motion), logs)
     if not like:
         return None
     return Positive(CoefficientPrior(motion, basis).at(np.median(like, axis=0))[0]).inverse

@@ -113,9 +113,9 @@ def linear_bases(nodes: Mapping[str, Array]) -> Bases:
 def _steps_unexplained(solved: SolvedRun) -> bool:
     """Tell whether neighbouring pieces of a line differ by more than the noise."""
     found = []
-    for component, low, high, factor in solved.whitener.parts():
-        noise = np.sum(np.diff(factor, axis=0) ** 2, axis=1)
-        step = np.diff(solved.residual[component, low:high]) ** 2
+    for alike in solved.whitener.alike:
+        noise = alike.moments.step.ravel()
+        step = np.diff(solved.residual[:, alike.pieces]).ravel() ** 2
         found.append(np.stack([step - noise, noise]))
     excess, noise = np.concatenate(found, axis=1)
     if not excess.size:  # stops: no two pieces of one line that could tell

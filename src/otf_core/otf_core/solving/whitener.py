@@ -13,12 +13,12 @@ from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtri
 
 from otf_core.errors import InputError
 from otf_core.model.path import leg_bounds
-from otf_core.noise.model import Misfit, NoiseModel, Windows, covariance_parts
+from otf_core.noise.model import Misfit, NoiseModel
 from otf_core.pieces.pieces import Pieces
+from otf_core.solving.alike import Alike, Covariances, Moments, inverse_factor, inverse_of_lower
 from otf_core.solving.system import System
 from otf_core.threads import side_by_side
 
@@ -32,78 +32,6 @@ MEMORY = 1e6
 """Bytes of covariances that are factored at once."""
 HELD = 1e8
 """Bytes of matrices that are held; those of a longer run are made anew whenever they are used."""
-
-
-@dataclass(frozen=True)
-class Covariances:
-    """Covariances of the rows of a run.
-
-    Attributes
-    ----------
-    noise : NoiseModel
-    misfit : Misfit
-    shares : ndarray, shape (3, c, p)
-        See ``system.System``.
-    windows : tuple of time, duration (s) and count, each of shape (p,)
-    """
-
-    noise: NoiseModel
-    misfit: Misfit
-    shares: Array
-    windows: Windows
-
-    def among(self, own: Index) -> Array:
-        """Of the pieces (n, m) of n lines, shape (c, n, m, m), m^2."""
-        time, duration, count = self.windows
-        windows = (time[own], duration[own], count[own])
-        white, slow, own_misfit, lasting = covariance_parts(
-            self.noise, self.misfit, self.shares[:, :, own], windows
-        )
-        return white + slow + own_misfit + lasting
-
-    def inverse(self, own: Index) -> Array:
-        """Inverses of their lower Cholesky factors, 1/m; LinAlgError if there is none."""
-        return _inverse(np.asarray(np.linalg.cholesky(self.among(own))))
-
-
-@dataclass(frozen=True)
-class Alike:
-    """Some legs of as many pieces.
-
-    Attributes
-    ----------
-    legs : ndarray of int64, shape (n,)
-        Which of all legs, by their place in ``Whitener.bounds``.
-    pieces : ndarray of int64, shape (n, m)
-    held : ndarray, shape (c, n, m, m), 1/m, or Covariances
-        ``inverse``, or what it is made of.
-    """
-
-    legs: Index
-    pieces: Index
-    held: Array | Covariances
-
-    @property
-    def inverse(self) -> Array:
-        """Inverses of the lower Cholesky factors of every component, shape (c, n, m, m), 1/m."""
-        if isinstance(self.held, Covariances):
-            return self.held.inverse(self.pieces)
-        return self.held
-
-    def inverse_of(self, k: int) -> Array:
-        """Those of one leg, by its place in ``legs``, shape (c, m, m)."""
-        if isinstance(self.held, Covariances):
-            return self.held.inverse(self.pieces[k : k + 1])[:, 0]
-        return self.held[:, k]
-
-    def only(self, some: NDArray[np.bool_] | slice) -> Alike:
-        """Some of the legs, by a mask (n,) or their places."""
-        held = self.held if isinstance(self.held, Covariances) else self.held[:, some]
-        return Alike(self.legs[some], self.pieces[some], held)
-
-    def between(self, low: int, high: int) -> Alike:
-        """Those of the legs from one up to another."""
-        return self.only(slice(*np.searchsorted(self.legs, [low, high]).tolist()))
 
 
 @dataclass(frozen=True)
@@ -158,11 +86,12 @@ class Whitener:
         def alike(k: int) -> Alike:
             legs = groups[k]
             own = low[legs, None] + np.arange(high[legs[0]] - low[legs[0]])
+            among = covariances.among(own)
             try:
-                inverse = covariances.inverse(own)
+                inverse = inverse_factor(among)
             except np.linalg.LinAlgError:
-                raise _two_passes(pieces, own, covariances.among(own)) from None
-            return Alike(legs, own, inverse if held[k] else covariances)
+                raise _two_passes(pieces, own, among) from None
+            return Alike(legs, own, inverse if held[k] else covariances, Moments.of(among))
 
         found = side_by_side(alike, range(len(groups)))
         return cls(bounds, tuple(found), _first_passes(pieces, system.q, bounds))
@@ -177,13 +106,13 @@ class Whitener:
         for legs in _alike(size):
             own = np.array([np.arange(*bounds[k]) for k in legs.tolist()])
             stacked = np.stack([np.stack(list(factors[k])) for k in legs.tolist()], axis=1)
-            alike.append(Alike(legs, own, _inverse(stacked)))
+            alike.append(Alike(legs, own, inverse_of_lower(stacked)))
         return cls(bounds, tuple(alike), np.arange(len(bounds)))
 
     @property
     def factors(self) -> tuple[tuple[Array, ...], ...]:
         """Lower Cholesky factors (m, m) of every leg and component, m."""
-        return tuple(tuple(_inverse(inverse)) for inverse in self.inverses)
+        return tuple(tuple(inverse_of_lower(inverse)) for inverse in self.inverses)
 
     @cached_property
     def inverses(self) -> Sequence[Array]:
@@ -237,14 +166,8 @@ class Whitener:
         components = len(self.inverses[0]) if self.alike else 2
         found = np.empty((components, self.bounds[-1][1] if self.bounds else 0))
         for alike in self.alike:
-            found[:, alike.pieces] = np.linalg.norm(_inverse(alike.inverse), axis=-1)
+            found[:, alike.pieces] = np.sqrt(alike.moments.variance)
         return found
-
-    def parts(self) -> Iterator[tuple[int, int, int, Array]]:
-        """Component, first piece, one past the last and factor of the rows of every leg."""
-        for (low, high), leg in zip(self.bounds, self.inverses, strict=True):
-            for component, inverse in enumerate(leg):
-                yield component, low, high, _inverse(inverse)
 
     def _applied(
         self,
@@ -272,7 +195,7 @@ class Whitener:
 
     def unwhiten(self, values: Array) -> Array:
         """Undo ``whiten``."""
-        return self._applied(lambda inverse, own: _inverse(inverse) @ own, values)
+        return self._applied(lambda inverse, own: inverse_of_lower(inverse) @ own, values)
 
     def weighted(self, values: Array, legs: tuple[int, int] | None = None) -> Array:
         """Multiply values (c, p, ...) by the inverse covariance of the noise.
@@ -289,7 +212,7 @@ class Whitener:
         """Multiply values (c, p, ...) by the covariance of the noise."""
 
         def product(inverse: Array, own: Array) -> Array:
-            factor = _inverse(inverse)
+            factor = inverse_of_lower(inverse)
             return np.asarray(factor @ (np.swapaxes(factor, -1, -2) @ own))
 
         return self._applied(product, values)
@@ -322,13 +245,6 @@ def _alike(size: Index) -> Iterator[Index]:
         legs = np.flatnonzero(size == m)
         most = max(1, int(MEMORY / (16.0 * m**2)))
         yield from (legs[k : k + most] for k in range(0, len(legs), most))
-
-
-def _inverse(lower: Array) -> Array:
-    """Inverses of lower triangular matrices (..., m, m)."""
-    size = lower.shape[-1]
-    inverses = [dtrtri(own.T)[0].T for own in lower.reshape(-1, size, size)]
-    return np.stack(inverses).reshape(lower.shape)
 
 
 def _two_passes(pieces: Pieces, own: Index, covariance: Array) -> InputError:
