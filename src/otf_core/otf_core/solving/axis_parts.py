@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,7 +22,7 @@ class AxisPart:
     Attributes
     ----------
     first : ndarray of int64, shape (p,)
-        First spline that differs from zero at each place.
+        First spline that is reached at each place.
     weight : ndarray, shape (p, n)
         Values of this and the following ones.
     lever : ndarray, shape (p, 3) or (p, n, 3), m
@@ -53,6 +54,19 @@ class AxisPart:
         """Place of every spline of every block, full vector, shape (size, 6)."""
         return self.starts + np.arange(self.size)[:, None]
 
+    @property
+    def reached(self) -> Index:
+        """Places of the splines that any of the places reaches, full vector, shape (k, 6)."""
+        mask = np.zeros(self.size, dtype=bool)
+        for step in range(self.weight.shape[1]):
+            mask[self.first + step] = True
+        return self.places[mask]
+
+    def columns(self, kept: Index) -> Index:
+        """Places of the splines of some blocks at every place, full vector, shape (p, k, n)."""
+        splines = self.first[:, None] + np.arange(self.weight.shape[1])
+        return np.asarray(splines[:, None, :] + self.starts[kept][:, None])
+
     def at(self, place: Index | slice) -> AxisPart:
         """Return the part at some of the places."""
         return replace(
@@ -66,7 +80,7 @@ class ReversalPart:
 
     Attributes
     ----------
-    splines : ndarray, shape (p, k)
+    weight : ndarray, shape (p, k)
         What the polynomials come to, see ``reversal.reversal_weights``.
     lever : ndarray, shape (p, 3), m
         Lever arm of the rotations.
@@ -74,36 +88,27 @@ class ReversalPart:
         Places of the coefficients of the three translations and three rotations, full vector.
     """
 
-    splines: Array
+    weight: Array
     lever: Array
     places: Index
 
-
-@dataclass(frozen=True)
-class Window:
-    """Splines of one axis that the shifts of some pieces reach.
-
-    Attributes
-    ----------
-    parts : list of AxisPart
-        One for every shift.
-    first : ndarray of int64, shape (m,)
-        First spline that any of them reaches.
-    weights : list of ndarray, shape (m, n)
-        Shares of it and the following ones in the mean, for every shift.
-    kept : ndarray of int64, shape (k,)
-        Which of the six motions count.
-    """
-
-    parts: list[AxisPart]
-    first: Index
-    weights: list[Array]
-    kept: Index
+    @property
+    def splines(self) -> Array:
+        """Values of all polynomials, shape (p, k)."""
+        return self.weight
 
     @property
-    def starts(self) -> Index:
-        """Places of the blocks of these motions, full vector, shape (k,)."""
-        return self.parts[0].starts[self.kept]
+    def reached(self) -> Index:
+        """Places of all coefficients."""
+        return self.places
+
+    def columns(self, kept: Index) -> Index:
+        """Places of the coefficients of some motions, full vector, shape (1, k, n)."""
+        return self.places.T[None, kept]
+
+    def at(self, place: Index | slice) -> ReversalPart:
+        """Return the part at some of the places."""
+        return replace(self, weight=self.weight[place], lever=self.lever[place])
 
 
 def crossed(one: Array, other: Array) -> Array:
@@ -116,20 +121,20 @@ def crossed(one: Array, other: Array) -> Array:
     return found
 
 
-def window_of(parts: list[AxisPart], kept: Index) -> Window:
-    """Splines that the parts of one axis at all shifts reach."""
-    if len(parts) == 1:
-        return Window(parts, parts[0].first, [parts[0].weight], kept)
+def reaching_alike(parts: Sequence[AxisPart]) -> list[AxisPart]:
+    """Parts of one axis at all shifts, each with all the splines that any of them reaches."""
     first = np.minimum.reduce([part.first for part in parts])
     width = max(int(np.max(p.first - first, initial=0)) + p.weight.shape[1] for p in parts)
-    first = np.minimum(first, parts[0].size - width)
-    row, weights = np.arange(len(first))[:, None], []
+    first, row, found = (
+        np.minimum(first, parts[0].size - width),
+        np.arange(len(first))[:, None],
+        [],
+    )
     for part in parts:
         weight = np.zeros((len(first), width))
-        place = (part.first - first)[:, None] + np.arange(part.weight.shape[1])
-        weight[row, place] = part.weight / len(parts)
-        weights.append(weight)
-    return Window(parts, first, weights, kept)
+        weight[row, (part.first - first)[:, None] + np.arange(part.weight.shape[1])] = part.weight
+        found.append(replace(part, first=first, weight=weight))
+    return found
 
 
 def six_motions(direction: Array, arm: Array) -> Array:

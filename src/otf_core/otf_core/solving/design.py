@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, cycle
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +23,18 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.solving.axis_parts import (
     AxisPart,
     ReversalPart,
-    Window,
     crossed,
+    reaching_alike,
     six_motions,
-    window_of,
 )
 from otf_core.solving.reversal import reversal_weights
-from otf_core.solving.unknowns import Unknowns, is_reversal, pose_block, reversal_block
+from otf_core.solving.unknowns import Unknowns, pose_block, reversal_block
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+Parts = Sequence[AxisPart | ReversalPart]
+"""Motions of one axis, or their reversal, at every shift."""
 
 MANY = 8192
 """Pieces whose products are made together."""
@@ -88,20 +90,23 @@ class Design:
         )
 
     @cached_property
-    def _parts(self) -> list[list[AxisPart]]:
-        """The three axes at every shift, at all pieces."""
+    def _parts(self) -> list[Parts]:
         return self._made(slice(None))
 
-    def _made(self, pieces: Index | slice) -> list[list[AxisPart]]:
-        return [[self._part(k, q) for k in range(3)] for q in self._positions(pieces)]
+    def _made(self, pieces: Index | slice) -> list[Parts]:
+        places = self._positions(pieces)
+        axes = ([self._part(k, q) for q in places] for k in range(3))
+        # splines at all shifts are the same ones in most pieces, so that rows are filled once
+        moved = [parts if len(parts) == 1 else reaching_alike(parts) for parts in axes]
+        return [*moved, *self._reversed(places, pieces)]
 
     def _positions(self, pieces: Index | slice) -> list[Array]:
         """Positions (m, 3) of some pieces at every shift, m."""
         q = self.q[pieces]
         return [q + (s if s.ndim == 1 else s[pieces]) for s in self.shifts]
 
-    def _at(self, pieces: Index | slice) -> list[list[AxisPart]]:
-        """The three axes at every shift, at some pieces."""
+    def _at(self, pieces: Index | slice) -> list[Parts]:
+        """What motions and reversal of the axes do at every shift, at some pieces."""
         if len(self.q) > HELD:
             return self._made(pieces)
         return [[part.at(pieces) for part in parts] for parts in self._parts]
@@ -115,12 +120,8 @@ class Design:
             nodal = np.repeat(q[:, None, :], basis.nonzero, axis=1)
             nodal[:, :, axis] = basis.centres[first[:, None] + np.arange(basis.nonzero)]
             arm = lever(self.machine, name, nodal.reshape(-1, 3)).reshape(nodal.shape)
-        starts = np.array([self.unknowns.blocks[m].start for m in MOTIONS if m.axis == name])
+        starts = np.array([self.unknowns.blocks[m].start for m in _motions_of(name)])
         return AxisPart(first, weight, arm, starts, basis.size)
-
-    def _all(self, pieces: Index | slice) -> list[AxisPart | ReversalPart]:
-        """What the motions do at every shift, and what their reversal does, at some pieces."""
-        return [*chain.from_iterable(self._at(pieces)), *self._reversed(pieces)]
 
     @property
     def _pose(self) -> Index:
@@ -131,63 +132,39 @@ class Design:
     def _angles(self) -> Index:
         return np.array([self.unknowns.blocks[name].start for name in SQUARENESS])
 
-    @property
-    def _reversals(self) -> Index:
-        blocks = self.unknowns.blocks
-        return np.array([blocks[n].start for n in blocks if is_reversal(n)], dtype=np.int64)
-
-    def _reversed(self, pieces: Index | slice) -> list[ReversalPart]:
-        """Reversal of the three axes at every shift, at some pieces."""
+    def _reversed(self, places: Sequence[Array], pieces: Index | slice) -> list[Parts]:
+        """Reversal of the three axes at places (m, 3) of some pieces at every shift."""
         if not self.unknowns.reversal:
             return []
-        travel, side, found = self.travel[pieces], self.side[pieces], []
-        for q in self._positions(pieces):
-            weights = reversal_weights(self.machine, q, travel, side, self.unknowns)
-            for k, (name, places) in enumerate(self._reversal_places.items()):
-                found.append(ReversalPart(weights[:, k], lever(self.machine, name, q), places))
+        found: list[Parts] = []
+        travel, side = self.travel[pieces], self.side[pieces]
+        weights = [reversal_weights(self.machine, q, travel, side, self.unknowns) for q in places]
+        for k, name in enumerate(self.machine.axis_names):
+            blocks = self._reversal_places(name)
+            pairs = zip(weights, places, strict=True)
+            found.append(
+                [ReversalPart(w[:, k], lever(self.machine, name, q), blocks) for w, q in pairs]
+            )
         return found
 
-    @cached_property
-    def _reversal_places(self) -> dict[str, Index]:
-        """Places of the reversal coefficients of each axis, see ``ReversalPart``."""
-        blocks, orders = self.unknowns.blocks, range(self.unknowns.reversal)
-        return {
-            name: np.array([
-                [blocks[reversal_block(m, k)].start for m in MOTIONS if m.axis == name]
-                for k in orders
-            ])
-            for name in self.machine.axis_names
-        }  # fmt: skip
-
-    def _reversal_rows(self, pieces: Index | slice) -> Array:
-        """Rows (c, m, k) of the reversal coefficients of some pieces."""
-        axes, columns = self.axes[:, pieces], self._reversals
-        found = np.zeros((*axes.shape[:2], len(columns)))
-        for part in self._reversed(pieces):
-            place = np.searchsorted(columns, part.places.T)
-            weight = part.splines[:, None, :] / len(self.shifts)
-            for rows, direction in zip(found, axes, strict=True):
-                rows[:, place] += six_motions(direction, part.lever) * weight
-        return found
+    def _reversal_places(self, axis: str) -> Index:
+        """Places of the reversal coefficients of an axis, see ``ReversalPart``."""
+        blocks, motions = self.unknowns.blocks, _motions_of(axis)
+        orders = range(self.unknowns.reversal)
+        return np.array([[blocks[reversal_block(m, k)].start for m in motions] for k in orders])
 
     def _blocks(self, size: int) -> Iterator[slice]:
         """Pieces, some at a time."""
         return (slice(low, low + size) for low in range(0, len(self.q), size))
 
     def _few(self, pieces: Index | slice) -> tuple[Index, Array]:
-        """Places (k,) and rows (c, m, k) of pose, squareness and reversal."""
+        """Places (k,) and rows (c, m, k) of pose and squareness."""
         axes, q = self.axes[:, pieces], self.q[pieces]
         # a . (dr x p) = dr . (p x a); what squareness does is linear within a piece
         angles = np.stack([squareness_influence(name, q) for name in SQUARENESS], axis=2)
-        rows = [
-            -axes,
-            -crossed(self.points[pieces], axes),
-            np.einsum('cpi,pik->cpk', axes, angles),
-            self._reversal_rows(pieces),
-        ]
-        return np.concatenate([self._pose, self._angles, self._reversals]), np.concatenate(
-            rows, axis=2
-        )
+        turned = np.einsum('cpi,pik->cpk', axes, angles)
+        rows = [-axes, -crossed(self.points[pieces], axes), turned]
+        return np.concatenate([self._pose, self._angles]), np.concatenate(rows, axis=2)
 
     def released(self) -> Design:
         """Return the same without what products keep to be fast."""
@@ -201,8 +178,9 @@ class Design:
     def dense(self, pieces: Index | slice) -> Array:
         """Rows of some pieces, shape (c, m, full)."""
         full = self.unknowns.full
-        few, windows = self._few(pieces), self._windows(pieces)
-        return self._filled(pieces, few, windows, np.arange(full), full)
+        return self._filled(
+            pieces, self._few(pieces), self._counting(pieces), np.arange(full), full
+        )
 
     def touched(
         self, pieces: Index, width: int = 0, blocks: Collection[str] | None = None
@@ -224,35 +202,31 @@ class Design:
             Places of these unknowns in the full vector, ascending.
         rows : ndarray, shape (c, m, k + width)
         """
-        windows, few = self._windows(pieces, blocks), self._few(pieces)
+        few, counting = self._few(pieces), self._counting(pieces, blocks)
         mask = np.zeros(self.unknowns.full, dtype=bool)
         mask[few[0]] = True
-        for window in windows:
-            own = np.zeros(window.parts[0].size, dtype=bool)
-            for step in range(window.weights[0].shape[1]):
-                own[window.first + step] = True
-            for start in window.starts.tolist():
-                mask[start : start + len(own)] |= own
+        for parts, kept in counting:
+            mask[parts[0].reached[:, kept]] = True
         columns = np.flatnonzero(mask)
         size = len(columns) + width
-        return columns, self._filled(pieces, few, windows, np.cumsum(mask) - 1, size)
+        return columns, self._filled(pieces, few, counting, np.cumsum(mask) - 1, size)
 
-    def _windows(
+    def _counting(
         self, pieces: Index | slice, blocks: Collection[str] | None = None
-    ) -> list[Window]:
-        """What the three axes do at some pieces, by those of their motions that are ``blocks``."""
-        found, of_axis = [], zip(*self._at(pieces), strict=True)
-        for name, parts in zip(self.machine.axis_names, of_axis, strict=True):
-            own = [m for m in MOTIONS if m.axis == name]
-            kept = [k for k, m in enumerate(own) if blocks is None or m in blocks]
-            found.append(window_of(list(parts), np.array(kept, dtype=np.int64)))
+    ) -> list[tuple[Parts, Index]]:
+        """What moves some pieces, and which of its six motions are among the ``blocks``."""
+        known, found = None if blocks is None else {name[:3] for name in blocks}, []
+        for parts, axis in zip(self._at(pieces), cycle(self.machine.axis_names), strict=False):
+            motions = enumerate(_motions_of(axis))
+            kept = [k for k, motion in motions if known is None or motion in known]
+            found.append((parts, np.array(kept, dtype=np.int64)))
         return found
 
     def _filled(
         self,
         pieces: Index | slice,
         few: tuple[Index, Array],
-        windows: Sequence[Window],
+        counting: Sequence[tuple[Parts, Index]],
         place_of: Index,
         size: int,
     ) -> Array:
@@ -260,23 +234,24 @@ class Design:
         axes = self.axes[:, pieces]
         dense = np.zeros((*axes.shape[:2], size))
         dense[:, :, place_of[few[0]]] = few[1]
-        flat = dense.reshape(len(axes), -1)
+        flat, shares = dense.reshape(len(axes), -1), axes / len(self.shifts)
         row = (np.arange(axes.shape[1]) * size)[:, None, None]
-        for window in windows:
-            splines = window.first[:, None] + np.arange(window.weights[0].shape[1])
-            place = row + place_of[splines[:, None, :] + window.starts[:, None]]
-            for values, direction in zip(flat, axes, strict=True):
+        for parts, kept in counting:
+            place = row + place_of[parts[0].columns(kept)]
+            for values, share in zip(flat, shares, strict=True):
                 values[place] = sum(
-                    six_motions(direction, part.lever)[:, window.kept] * weight[:, None, :]
-                    for part, weight in zip(window.parts, window.weights, strict=True)
+                    six_motions(share, part.lever)[:, kept] * part.weight[:, None, :]
+                    for part in parts
                 )
         return dense
 
     @property
     def splines(self) -> Index:
         """First spline of every axis at every piece, shape (p, 3)."""
-        found = [[part.first for part in self._at(some)[0]] for some in self._blocks(MANY)]
-        return np.concatenate([np.stack(first, axis=1) for first in found])
+        some = (chain.from_iterable(self._at(own)[:3]) for own in self._blocks(MANY))
+        found = [[p.first for p in parts if isinstance(p, AxisPart)] for parts in some]
+        shifts = len(self.shifts)
+        return np.concatenate([np.stack(first[::shifts], axis=1) for first in found])
 
     @cached_property
     def csr(self) -> sparse.csr_array:
@@ -307,7 +282,7 @@ class Design:
         for angle, name in zip(angles, SQUARENESS, strict=True):
             total += angle * squareness_influence(name, self.q)
         for some in self._blocks(MANY):
-            for part in self._all(some):
+            for part in chain.from_iterable(self._at(some)):
                 six = part.splines @ value[part.places]
                 total[some] += (six[:, :3] + crossed(six[:, 3:], part.lever)) / len(self.shifts)
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, total))
@@ -333,7 +308,12 @@ class Design:
         found[self._pose] -= np.concatenate([pull.sum(axis=0), turned.sum(axis=0)], axis=1).T
         for place, name in zip(self._angles.tolist(), SQUARENESS, strict=True):
             found[place] += np.einsum('pi,pki->k', squareness_influence(name, q), pull)
-        for part in self._all(some):
+        for part in chain.from_iterable(self._at(some)):
             six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
             own = part.splines.T @ six.reshape(len(six), -1) / len(self.shifts)
             found[part.places] += np.swapaxes(own.reshape(len(own), -1, 6), 1, 2)
+
+
+def _motions_of(axis: str) -> list[str]:
+    """Three translations and three rotations of an axis."""
+    return [m for m in MOTIONS if m.axis == axis]

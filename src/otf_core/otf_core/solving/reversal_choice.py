@@ -244,13 +244,14 @@ def _held_out_squares(
         system = build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
         lines.append(taken_once(system, solved.whitener))
         rivals.append(_rival_columns(run, system)[:, lines[k].pieces])
+    seen = done.solution.accepted
+    blocks = [n for n in unknowns.blocks if _motion(n) in seen]
     sums = [
-        sum_groups(own.system, unknowns, own.whitener, group, rival, FOLDS)
+        sum_groups(own.system, unknowns, own.whitener, group, rival, FOLDS, blocks)
         for own, group, rival in zip(lines, fold, rivals, strict=True)
     ]
     parts = [reduce(add, of_fold) for of_fold in zip(*sums, strict=True)]
     total = reduce(add, parts)
-    seen = done.solution.accepted
     visible = identifiable_blocks(total, unknowns, limit)
     columns = {
         model: free_columns(

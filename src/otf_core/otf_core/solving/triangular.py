@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-STRIP = 64
+STRIP = 32
 """Rows of a matrix, about, that are multiplied at a time."""
 
 
