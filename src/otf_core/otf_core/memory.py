@@ -12,9 +12,11 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-_M_ARENA_MAX = -8
-"""Parameter of ``mallopt`` (malloc.h of the GNU C library): number of heaps."""
-
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+"""Parameters of ``mallopt`` (malloc.h of the GNU C library): bytes above which free memory is
+given back by itself, bytes above which an array is mapped on its own, number of heaps."""
+_LARGE, _NEVER = 32 << 20, 1 << 30
+"""Bytes."""
 
 BLOCK = 65536
 """Samples worked on at a time."""
@@ -33,10 +35,16 @@ def give_back() -> None:
 
 
 def one_heap() -> None:
-    """Let threads that begin later share one heap; does nothing where there is no such thing."""
+    """Let threads that begin later share one heap, and use what is free of it again.
+
+    Memory that goes back to the system with every array comes back page by page, which takes
+    longer than much of the work on it. Does nothing where the C library has no ``mallopt``.
+    """
     option = of_c('mallopt')
     if option is not None:
         option(_M_ARENA_MAX, 1)
+        option(_M_MMAP_THRESHOLD, _LARGE)
+        option(_M_TRIM_THRESHOLD, _NEVER)
 
 
 def of_c(name: str) -> Any:

@@ -121,6 +121,16 @@ def crossed(one: Array, other: Array) -> Array:
     return found
 
 
+def turned_by(arms: Array, forces: Array) -> Array:
+    """Vector products of arms (p, 3) with k forces each, shape (p, 3, k)."""
+    x, y, z = (arms[:, i, None] for i in range(3))
+    found = np.empty_like(forces)
+    np.subtract(y * forces[:, 2], z * forces[:, 1], out=found[:, 0])
+    np.subtract(z * forces[:, 0], x * forces[:, 2], out=found[:, 1])
+    np.subtract(x * forces[:, 1], y * forces[:, 0], out=found[:, 2])
+    return found
+
+
 def reaching_alike(parts: Sequence[AxisPart]) -> list[AxisPart]:
     """Parts of one axis at all shifts, each with all the splines that any of them reaches."""
     first = np.minimum.reduce([part.first for part in parts])

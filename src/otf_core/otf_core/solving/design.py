@@ -26,6 +26,7 @@ from otf_core.solving.axis_parts import (
     crossed,
     reaching_alike,
     six_motions,
+    turned_by,
 )
 from otf_core.solving.reversal import reversal_weights
 from otf_core.solving.unknowns import Unknowns, pose_block, reversal_block
@@ -109,6 +110,8 @@ class Design:
         """What motions and reversal of the axes do at every shift, at some pieces."""
         if len(self.q) > HELD:
             return self._made(pieces)
+        if isinstance(pieces, slice) and len(range(*pieces.indices(len(self.q)))) == len(self.q):
+            return self._parts
         return [[part.at(pieces) for part in parts] for parts in self._parts]
 
     def _part(self, axis: int, q: Array) -> AxisPart:
@@ -281,10 +284,11 @@ class Design:
         total = -moved[:3] - crossed(moved[3:], self.points)
         for angle, name in zip(angles, SQUARENESS, strict=True):
             total += angle * squareness_influence(name, self.q)
-        for some in self._blocks(MANY):
+        for some in self._blocks(HELD if len(self.q) <= HELD else MANY):
             for part in chain.from_iterable(self._at(some)):
-                six = part.splines @ value[part.places]
-                total[some] += (six[:, :3] + crossed(six[:, 3:], part.lever)) / len(self.shifts)
+                six = part.splines @ (value[part.places] / len(self.shifts))
+                total[some] += six[:, :3]
+                total[some] += crossed(six[:, 3:], part.lever)
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, total))
 
     def transposed(self, rows: Array) -> Array:
@@ -303,15 +307,18 @@ class Design:
 
     def _add_transposed(self, some: slice, rows: Array, found: Array) -> None:
         """Add the transposed rows of some pieces times rows (c, m, k) to found (full, k)."""
-        q, pull = self.q[some], np.einsum('cpi,cpk->pki', self.axes[:, some], rows)
-        turned = crossed(self.points[some, None, :], pull)
-        found[self._pose] -= np.concatenate([pull.sum(axis=0), turned.sum(axis=0)], axis=1).T
+        wide = rows.shape[2]
+        q, pull = self.q[some], np.einsum('cpi,cpk->pik', self.axes[:, some], rows)
+        turned = turned_by(self.points[some], pull)
+        found[self._pose] -= np.concatenate([pull.sum(axis=0), turned.sum(axis=0)])
         for place, name in zip(self._angles.tolist(), SQUARENESS, strict=True):
-            found[place] += np.einsum('pi,pki->k', squareness_influence(name, q), pull)
+            found[place] += squareness_influence(name, q).reshape(-1) @ pull.reshape(-1, wide)
+        six = np.empty((len(q), 6, wide))
+        six[:, :3] = pull
         for part in chain.from_iterable(self._at(some)):
-            six = np.concatenate([pull, crossed(part.lever[:, None, :], pull)], axis=2)
-            own = part.splines.T @ six.reshape(len(six), -1) / len(self.shifts)
-            found[part.places] += np.swapaxes(own.reshape(len(own), -1, 6), 1, 2)
+            six[:, 3:] = turned_by(part.lever, pull)
+            own = part.splines.T @ six.reshape(len(six), -1)
+            found[part.places] += own.reshape(len(own), 6, wide) / len(self.shifts)
 
 
 def _motions_of(axis: str) -> list[str]:
