@@ -15,7 +15,7 @@ from core_cells import error_by_hand, some_machine, written_tables, zero_tables
 from otf_core import cli
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
-from otf_core.model.motions import MOTIONS
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import MotionTable, tables_to_dict
 from otf_core.prediction.predict import predict
 from otf_core.prediction.table_prior import MotionPrior, prior_from_dict
@@ -232,6 +232,34 @@ def test_a_wrong_target_offset_is_named(tmp_path, offset, words):
         predict(file, np.zeros((1, 3)), np.array(offset))
     assert 'target_offset: ' in str(caught.value)
     assert words in str(caught.value)
+
+
+# ---------------------------------------------------------------- what a file does not say
+
+
+def without(tmp_path, squareness, *motions):
+    """A file of exact tables that says so much of squareness, and no u of some motions."""
+    file = written_tables(tmp_path, known_to(zero_tables(some_machine()), 1e-7))
+    data = json.loads(file.read_text())
+    data['squareness'] = squareness
+    for name in motions:
+        del data['motions'][name]['u']
+    file.write_text(json.dumps(data))
+    return file
+
+
+def test_what_a_file_does_not_say_is_zero_and_named(tmp_path):
+    file = without(tmp_path, {'C0Y': {'value': 1e-5}, 'B0Z': {}}, 'EXX', 'EBY')
+    found = predict(file, np.array([[0.2, 0.1, -0.1]]))
+    np.testing.assert_allclose(found.error, [[-1e-6, 0.0, 0.0]], atol=1e-18)
+    assert 'the tables say nothing of B0Z, A0Z: taken as zero' in found.notes
+    assert any(note.startswith('the tables hold no u of C0Y, EXX, EBY: ') for note in found.notes)
+
+
+def test_of_a_complete_file_no_such_thing_is_said(tmp_path):
+    angles = {name: {'value': 0.0, 'u': 1e-6} for name in SQUARENESS}
+    found = predict(without(tmp_path, angles), np.array([[0.2, 0.1, -0.1]]))
+    assert not any('the tables say' in note or 'no u of' in note for note in found.notes)
 
 
 # ---------------------------------------------------------------- points

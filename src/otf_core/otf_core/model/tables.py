@@ -125,10 +125,23 @@ def with_uncertainty(tables: ErrorTables, covariance: NDArray[np.float64]) -> Er
 
 @dataclass(frozen=True)
 class TablesFile:
-    """Content of an error_tables.json: the tables and all other top-level keys."""
+    """Content of an error_tables.json.
+
+    Attributes
+    ----------
+    tables : ErrorTables
+    extra : mapping of str to object
+        All other top-level keys.
+    without_value : tuple of str
+        Squareness errors of which the file says nothing; they are zero in the tables.
+    without_u : tuple of str
+        What the file gives without an uncertainty; it is zero in the tables.
+    """
 
     tables: ErrorTables
     extra: Mapping[str, Any] = field(default_factory=dict)
+    without_value: tuple[str, ...] = ()
+    without_u: tuple[str, ...] = ()
 
 
 def tables_to_dict(tables: ErrorTables) -> dict[str, Any]:
@@ -276,7 +289,10 @@ def tables_from_dict(data: Any, where: str) -> TablesFile:
     _check_fit(_mapping(data, 'fit', where), f'{where}: fit')
     known = tables_to_dict(tables)
     extra = {k: v for k, v in data.items() if k not in known}
-    return TablesFile(tables, extra)
+    angles = {name: _mapping(squareness, name, where) for name in SQUARENESS}
+    silent = tuple(name for name, entry in angles.items() if 'value' not in entry)
+    given = {**{n: e for n, e in angles.items() if n not in silent}, **motions}
+    return TablesFile(tables, extra, silent, tuple(n for n, e in given.items() if 'u' not in e))
 
 
 def _check_alignment(entry: Mapping[str, Any], where: str) -> None:

@@ -139,7 +139,7 @@ def predict(
         If the tables cannot be read, or points or offset are not of such a machine.
     """
     predictor = Predictor.of(source, target_offset)
-    notes = check_points(predictor.tables, q, where)
+    notes = [*check_points(predictor.tables, q, where), *predictor.lacking]
     if not predictor.correlated:
         notes.append('the tables hold no covariance; u takes their nodes as independent')
     found = predictor.at(q)

@@ -71,6 +71,8 @@ class Predictor:
         Motions and squareness errors that the data did not see.
     holds : str
         What u contains, in words.
+    lacking : tuple of str
+        What the file does not say and is zero therefore, in words.
     """
 
     tables: ErrorTables
@@ -81,6 +83,7 @@ class Predictor:
     driven: DrivenVolume | None
     not_seen: tuple[str, ...]
     holds: str
+    lacking: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, source: str | Path | TablesFile, target_offset: Array | None = None) -> Predictor:
@@ -112,6 +115,7 @@ class Predictor:
             driven=driven_from_dict(extra.get('driven'), name),
             not_seen=_not_seen(measured, extra),
             holds=_contained(measured, extra),
+            lacking=_lacking(content, covariance is None),
         )
 
     def unseen(self, q: Array) -> Mapping[str, Array]:
@@ -136,6 +140,19 @@ class Predictor:
         for _ in range(REPEATED):
             command = wanted - displacement(self.tables, command)
         return command
+
+
+def _lacking(content: TablesFile, from_nodes: bool) -> tuple[str, ...]:
+    """What a file does not say, ``u`` only where it is taken ``from_nodes``."""
+    found = []
+    if content.without_value:
+        found.append(
+            f'the tables say nothing of {", ".join(content.without_value)}: taken as zero'
+        )
+    if content.without_u and from_nodes:
+        names = ', '.join(content.without_u)
+        found.append(f'the tables hold no u of {names}: taken as exact, so u is too small')
+    return tuple(found)
 
 
 def _independent(tables: ErrorTables) -> Array:
