@@ -20,7 +20,7 @@ from otf_core.effects.base import Contribution
 from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
-from otf_core.solving.columns import across, piece_state, sensitivity
+from otf_core.solving.columns import across, piece_state, projected
 from otf_core.solving.joint import JointSolution, SolvedRun
 
 Array = NDArray[np.float64]
@@ -101,6 +101,17 @@ def systematic_sensitivities(
     -------
     list of ndarray, shape (full, k)
     """
+    pulls = systematic_pulls(sources, states, done)
+    ends = np.cumsum([pull.shape[1] for pull in pulls])
+    if not pulls:
+        return []
+    return np.split(done.solution.covariance @ np.concatenate(pulls, axis=1), ends[:-1], axis=1)
+
+
+def systematic_pulls(
+    sources: Sequence[Systematic], states: Sequence[State], done: JointSolution
+) -> list[Array]:
+    """A^T W c for the columns c of every source, (full, k): sensitivities less the covariance."""
     if not sources:
         return []
     sizes = [[_uncertainty(source, state) for source in sources] for state in states]
@@ -109,7 +120,7 @@ def systematic_sensitivities(
         for state, solved, u in zip(states, done.runs, sizes, strict=True)
     ]
     ends = np.cumsum([len(u) for u in sizes[0]])
-    return np.split(sensitivity(done, columns), ends[:-1], axis=1)
+    return np.split(projected(done, columns), ends[:-1], axis=1)
 
 
 def _uncertainty(source: Systematic, state: State) -> Array:

@@ -24,7 +24,7 @@ from otf_core.budget.systematic import (
     SYSTEMATIC,
     Systematic,
     piece_states,
-    systematic_sensitivities,
+    systematic_pulls,
 )
 from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.evaluation import driven_grid, free_rows
@@ -33,7 +33,7 @@ from otf_core.model.presets import TYPICAL, typical_values
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.solving.joint import JointSolution
+from otf_core.solving.joint import JointSolution, tables_of
 from otf_core.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -99,17 +99,19 @@ def missing_keys(runs: Sequence[Observed]) -> dict[str, float]:
     return {k: typical[k] for k in KEYS if k not in declared}
 
 
-def _changes(
-    sources: Sequence[Systematic],
-    runs: Sequence[Observed],
-    done: JointSolution,
-    tables: ErrorTables,
-    values: Mapping[str, float],
-    rows: Array,
-) -> Array:
-    """Changes of squareness and nodes per standard uncertainty, shape (m, coefficients)."""
-    states = piece_states(typical_runs(runs, values), done, tables)
-    return rows @ np.concatenate(systematic_sensitivities(sources, states, done), axis=1)
+def _missing(assumed: Mapping[str, float]) -> list[Systematic]:
+    """Contributions of which at least one key is among these."""
+    return [s for s in SYSTEMATIC if set(s.keys) & set(assumed)]
+
+
+def typical_pulls(runs: Sequence[Observed], done: JointSolution) -> Array:
+    """A^T W c of typical contributions, shape (full, coefficients); see ``systematic_pulls``."""
+    assumed = missing_keys(runs)
+    tables = tables_of(runs[0].machine, done.unknowns, done.solution)
+    states = piece_states(typical_runs(runs, assumed), done, tables) if assumed else []
+    with one_thread():
+        found = systematic_pulls(_missing(assumed), states, done)
+    return np.concatenate([np.zeros((done.unknowns.full, 0)), *found], axis=1)
 
 
 def typical_systematic(
@@ -118,6 +120,7 @@ def typical_systematic(
     tables: ErrorTables,
     rows: Array,
     covariance: Array,
+    pulls: Array,
 ) -> TypicalSystematic | None:
     """Compute what typical contributions would add.
 
@@ -132,6 +135,8 @@ def typical_systematic(
         Squareness and nodes from all unknowns, see ``tabulate.Tabulation``.
     covariance : ndarray, shape (m, m)
         As stated, of squareness and nodes in the order of predictions.
+    pulls : ndarray, shape (full, coefficients)
+        See ``typical_pulls``.
 
     Returns
     -------
@@ -139,11 +144,11 @@ def typical_systematic(
         None if everything is declared.
     """
     assumed = missing_keys(runs)
-    sources = [s for s in SYSTEMATIC if set(s.keys) & set(assumed)]
+    sources = _missing(assumed)
     if not sources:
         return None
     with one_thread():
-        change = _changes(sources, runs, done, tables, assumed, rows)
+        change = rows @ (done.solution.covariance @ pulls)
         stated = np.maximum(np.diag(covariance), 0.0)
         u = np.sqrt(stated + np.sum(change**2, axis=1))
         grid = driven_grid(tables)

@@ -5,14 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.aside import Aside
 from otf_core.budget.budget import EFFECTS, Budget, make_budget, whole_check, with_source
 from otf_core.budget.noise import noise_parts
-from otf_core.budget.typical import TypicalSystematic, typical_systematic
+from otf_core.budget.typical import TypicalSystematic, typical_pulls, typical_systematic
 from otf_core.calibration.result import Fit, RunResult
 from otf_core.config import CalibrationConfig
 from otf_core.effects.stated import TakenOff
@@ -65,6 +67,18 @@ def assess(
     taken: TakenOff | None = None,
 ) -> Assessed:
     """Work out fit and uncertainty of a solution, with the effects ``taken`` off its runs."""
+    with Aside(partial(typical_pulls, runs, done)) as pulling:
+        return _assessed(runs, done, config, taken, pulling)
+
+
+def _assessed(
+    runs: Sequence[Run],
+    done: JointSolution,
+    config: CalibrationConfig,
+    taken: TakenOff | None,
+    pulling: Aside[Array],
+) -> Assessed:
+    """The same, what typical contributions pull being worked out aside."""
     parts = noise_parts(runs, done)
     give_back()
     done = settled(done, config.unidentifiable_above, parts.normal)
@@ -80,7 +94,8 @@ def assess(
     whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
     tables = with_uncertainty(table.tables, budget.covariance)
     give_back()
-    typical = typical_systematic(runs, done, tables, table.rows, budget.covariance)
+    pulls = pulling.result()
+    typical = typical_systematic(runs, done, tables, table.rows, budget.covariance, pulls)
     return Assessed(done, results, budget, whole, fit, table, tables, typical)
 
 
