@@ -31,6 +31,8 @@ GAP_TIME = 0.05
 """s; at least this long without samples, and a hop of movement, is a gap."""
 STRIDE_TIME = 0.005
 """s; samples are looked at this often."""
+LOOK = 16
+"""Points within which the next hop lies where the machine drives."""
 
 
 @dataclass(frozen=True)
@@ -101,17 +103,38 @@ def broken(samples: Samples) -> NDArray[np.bool_]:
 
 def _hop_selection(points: Array) -> NDArray[np.int64]:
     """Keep a point whenever it is one hop away from the last one kept."""
-    kept = [0]
-    x0, y0, z0 = points[0].tolist()
-    limit = HOP * HOP
+    keep, at = bytearray(len(points)), 0
     for part in blocks(len(points)):
-        columns = points[part].T.tolist()
-        for i, (x, y, z) in enumerate(zip(*columns, strict=True), part.start):
-            dx, dy, dz = x - x0, y - y0, z - z0
-            if dx * dx + dy * dy + dz * dz >= limit:
-                kept.append(i)
-                x0, y0, z0 = x, y, z
-    return np.array(kept, dtype=np.int64)
+        ahead = _hops_ahead(points[part.start : part.stop + LOOK], part.stop - part.start).tolist()
+        while at < part.stop:
+            keep[at] = 1
+            at += ahead[at - part.start] or _standstill(points, at)
+    return np.flatnonzero(np.frombuffer(keep, dtype=np.bool_))
+
+
+def _hops_ahead(points: Array, count: int) -> NDArray[np.int8]:
+    """How many points ahead the next hop is, for the first points; 0 if not within ``LOOK``."""
+    columns = np.ascontiguousarray(points.T)
+    ahead, away = np.ones(count, dtype=np.int8), np.zeros(count, dtype=bool)
+    for step in range(1, min(LOOK + 1, len(points))):
+        x, y, z = columns[:, step : step + count] - columns[:, : min(count, len(points) - step)]
+        away[: len(x)] |= x * x + y * y + z * z >= HOP * HOP
+        if away.all():
+            break
+        ahead += ~away
+    return np.where(away, ahead, np.int8(0))
+
+
+def _standstill(points: Array, at: int) -> int:
+    """How many points ahead the next hop is, looked for further and further; or the end."""
+    first, size = at + LOOK + 1, 4 * LOOK
+    while first < len(points):
+        x, y, z = (points[first : first + size] - points[at]).T
+        gone = np.flatnonzero(x * x + y * y + z * z >= HOP * HOP)
+        if len(gone):
+            return first + int(gone[0]) - at
+        first, size = first + size, 2 * size
+    return len(points) - at
 
 
 def _middle_of_three(points: Array) -> Array:
