@@ -372,16 +372,13 @@ def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
 
 def _rounded(match: Match, driven: Driven, config: CalibrationConfig) -> Array:
     """Length at both ends of every leg of the driven path that is rounded, shape (m, 2), m."""
-    track, corners = match.track, driven.shape.corners
-    found = np.zeros((len(driven.shape.stretch), 2))
-    joined = np.append(track.joined, False)
-    lines = np.flatnonzero((driven.chord != OFF_PATH) & (driven.chord == driven.last))
-    for k in lines.tolist():
-        j = int(driven.chord[k])
-        points = match.pose.apply(track.points[track.start[k] : track.stop[k] + 1])
-        ends = (bool(joined[k]), bool(joined[k + 1]))
-        length = rounded_ends(points, corners[j : j + 2], ends, config.corner_exclusion)
-        found[j] = np.maximum(found[j], length)
+    pose, found = match.pose, np.zeros((len(driven.shape.stretch), 2))
+    legs = np.flatnonzero((driven.chord != OFF_PATH) & (driven.chord == driven.last))
+    chord = driven.chord[legs]
+    corners = (driven.shape.corners - pose.translation) @ pose.rotation  # tracker frame
+    ends = np.stack([corners[chord], corners[chord + 1]], axis=1)
+    rounded = rounded_ends(match.track, legs, ends, config.corner_exclusion)
+    np.maximum.at(found, chord, rounded)
     return found
 
 

@@ -18,6 +18,8 @@ from otf_core.tracking.track import HOP, Track
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+FEWEST = 11
+"""Hops of a leg of which roundings can be told."""
 LINE = 0.05
 """m; shorter measured legs may be part of a rounding."""
 REACH = 0.08
@@ -34,17 +36,9 @@ TAIL = 1.2
 """A rounding begins before it can be told: it departs with the square of the path length."""
 
 
-def _line(points: Array) -> tuple[Array, Array]:
-    """Centre and direction of the middle half of the points of a leg."""
-    inner = points[len(points) // 4 : max(len(points) // 4 + 2, 3 * len(points) // 4)]
-    centre = inner.mean(axis=0)
-    direction = np.linalg.svd(inner - centre, full_matrices=False)[2][0]
-    return centre, direction * np.sign(direction @ (points[-1] - points[0]))
-
-
-def _meeting(before: Array, after: Array, tolerance: float) -> Array | None:
-    """Where the lines of two measured legs (points) meet beyond them; None if they do not."""
-    (p, u), (q, v) = _line(before), _line(after)
+def _meeting(track: Track, i: int, j: int, tolerance: float) -> Array | None:
+    """Where the lines of two measured legs meet beyond them; None if they do not."""
+    (p, q), (u, v) = (values[[i, j]] for values in track.lines)
     normal = np.cross(u, v)
     sine = float(np.linalg.norm(normal))
     if sine < PARALLEL or abs(float((q - p) @ normal)) / sine > tolerance:
@@ -52,7 +46,7 @@ def _meeting(before: Array, after: Array, tolerance: float) -> Array | None:
     s = float(np.cross(q - p, v) @ normal) / sine**2
     t = float(np.cross(q - p, u) @ normal) / sine**2
     corner = 0.5 * (p + s * u + q + t * v)
-    past, due = float((corner - before[-1]) @ u), float((after[0] - corner) @ v)
+    past, due = float((corner - track.ends[i]) @ u), float((track.starts[j] - corner) @ v)
     if not (-tolerance < past < REACH and -tolerance < due < REACH):
         return None
     return np.asarray(corner)
@@ -76,9 +70,7 @@ def sharpened(track: Track, tolerance: float) -> Track | None:
             continue
         if max(lengths[[i, j]] / (track.stop[[i, j]] - track.start[[i, j]])) > 10 * HOP:
             continue  # no track but jumps
-        before = track.points[track.start[i] : track.stop[i] + 1]
-        after = track.points[track.start[j] : track.stop[j] + 1]
-        corner = _meeting(before, after, tolerance)
+        corner = _meeting(track, i, j, tolerance)
         if corner is None:
             continue
         between = np.arange(track.stop[i], track.start[j] + 1)
@@ -96,42 +88,52 @@ def sharpened(track: Track, tolerance: float) -> Track | None:
     )
 
 
-def rounded_ends(points: Array, corners: Array, joined: tuple[bool, bool], least: float) -> Array:
-    """Length at both ends of a leg that is rounded, shape (2,), m.
+def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Array:
+    """Length at both ends of measured legs that is rounded, shape (k, 2), m.
 
     Zero where that is less than ``least`` or the measured leg is too short to tell. A leg is
-    rounded where it departs from its own line, or ends far from the corner.
+    rounded where it departs from its own line, or ends far from the corner, and the track goes on.
 
     Parameters
     ----------
-    points : ndarray, shape (n, 3), m
-        Points of the measured leg, machine frame.
-    corners : ndarray, shape (2, 3), m
-        Ends of the leg of the path.
-    joined : pair of bool
-        Whether the track goes on at the ends.
+    track : Track
+    legs : ndarray of int64, shape (k,)
+        Measured legs, each on one leg of the path.
+    corners : ndarray, shape (k, 2, 3), m
+        Ends of that leg of the path, tracker frame.
     least : float
         m.
     """
-    found = np.zeros(2)
-    if len(points) < 12 or np.linalg.norm(points[-1] - points[0]) < LINE:
-        return found
-    centre, direction = _line(points)
-    local = points - centre
-    off = np.linalg.norm(local - np.outer(local @ direction, direction), axis=1)
-    quarter = len(points) // 4
-    limit = max(DEVIATION, BOW * float(np.sqrt(np.mean(off[quarter:-quarter] ** 2))))
-    for side in (0, 1):
-        order = slice(None) if side == 0 else slice(None, None, -1)
-        part, way = off[order][: 2 * quarter], points[order]
-        beyond = float(np.linalg.norm(way[0] - corners[side]))
-        hop = float(np.linalg.norm(way[1] - way[0]))
-        if not joined[side] or (max(part[:2]) < CUT and beyond < max(MISSED, 2 * hop)):
-            continue
-        inner = np.flatnonzero(part[1:] < limit)
-        if not len(inner):
-            continue
-        length = float(np.linalg.norm(way[int(inner[0])] - corners[side]))
-        if least < length < REACH:
-            found[side] = TAIL * length + 1e-3
+    found, points = np.zeros((len(legs), 2)), track.points
+    centre, unit = (values[legs] for values in track.lines)
+    first, last = track.start[legs], track.stop[legs]
+    outer, inner = points[np.stack([first, last], 1)], points[np.stack([first + 1, last - 1], 1)]
+    beyond, hop = _length(outer - corners), _length(outer - inner)
+    off = np.maximum(*(_across(p - centre[:, None], unit[:, None]) for p in (outer, inner)))
+    told = (last - first >= FEWEST) & (_length(outer[:, 1] - outer[:, 0]) >= LINE)
+    goes_on = np.append(track.joined, False)[np.stack([legs, legs + 1], axis=1)]
+    doubtful = goes_on & ((off >= CUT) | (beyond >= np.maximum(MISSED, 2 * hop)))
+    for k, side in np.argwhere(doubtful & told[:, None]).tolist():
+        way = points[first[k] : last[k] + 1][:: -1 if side else 1]
+        found[k, side] = _rounded(way, centre[k], unit[k], corners[k, side], least)
     return found
+
+
+def _rounded(way: Array, centre: Array, unit: Array, corner: Array, least: float) -> float:
+    """Length of the rounding at the start of points (n, 3) of a leg, m; zero if there is none."""
+    off, quarter = _across(way - centre, unit), len(way) // 4
+    limit = max(DEVIATION, BOW * float(np.sqrt(np.mean(off[quarter:-quarter] ** 2))))
+    straight = np.flatnonzero(off[1 : 2 * quarter] < limit)
+    if not len(straight):
+        return 0.0
+    length = float(_length(way[straight[0]] - corner))
+    return TAIL * length + 1e-3 if least < length < REACH else 0.0
+
+
+def _length(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))
+
+
+def _across(vectors: Array, unit: Array) -> Array:
+    """Length of vectors (..., 3) across unit vectors."""
+    return _length(vectors - np.sum(vectors * unit, axis=-1, keepdims=True) * unit)

@@ -84,6 +84,29 @@ class Track:
 
         return cKDTree(self.points)
 
+    @cached_property
+    def lines(self) -> tuple[Array, Array]:
+        """Centre (m) and unit direction of the middle half of every leg, each of shape (k, 3)."""
+        count = self.stop - self.start + 1
+        low = self.start + count // 4
+        high = self.start + np.maximum(count // 4 + 2, 3 * count // 4)
+        origin = self.points.mean(axis=0)  # small numbers: their squares are subtracted
+        x, y, z = columns = np.ascontiguousarray((self.points - origin).T)
+        spans = np.stack([low, high], axis=1).ravel()
+
+        def mean(values: Array) -> Array:
+            sums = np.add.reduceat(np.append(values, 0.0), spans)[::2]
+            return np.asarray(sums / (high - low))
+
+        centre = np.stack([mean(c) for c in columns], axis=1)
+        square = np.empty((len(count), 3, 3))
+        for i, row in enumerate((x, y, z)):
+            for j in range(i + 1):
+                square[:, i, j] = mean(row * columns[j]) - centre[:, i] * centre[:, j]
+        unit = np.linalg.eigh(square)[1][:, :, -1]  # of the lower triangles
+        ahead = np.einsum('ij,ij->i', unit, self.ends - self.starts)
+        return centre + origin, unit * np.sign(ahead)[:, None]
+
     def cut_at(self, hops: NDArray[np.int64]) -> Track:
         """Cut legs at hops; those at the ends of a leg are left out."""
         leg = np.searchsorted(self.start, hops, side='right') - 1
