@@ -76,6 +76,8 @@ def _hypotheses(track: Track, corners: Array, tolerance: float) -> list[RigidTra
         if len(corners) < width:
             continue
         nominal = _sliding(corners, width)
+        _, first = np.unique(nominal.reshape(len(nominal), -1), axis=0, return_index=True)
+        nominal = nominal[np.sort(first)]  # laps repeat them
         distances = _pair_distances(nominal)
         for window in _measured_windows(track, width):
             difference = np.abs(distances - _pair_distances(window[None]))
@@ -91,11 +93,18 @@ def _hypotheses(track: Track, corners: Array, tolerance: float) -> list[RigidTra
     return poses
 
 
-def _quick_score(pose: RigidTransform, track: Track, tree: object, tolerance: float) -> float:
+def _quick_scores(
+    poses: list[RigidTransform], track: Track, corners: Array, tolerance: float
+) -> Array:
+    """How many ends of measured legs fall on corners under every pose, shape (n,)."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(np.unique(corners, axis=0))  # laps repeat them: a tree of equals is slow
     some = slice(None, None, max(1, len(track.start) // _SCORED))
-    ends = pose.apply(np.concatenate([track.starts[some], track.ends[some]]))
-    distance, _ = tree.query(ends, distance_upper_bound=5 * tolerance)  # type: ignore[attr-defined]
-    return float(np.sum(np.isfinite(distance)))
+    hops, count = np.unique([track.start[some], track.stop[some]], return_counts=True)
+    ends, reach = track.points[hops], 5 * tolerance
+    near = (np.isfinite(tree.query(p.apply(ends), distance_upper_bound=reach)[0]) for p in poses)
+    return np.array([float(count[n].sum()) for n in near])
 
 
 def distinct_poses(
@@ -248,14 +257,11 @@ def find_match(
     Match or None
         None if no part of the track fits any part of the path.
     """
-    from scipy.spatial import cKDTree
-
     cuts = np.empty((0, 3)) if cuts is None else cuts
     poses = _hypotheses(track, corners, tolerance)
     best = None
     if poses:
-        tree = cKDTree(np.unique(corners, axis=0))  # laps repeat them: a tree of equals is slow
-        quick = np.array([_quick_score(p, track, tree, tolerance) for p in poses])
+        quick = _quick_scores(poses, track, corners, tolerance)
         distinct = distinct_poses(poses, quick, track.points, 10 * tolerance, _MAX_FULL)
         best = best_match(distinct, track, corners, cuts, 2 * tolerance)
     if best is not None and best.explained > (ENOUGH if len(cuts) else DOUBTFUL):

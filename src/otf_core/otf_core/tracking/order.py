@@ -30,8 +30,8 @@ SKIP_COST, EDGE_COST = 1.0, 0.3
 JUMP_COST = 13.0
 """More than two measured legs off the path: a leg met by chance is not worth going there and
 back."""
-BLOCK = 1_000_000
-"""Pairs of measured and nominal legs that are compared at a time."""
+BLOCK = 20_000
+"""Pairs of measured and nominal legs that are compared at a time: most poses are soon given up."""
 
 
 @dataclass(frozen=True)
