@@ -18,7 +18,7 @@ from otf_core.model.evaluation import rigid_columns
 from otf_core.model.kinematics import displacement
 from otf_core.model.path import leg_bounds
 from otf_core.pieces.runs import Recording, Run, prepare_runs
-from otf_core.tracking.alignment import line_step
+from otf_core.tracking.line_step import line_step
 
 Array = NDArray[np.float64]
 
@@ -68,14 +68,14 @@ def _residuals(run: Run, series: Series) -> tuple[Array, Array]:
     """Positions and deviations across the lines, compensated and aligned anew, (p, 3), m."""
     tables = series.runs[-1].content.tables
     pieces, pose = run.pieces, run.pose
-    weight = pieces.count.astype(float)
+    weight, own = pieces.count.astype(float), np.arange(len(pieces))
     for _ in range(ITERATIONS):
         points = pose.apply(pieces.xyz)
         away = points - pieces.origin
         along = np.einsum('ij,ij->i', away, pieces.direction)[:, None] * pieces.direction
         q = pieces.origin + along
         left = points - displacement(tables, q)
-        pose = pose.moved_by(*line_step(left, pieces.origin, pieces.direction, weight))
+        pose = pose.moved_by(*line_step(left, pieces.origin, pieces.direction, weight, own))
     off = left - pieces.origin
     return q, off - np.einsum('ij,ij->i', off, pieces.direction)[:, None] * pieces.direction
 

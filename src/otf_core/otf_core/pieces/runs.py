@@ -25,9 +25,10 @@ from otf_core.noise.standstill import noise_model
 from otf_core.pieces.finding import Finding
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
-from otf_core.tracking.alignment import Alignment, Followed, align, line_step
+from otf_core.tracking.alignment import Alignment, Followed, align
 from otf_core.tracking.curves import Lines
 from otf_core.tracking.leg_starts import leg_starts
+from otf_core.tracking.line_step import line_step
 from otf_core.tracking.matching import OFF_PATH
 from otf_core.tracking.no_match import check_partial
 
@@ -220,9 +221,10 @@ def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) 
     """
     if pieces.standstill:
         return rigid_fit(pieces.xyz, pieces.origin)
+    weight, own = pieces.count.astype(float), np.arange(len(pieces))
     for _ in range(config.max_iterations):
         points = pose.apply(pieces.xyz)
-        step = line_step(points, pieces.origin, pieces.direction, pieces.count.astype(float))
+        step = line_step(points, pieces.origin, pieces.direction, weight, own)
         moved = pose.moved_by(*step)
         change = float(np.abs(moved.apply(pieces.xyz) - points).max())
         pose = moved

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.memory import blocks
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
@@ -24,6 +23,7 @@ from otf_core.tracking.arcs import Bulge, bulge_of, with_arcs
 from otf_core.tracking.curves import SHORT_CURVE, Lines, PathShape, straight_shape
 from otf_core.tracking.driven import Driven, as_planned, driven_path, sample_chords, visits
 from otf_core.tracking.guide import Guide
+from otf_core.tracking.line_step import line_step
 from otf_core.tracking.matching import ENOUGH, LEAST, cut_track
 from otf_core.tracking.no_match import MIRRORED, mirrored, why_no_match
 from otf_core.tracking.order import FORWARD, OFF_PATH, Match, follow
@@ -88,67 +88,6 @@ class Alignment:
         return '' if self.bulge is None else self.bulge.remark
 
 
-def line_step(
-    points: Array, origin: Array, direction: Array, weight: Array
-) -> tuple[Array, Array]:
-    """One least-squares step of a rigid motion towards lines.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3), m
-        Measured points in the machine frame.
-    origin, direction : ndarray, shape (n, 3)
-        A point (m) and the unit direction of each point's line.
-    weight : ndarray, shape (n,)
-
-    Returns
-    -------
-    translation : ndarray, shape (3,), m
-    rotation_vector : ndarray, shape (3,), rad
-        About the origin of the machine frame.
-
-    Raises
-    ------
-    InputError
-        If the lines leave a motion free, such as turning about a single line.
-    """
-    centre = points.mean(axis=0)
-    square = sum(float(np.sum((points[k] - centre) ** 2)) for k in blocks(len(points)))
-    size = np.sqrt(square / len(points)) or 1.0
-    normal, right = np.zeros((6, 6)), np.zeros(6)
-    for k in blocks(len(points)):
-        local = (points[k] - centre) / size
-        share = weight[k] / weight.sum()
-        of_rows, of_offsets = _line_sums(local, points[k] - origin[k], direction[k], share)
-        normal += of_rows
-        right += of_offsets
-    if np.linalg.eigvalsh(normal)[0] < 1e-7:
-        raise InputError(
-            'the driven lines do not fix the place of the tracker (all parallel or too few); '
-            'record the whole path'
-        )
-    motion = np.linalg.solve(normal, right)
-    rotation_vector = motion[3:] / size
-    return np.asarray(motion[:3] - np.cross(rotation_vector, centre)), np.asarray(rotation_vector)
-
-
-def _line_sums(local: Array, offset: Array, direction: Array, share: Array) -> tuple[Array, Array]:
-    """Normal matrix (6, 6) and right side (6,) of ``line_step`` over some points."""
-    offset = offset - direction * np.einsum('ij,ij->i', direction, offset)[:, None]
-    # a motion moves a point by [1, -l x] and, of that, along its line by [d, l x d]
-    weighted = local * share[:, None]
-    mean, square = weighted.sum(axis=0), weighted.T @ local
-    along = np.concatenate([direction, np.cross(local, direction)], axis=1)
-    normal = -(along * share[:, None]).T @ along
-    normal[:3, :3] += share.sum() * np.eye(3)
-    normal[3:, 3:] += np.trace(square) * np.eye(3) - square
-    skew = np.cross(mean, np.eye(3))  # rows mean x e_k
-    normal[:3, 3:] += skew
-    normal[3:, :3] += skew.T
-    turned = np.cross(weighted, offset).sum(axis=0)
-    return normal, -np.concatenate([share @ offset, turned])
-
-
 def _refine(
     match: Match, driven: Driven, rounded: Array, config: CalibrationConfig
 ) -> RigidTransform:
@@ -169,8 +108,8 @@ def _refine(
         if inside.sum() < 10:
             raise InputError('hardly any point lies on a line of the path away from its corners')
         weight = inside / total  # every leg counts alike, however fast it was driven
-        shift, turn = line_step(points, lines.shape.corners[chord], lines.unit[chord], weight)
-        moved = pose.moved_by(shift, turn)
+        step = line_step(points, lines.corners[:-1], lines.unit, weight, chord)
+        moved = pose.moved_by(*step)
         change = float(np.abs(moved.apply(source) - points).max())
         pose = moved
         if change < max(config.alignment_stop, 1e-6):

@@ -16,7 +16,8 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import plan_for_path
 from otf_core.sim.cell import random_tables
-from otf_core.tracking.alignment import align, line_step
+from otf_core.tracking.alignment import align
+from otf_core.tracking.line_step import line_step
 from otf_core.tracking.matching import OFF_PATH
 from otf_core.tracking.track import simplify
 
@@ -364,15 +365,16 @@ def test_rigid_fit_recovers_a_transform_and_never_mirrors():
     assert np.linalg.det(mirrored.rotation) == pytest.approx(1.0)
 
 
-def test_line_step_undoes_a_small_motion_of_points_on_lines():
+@pytest.mark.parametrize('each', [1, 4])
+def test_line_step_undoes_a_small_motion_of_points_on_lines(each):
     rng = np.random.default_rng(4)
     direction = rng.normal(size=(60, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    origin = rng.uniform(-1, 1, (60, 3))
-    on_line = origin + rng.uniform(-1, 1, (60, 1)) * direction
+    origin, line = rng.uniform(-1, 1, (60, 3)), np.repeat(np.arange(60), each)
+    on_line = origin[line] + rng.uniform(-1, 1, (60 * each, 1)) * direction[line]
     shift, turn = np.array([1e-6, -2e-6, 3e-6]), np.array([2e-6, 1e-6, -1e-6])
     moved = on_line + shift + np.cross(turn, on_line)
-    translation, rotation_vector = line_step(moved, origin, direction, np.ones(60))
+    translation, rotation_vector = line_step(moved, origin, direction, np.ones(60 * each), line)
     # what is left is of second order: 1e-6 of a motion of 1e-6
     np.testing.assert_allclose(translation, -shift, atol=1e-11)
     np.testing.assert_allclose(rotation_vector, -turn, atol=1e-11)
