@@ -51,7 +51,7 @@ def check_samples(samples: Samples, path: NominalPath | None) -> None:
         raise InputError(two)
     if path is None:
         return
-    larger = float(np.ptp(samples.xyz, axis=0).max() / np.ptp(path.points, axis=0).max())
+    larger = _extent(samples.xyz) / _extent(path.points)
     if not 1.0 / OTHER_UNIT < larger < OTHER_UNIT:
         return  # the alignment names the unit
     speed = top_speed(samples)
@@ -71,15 +71,25 @@ def top_speed(samples: Samples) -> float:
     """Speed that the fast half of the motion exceeds, m/s; 0 for too few samples."""
     if len(samples) < 4 * WINDOW:
         return 0.0
-    at = _spread(0, len(samples) - WINDOW)
-    moved = np.linalg.norm(samples.xyz[at + WINDOW] - samples.xyz[at], axis=1)
-    span = 1e-9 * (samples.stamp_ns[at + WINDOW] - samples.stamp_ns[at])
+    step = _step(len(samples) - WINDOW)
+    early, late = slice(0, len(samples) - WINDOW, step), slice(WINDOW, None, step)
+    moved = _lengths(samples.xyz[late] - samples.xyz[early])
+    span = 1e-9 * (samples.stamp_ns[late] - samples.stamp_ns[early])
     return float(np.percentile(moved / span, 75))
 
 
-def _spread(low: int, high: int) -> NDArray[np.int64]:
-    """Places from low to high - 1, at most about ``ENOUGH``."""
-    return np.arange(low, high, -(-(high - low) // ENOUGH))
+def _step(count: int) -> int:
+    """From one sample to the next where about ``ENOUGH`` of many are looked at."""
+    return -(-count // ENOUGH)
+
+
+def _extent(points: Array) -> float:
+    """Length of the longest side of a box around points (n, 3), m."""
+    return max(float(np.ptp(column)) for column in points.T)  # faster than all three together
+
+
+def _lengths(vectors: Array) -> Array:
+    return np.asarray(np.sqrt(np.einsum('ij,ij->i', vectors, vectors)))
 
 
 def two_streams(samples: Samples) -> str:
@@ -87,11 +97,14 @@ def two_streams(samples: Samples) -> str:
     xyz = samples.xyz
     if len(xyz) < 4 * WINDOW:
         return ''
-    at = _spread(WINDOW, len(xyz) - WINDOW)
-    moved = np.linalg.norm(xyz[at + WINDOW] - xyz[at - WINDOW], axis=1)
-    fast = at[moved >= np.percentile(moved, 50)]
-    one = np.median(np.linalg.norm(xyz[fast + 1] - 2 * xyz[fast] + xyz[fast - 1], axis=1))
-    two = np.median(np.linalg.norm(xyz[fast + 2] - 2 * xyz[fast] + xyz[fast - 2], axis=1))
+    step = _step(len(xyz) - 2 * WINDOW)
+    moved = _lengths(xyz[2 * WINDOW :: step] - xyz[: -2 * WINDOW : step])
+    fast = WINDOW + step * np.flatnonzero(moved >= np.percentile(moved, 50))
+    middle = 2 * xyz.take(fast, axis=0)
+    one, two = (
+        np.median(_lengths(xyz.take(fast + k, axis=0) - middle + xyz.take(fast - k, axis=0)))
+        for k in (1, 2)
+    )
     if one > TO_AND_FRO * max(float(two), 1e-7):
         return (
             f'every second sample lies {_length(0.5 * float(one))} beside its neighbours: two '
