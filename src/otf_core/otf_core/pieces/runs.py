@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
-from otf_core.memory import blocks
+from otf_core.memory import BLOCK
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import Machine
 from otf_core.model.nodes import table_nodes
@@ -182,8 +182,8 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
         If the path leaves the ranges of the machine.
     """
     machine, corners = recording.machine, alignment.corners
-    low, high = _extremes(recording.samples.xyz, alignment)
     path_low, path_high = corners.min(axis=0), corners.max(axis=0)
+    low, high = _extremes(recording.samples.xyz, alignment, path_low + SNAP, path_high - SNAP)
     low = np.where(low < path_low + SNAP, path_low, low)
     high = np.where(high > path_high - SNAP, path_high, high)
     flat = path_high - path_low < 1e-6
@@ -197,14 +197,23 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
     return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
 
 
-def _extremes(xyz: Array, alignment: Alignment) -> tuple[Array, Array]:
-    """Lowest and highest coordinates of the samples on legs, machine frame, m."""
+def _extremes(
+    xyz: Array, alignment: Alignment, below: Array, above: Array
+) -> tuple[Array, Array]:
+    """Lowest and highest coordinates of the samples on legs, machine frame, m.
+
+    Samples are looked at until some are ``below`` and ``above``, each of shape (3,): those that
+    are spread over the whole recording first.
+    """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for part in blocks(len(xyz)):
+    step = -(-len(xyz) // BLOCK)
+    for part in (slice(first, None, step) for first in range(step)):
         on = alignment.leg[part] != OFF_PATH
-        if on.any():
-            points = alignment.T_machine_tracker.apply(xyz[part][on])
-            low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+        columns = np.ascontiguousarray(alignment.T_machine_tracker.apply(xyz[part][on]).T)
+        low = np.minimum(low, columns.min(axis=1, initial=np.inf))
+        high = np.maximum(high, columns.max(axis=1, initial=-np.inf))
+        if np.all(low < below) and np.all(high > above):
+            break
     return low, high
 
 
