@@ -15,6 +15,7 @@ from otf_core.model.observation import Samples
 from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import MotionTable
 from otf_core.pieces.pieces import reduce_to_pieces
+from otf_core.pieces.windows import over_windows
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.matching import OFF_PATH
 
@@ -195,3 +196,10 @@ def test_recording_without_a_moving_sample_is_refused():
     case = Case()
     with pytest.raises(InputError, match='no sample is left'):
         case.pieces(leg=np.full(len(case.leg), OFF_PATH))
+
+
+@pytest.mark.parametrize('size', [1, 2, 7, 8, 11, 40])
+def test_every_window_is_combined_whatever_its_size(size):
+    values = np.random.default_rng(size).normal(size=(2, 40))
+    expected = np.lib.stride_tricks.sliding_window_view(values, size, axis=1).max(axis=2)
+    np.testing.assert_array_equal(over_windows(np.maximum, values, size), expected)

@@ -7,7 +7,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
+from scipy.ndimage import median_filter
+
+from otf_core.pieces.windows import over_windows
 
 Array = NDArray[np.float64]
 
@@ -33,7 +35,7 @@ def outlying(
     Parameters
     ----------
     offset_of : callable
-        Offsets (m, 3), m, of a slice of the samples; so that not all are held at once.
+        Offsets (3, m), m, of a slice of the samples; so that not all are held at once.
     bounds : sequence of (int, int)
         First sample and one past the last of every leg.
     limit : float
@@ -42,31 +44,31 @@ def outlying(
         return np.zeros(bounds[-1][1], dtype=bool)
     distance = np.empty(bounds[-1][1])
     for leg in bounds:
-        distance[slice(*leg)] = np.linalg.norm(_from_median(offset_of(slice(*leg))), axis=1)
+        distance[slice(*leg)] = np.linalg.norm(_from_median(offset_of(slice(*leg))), axis=0)
     sigma = float(np.median(distance)) / RAYLEIGH_MEDIAN
     return np.asarray(distance > max(limit * sigma, GROSS))
 
 
 def _from_median(offset: Array) -> Array:
-    """Offsets of a leg (n, 3) less their running median."""
-    if len(offset) <= MEDIAN_HALF:
-        return np.asarray(offset - np.median(offset, axis=0))
-    reach = ((MEDIAN_HALF, MEDIAN_HALF), (0, 0))
+    """Offsets of a leg (3, n) less their running median."""
+    if offset.shape[1] <= MEDIAN_HALF:
+        return np.asarray(offset - np.median(offset, axis=1, keepdims=True))
+    reach = ((0, 0), (MEDIAN_HALF, MEDIAN_HALF))
     padded = np.pad(offset, reach, mode='reflect', reflect_type='odd')
     # of one dimension at a time: SciPy then moves the window, five times as fast
-    columns = (median_filter(own, 2 * MEDIAN_HALF + 1) for own in np.ascontiguousarray(padded.T))
-    smooth = np.stack([own[MEDIAN_HALF:-MEDIAN_HALF] for own in columns], axis=1)
+    smooth = np.stack([median_filter(own, 2 * MEDIAN_HALF + 1) for own in padded])
+    smooth = smooth[:, MEDIAN_HALF:-MEDIAN_HALF]
     rest = offset - smooth
-    rest[0] = offset[0] - (2 * smooth[1] - smooth[2])
-    rest[-1] = offset[-1] - (2 * smooth[-2] - smooth[-3])
+    rest[:, 0] = offset[:, 0] - (2 * smooth[:, 1] - smooth[:, 2])
+    rest[:, -1] = offset[:, -1] - (2 * smooth[:, -2] - smooth[:, -3])
     return np.asarray(rest)
 
 
 def _apart(offset: Array) -> float:
-    """Bound on the distance of the samples of a leg (n, 3), m, from their running median."""
-    size = 2 * MEDIAN_HALF + 1
-    if len(offset) <= size:
-        return float(np.linalg.norm(np.ptp(offset, axis=0))) * (3.0 if len(offset) > 1 else 1.0)
-    spread = maximum_filter1d(offset, size, axis=0) - minimum_filter1d(offset, size, axis=0)
-    reach = spread[[MEDIAN_HALF, -MEDIAN_HALF - 1]].max(axis=0)
-    return float(np.linalg.norm(np.maximum(spread.max(axis=0), 3.0 * reach)))
+    """Bound on the distance of the samples of a leg (3, n), m, from their running median."""
+    size, count = 2 * MEDIAN_HALF + 1, offset.shape[1]
+    if count <= size:
+        return float(np.linalg.norm(np.ptp(offset, axis=1))) * (3.0 if count > 1 else 1.0)
+    spread = over_windows(np.maximum, offset, size) - over_windows(np.minimum, offset, size)
+    reach = np.maximum(spread[:, 0], spread[:, -1])
+    return float(np.linalg.norm(np.maximum(spread.max(axis=1), 3.0 * reach)))

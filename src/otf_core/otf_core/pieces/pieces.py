@@ -13,15 +13,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import maximum_filter1d
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.memory import blocks
 from otf_core.model.observation import Samples
-from otf_core.model.path import leg_bounds, sides_of_travel
+from otf_core.model.path import Legs, leg_bounds, sides_of_travel
 from otf_core.pieces.boundaries import all_boundaries
 from otf_core.pieces.outliers import outlying
+from otf_core.pieces.windows import over_windows
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.arcs import curvature
 from otf_core.tracking.curve_pieces import near_joints
@@ -159,8 +159,8 @@ def _moving(samples: Samples, along: Array, leg: Index, config: CalibrationConfi
         span = (samples.stamp_ns[late] - samples.stamp_ns[part]) * 1e-9
         advance = np.where(leg[late] == leg[part], along[late] - along[part], 0.0)
         speed[middle] = np.abs(advance) / np.maximum(span, 1e-9)
-    still = speed < config.standstill_speed
-    speed[maximum_filter1d(still, 2 * half + 1, mode='constant')] = 0.0
+    still = np.pad(speed < config.standstill_speed, half)
+    speed[over_windows(np.logical_or, still, 2 * half + 1)] = 0.0
     return speed
 
 
@@ -199,9 +199,10 @@ def samples_on_lines(
     """
     leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
     pose, lines = alignment.T_machine_tracker, Lines.of(alignment.shape)
+    seen = Legs((lines.corners - pose.translation) @ pose.rotation)  # from the tracker
     on_chord, along = np.empty((2, len(samples)))
     for part in blocks(len(samples)):
-        on_chord[part] = lines.along(pose.apply(samples.xyz[part]), leg[part])
+        on_chord[part] = seen.along(samples.xyz[part], leg[part])
         along[part] = lines.start[leg[part]] + on_chord[part]
     stretch = np.where(
         alignment.leg == OFF_PATH, OFF_PATH, lines.shape.stretch.astype(leg.dtype)[leg]
@@ -218,14 +219,17 @@ def samples_on_lines(
     if not len(chosen):
         raise InputError('no sample is left on the lines of the path away from corners and stops')
     del along, keep
+    curved = lines.shape.curved
 
     def offset_of(part: slice) -> Array:
         here = chosen[part]
         line = leg[here]
-        offset = pose.apply(samples.xyz[here]) - on_chord[here, None] * lines.unit[line]
-        bent = lines.shape.curved[line]
-        offset[bent] -= lines.shape.corners[line[bent]]
-        return np.asarray(offset)
+        offset = pose.apply(samples.xyz.take(here, axis=0))
+        offset -= on_chord[here, None] * lines.unit.take(line, axis=0)
+        bent = curved[line]
+        if bent.any():
+            offset[bent] -= lines.corners[line[bent]]
+        return np.ascontiguousarray(offset.T)
 
     out = outlying(offset_of, leg_bounds(stretch[chosen]), config.outlier_limit)
     far, chosen = chosen[out], chosen[~out]

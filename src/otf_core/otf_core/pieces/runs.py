@@ -197,9 +197,7 @@ def covered_range(alignment: Alignment, recording: Recording) -> tuple[Array, Ar
     return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
 
 
-def _extremes(
-    xyz: Array, alignment: Alignment, below: Array, above: Array
-) -> tuple[Array, Array]:
+def _extremes(xyz: Array, alignment: Alignment, below: Array, above: Array) -> tuple[Array, Array]:
     """Lowest and highest coordinates of the samples on legs, machine frame, m.
 
     Samples are looked at until some are ``below`` and ``above``, each of shape (3,): those that
