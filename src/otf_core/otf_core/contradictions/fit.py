@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import linalg
 
-from otf_core.contradictions.rows import Rows, scaled_rows
+from otf_core.contradictions.design import Design
+from otf_core.contradictions.rows import Rows
 from otf_core.pieces.outliers import RAYLEIGH_MEDIAN
 
 Array = NDArray[np.float64]
@@ -27,7 +28,7 @@ class Fit:
 
     Attributes
     ----------
-    design : sparse array, shape (r, k)
+    design : Design
     weight : ndarray, shape (r,), 1/m^2
         Zero for pieces left out.
     factor : tuple
@@ -38,7 +39,7 @@ class Fit:
         Rows less the unknowns that the data determine; not a number where the weights were given.
     """
 
-    design: sparse.csr_array
+    design: Design
     weight: Array
     factor: tuple[Array, bool]
     value: Array
@@ -63,7 +64,7 @@ class Fit:
     def left(self, columns: Array) -> Array:
         """Normal matrix of further columns (r, k) once those of the model are free."""
         weighted = columns * self.weight[:, None]
-        cross = self.design.T @ weighted
+        cross = self.design.products(weighted)
         solved = linalg.cho_solve(self.factor, cross, check_finite=False)
         return np.asarray(columns.T @ weighted - cross.T @ solved)
 
@@ -72,59 +73,60 @@ class Fit:
         return np.asarray(columns.T @ (self.weight * self.residual))
 
 
-def gain(left: Array, score: Array, prior: float = PRIOR) -> tuple[float, Array]:
+def gain(left: Array, score: Array, prior: float = PRIOR) -> tuple[Array, Array]:
     """Drop of the sum of squares that further columns bring, and their values.
 
     Parameters
     ----------
-    left : ndarray, shape (k, k)
-        From ``Fit.left``.
-    score : ndarray, shape (k,)
+    left : ndarray, shape (..., k, k)
+        From ``Fit.left``; one or many.
+    score : ndarray, shape (..., k)
     prior : float
         Standard deviation of the values before the data.
+
+    Returns
+    -------
+    drop : ndarray, shape (...)
+    value : ndarray, shape (..., k)
     """
-    root, vectors = linalg.eigh(left, check_finite=False)
-    least = max(1e-9 * float(root[-1]), 1.0 / prior**2)
-    value = vectors @ ((vectors.T @ score) / np.maximum(root, least))
-    return float(score @ value), np.asarray(value)
+    root, vectors = np.linalg.eigh(left)
+    least = np.maximum(1e-9 * root[..., -1:], 1.0 / prior**2)
+    seen = np.einsum('...ij,...i->...j', vectors, score) / np.maximum(root, least)
+    value = np.einsum('...ij,...j->...i', vectors, seen)
+    return np.asarray(np.sum(score * value, axis=-1)), np.asarray(value)
 
 
-def _solve(
-    design: sparse.csr_array, target: Array, weight: Array
-) -> tuple[tuple[Array, bool], Array]:
-    weighted = scaled_rows(design, weight)
-    data = (design.T @ weighted).toarray()
-    prior = np.full(len(data), 1.0 / PRIOR**2)
-    factor = linalg.cho_factor(data + np.diag(prior), lower=True, check_finite=False)
-    value = linalg.cho_solve(factor, weighted.T @ target, check_finite=False)
-    return factor, value
+def _solve(design: Design, target: Array, weight: Array) -> tuple[tuple[Array, bool], Array]:
+    data = design.normal(weight)
+    data[np.diag_indices_from(data)] += 1.0 / PRIOR**2
+    factor = linalg.cho_factor(data, lower=True, overwrite_a=True, check_finite=False)
+    score = design.products((weight * target)[:, None])[:, 0]
+    return factor, linalg.cho_solve(factor, score, check_finite=False)
 
 
 def _freedom(factor: tuple[Array, bool], weight: Array) -> float:
-    inverse = linalg.cho_solve(factor, np.eye(len(factor[0])), check_finite=False)
-    unknowns = len(inverse) - float(np.trace(inverse)) / PRIOR**2
+    inverse, _ = linalg.lapack.dtrtri(factor[0], lower=1)  # of a triangle, which tells the trace
+    unknowns = len(inverse) - float(np.sum(np.tril(inverse) ** 2)) / PRIOR**2
     return float(np.sum(weight > 0)) - unknowns
 
 
-def solve(rows: Rows, *parts: sparse.csr_array | Array, weight: Array | None = None) -> Fit:
+def solve(rows: Rows, design: Design, weight: Array | None = None) -> Fit:
     """Solve for columns, leaving out pieces far from the solution.
 
     Parameters
     ----------
     rows : Rows
-    *parts : arrays, shape (r, k)
-        Columns beside each other.
+    design : Design
     weight : ndarray, shape (r,), 1/m^2, optional
         As of another fit, so that both are judged alike; then nothing more is left out.
     """
-    design = sparse.csr_array(sparse.hstack([sparse.csr_array(p) for p in parts], format='csr'))
     target = rows.deviation.ravel()
     given = weight is not None
     used = 1.0 / rows.sigma.ravel() ** 2 if weight is None else weight
     full = used
     for _ in range(1 if given else REPEATS):
         factor, value = _solve(design, target, used)
-        residual = target - design @ value
+        residual = target - design.times(value)
         size = np.sqrt(full * residual**2).reshape(rows.deviation.shape)
         distance = np.linalg.norm(size, axis=0)
         far = distance > FAR * float(np.median(distance)) / RAYLEIGH_MEDIAN
@@ -135,6 +137,6 @@ def solve(rows: Rows, *parts: sparse.csr_array | Array, weight: Array | None = N
     else:
         if not given:
             factor, value = _solve(design, target, used)
-            residual = target - design @ value
+            residual = target - design.times(value)
     freedom = np.nan if given else _freedom(factor, used)
     return Fit(design, used, factor, value, np.asarray(residual), freedom)

@@ -10,6 +10,7 @@ from itertools import permutations
 
 import numpy as np
 
+from otf_core.contradictions.design import Design
 from otf_core.contradictions.fit import Fit, solve
 from otf_core.contradictions.rows import (
     Array,
@@ -19,7 +20,7 @@ from otf_core.contradictions.rows import (
     drift_columns,
     poses_by_run,
     reversal_columns,
-    table_columns,
+    squareness_columns,
 )
 from otf_core.model.machine import Chain
 from otf_core.pieces.runs import Run
@@ -51,7 +52,7 @@ class Model:
     def of(cls, runs: Sequence[Run]) -> Model:
         """Set up and solve."""
         rows = _thinned(build_rows(runs), ENOUGH)
-        return cls(tuple(runs), rows, solve(rows, nuisance(rows), table_columns(rows)))
+        return cls(tuple(runs), rows, solve(rows, Design.of(rows, usual_columns(rows))))
 
     def left_with(self, chains: Sequence[Chain], offsets: Sequence[Array]) -> Array:
         """What other chains or target offsets leave, on the same pieces, thinned.
@@ -70,11 +71,11 @@ class Model:
         chosen = _spread(len(self.rows), MAX_PIECES)
         rows = self.rows.take(chosen)
         weight = self.fit.weight.reshape(len(rows.axes), -1)[:, chosen].ravel()
-        usual = nuisance(rows)
+        usual = usual_columns(rows)
         found = []
         for chain, offset in zip(chains, offsets, strict=True):
-            columns = table_columns(rows, chain, offset[rows.run])
-            found.append(solve(rows, usual, columns, weight=weight).square)
+            design = Design.of(rows, usual, chain, offset[rows.run])
+            found.append(solve(rows, design, weight).square)
         return np.asarray(np.sqrt(np.array(found) / weight.sum()))
 
     @cached_property
@@ -101,7 +102,7 @@ def _thinned(rows: Rows, enough: int) -> Rows:
     return rows if len(chosen) == len(rows) else rows.take(chosen)
 
 
-def nuisance(rows: Rows) -> Array:
-    """Columns of what is usual and no matter here, shape (c p, k)."""
-    parts = (poses_by_run(rows), reversal_columns(rows), drift_columns(rows))
-    return np.concatenate(parts, axis=1)
+def usual_columns(rows: Rows) -> Array:
+    """Columns of what is usual and no matter here, and of squareness, shape (c p, k)."""
+    usual = (poses_by_run(rows), reversal_columns(rows), drift_columns(rows))
+    return np.concatenate([*usual, squareness_columns(rows)], axis=1)

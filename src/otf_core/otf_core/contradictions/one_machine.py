@@ -71,11 +71,10 @@ def _joined(square: Sequence[float], freedom: Sequence[float]) -> float:
 def _errors(model: Model) -> float:
     """What the tables explain, m: weighted like the residual of a row."""
     fit, rows = model.fit, model.rows
-    width = 6 * rows.runs
-    posed = fit.design[:, :width]
+    posed = fit.design.usual[:, : 6 * rows.runs]
     whole = rows.deviation.ravel()
     value = np.linalg.lstsq(
-        np.asarray(posed.toarray()) * np.sqrt(fit.weight)[:, None],
+        posed * np.sqrt(fit.weight)[:, None],
         whole * np.sqrt(fit.weight),
         rcond=None,
     )[0]

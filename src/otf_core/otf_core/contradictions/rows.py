@@ -13,12 +13,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from otf_core.model.kinematics import squareness_influence
 from otf_core.model.machine import Chain, Machine
 from otf_core.model.motions import SQUARENESS
-from otf_core.model.nodes import hat_matrix
 from otf_core.noise.model import beam_shares, path_frame
 from otf_core.pieces.runs import Run
 
@@ -27,8 +25,6 @@ Index = NDArray[np.int64]
 
 FLOOR = 1e-7
 """m; independent uncertainty of every piece at least."""
-MAX_NODES = 80
-"""Nodes per axis at most."""
 UNIT = np.eye(3)
 
 
@@ -155,21 +151,14 @@ def build_rows(runs: Sequence[Run]) -> Rows:
     return Rows(runs[0].machine, **joined)
 
 
+def turning(rows: Rows, arm: Array) -> Array:
+    """Rows per unit of rotations about X, Y and Z at arms (p, 3), shape (c, p, 3), m/rad."""
+    return np.cross(arm, rows.axes)  # a . (e x arm) = e . (arm x a)
+
+
 def pose_columns(rows: Rows) -> Array:
     """Rows per unit of a rigid motion of the measured points, shape (c p, 6), 1 and m/rad."""
-    parts = [rows.component(np.broadcast_to(UNIT[k], rows.q.shape)) for k in range(3)]
-    parts += [rows.component(np.cross(UNIT[k], rows.points)) for k in range(3)]
-    return np.stack(parts, axis=1)
-
-
-def hats(rows: Rows, axis: int) -> sparse.csr_array:
-    """Hat functions of one axis at every piece, shape (p, nodes)."""
-    q = rows.q[:, axis]
-    pitch = 0.5 * rows.machine.axes[rows.machine.axis_names[axis]].table_pitch
-    low, high = float(q.min()), float(q.max())
-    count = int(np.clip(np.ceil((high - low) / pitch), 1, MAX_NODES)) + 1
-    nodes = np.linspace(low, high, count) if high - low > 1e-6 else np.array([low])
-    return sparse.csr_array(hat_matrix(nodes, q))
+    return np.concatenate([rows.axes, turning(rows, rows.points)], axis=2).reshape(-1, 6)
 
 
 def levers(rows: Rows, chain: Chain, offset: Array, axis: int) -> Array:
@@ -179,48 +168,16 @@ def levers(rows: Rows, chain: Chain, offset: Array, axis: int) -> Array:
     return np.asarray(offset + np.where(carried, rows.q, 0.0))
 
 
-def scaled_rows(matrix: sparse.csr_array, factor: Array) -> sparse.csr_array:
-    """Rows of a matrix (n, k), each times its factor (n,)."""
-    diagonal = sparse.dia_array((factor[None], [0]), shape=(len(factor), len(factor)))
-    return sparse.csr_array(diagonal @ matrix)
-
-
-def table_columns(
-    rows: Rows, chain: Chain | None = None, offset: Array | None = None
-) -> sparse.csr_array:
-    """Rows per unit of squareness and of the nodes of all motions.
-
-    Parameters
-    ----------
-    rows : Rows
-    chain : Chain, optional
-        Another than the machine's.
-    offset : ndarray, shape (p, 3), m, optional
-        Other target offsets than stated.
-
-    Returns
-    -------
-    sparse array, shape (c p, k), 1 and m/rad
-    """
-    chain = chain or rows.machine.chain
-    offset = rows.offset if offset is None else offset
-    parts = [sparse.csr_array(np.stack(
-        [rows.component(squareness_influence(n, rows.q)) for n in SQUARENESS], axis=1
-    ))]  # fmt: skip
-    for axis in range(3):
-        basis = hats(rows, axis)
-        stacked = sparse.vstack([basis] * len(rows.axes), format='csr')
-        lever = levers(rows, chain, offset, axis)
-        influences = [np.broadcast_to(u, rows.q.shape) for u in UNIT]
-        influences += [np.cross(u, lever) for u in UNIT]
-        parts += [scaled_rows(stacked, rows.component(v)) for v in influences]
-    return sparse.csr_array(sparse.hstack(parts, format='csr'))
+def squareness_columns(rows: Rows) -> Array:
+    """Rows per unit of squareness, shape (c p, 3), m/rad."""
+    parts = [rows.component(squareness_influence(n, rows.q)) for n in SQUARENESS]
+    return np.stack(parts, axis=1)
 
 
 def reversal_columns(rows: Rows) -> Array:
     """Rows per unit of a constant reversal of each axis in each direction, shape (c p, 9)."""
-    vectors = (0.5 * rows.side[:, [a]] * UNIT[k] for a in range(3) for k in range(3))
-    return np.stack([rows.component(v) for v in vectors], axis=1)
+    columns = 0.5 * rows.side[:, :, None] * rows.axes[:, :, None]
+    return np.asarray(columns.reshape(-1, 9))
 
 
 def drift_columns(rows: Rows, order: int = 3) -> Array:

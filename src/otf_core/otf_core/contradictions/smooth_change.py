@@ -42,7 +42,7 @@ def sharp_share(rows: Rows, fit: Fit, run: int, time: float) -> float:
     width = step.shape[1]
     alone, _ = gain(left[:width, :width], score[:width])
     followed, _ = gain(left[width:, width:], score[width:])
-    return (both - followed) / alone
+    return float((both - followed) / alone)
 
 
 def _smooth(rows: Rows, mine: NDArray[np.bool_], pose: Array) -> list[Array]:

@@ -64,23 +64,19 @@ def step_profile(
     use = np.flatnonzero(row_block >= 0)
     place = row_block[use, None] * width + np.arange(width)
     values = columns[use] * fit.weight[use, None]
-    shape = (len(row_block), len(starts) * width)
-    spread = sparse.csr_array(
-        (values.ravel(), (np.repeat(use, width), place.ravel())), shape=shape
-    )
+    entries = values.ravel(), (place.ravel(), np.repeat(use, width))
+    blocks = sparse.csr_array(entries, shape=(len(starts) * width, len(row_block)))
 
     def after(sums: Array) -> Array:
-        return np.asarray(np.cumsum(sums[::-1], axis=0)[::-1])
+        turned = sums.reshape(len(starts), -1)[::-1]
+        np.cumsum(turned, axis=0, out=turned)
+        return sums
 
-    cross = (fit.design.T @ spread).toarray().reshape(-1, len(starts), width)
-    cross = np.cumsum(cross[:, ::-1], axis=1)[:, ::-1]
-    score = after((spread.T @ fit.residual).reshape(len(starts), width))
-    own = np.zeros((len(starts), width, width))
-    np.add.at(own, row_block[use], values[:, :, None] * columns[use][:, None, :])
-    own = after(own)
-    lower = fit.factor[0]
-    half = linalg.solve_triangular(lower, cross.reshape(len(lower), -1), lower=True)
-    half = half.reshape(len(lower), len(starts), width)
+    cross = after(fit.design.sums(blocks))
+    score = after(blocks @ fit.residual).reshape(-1, width)
+    own = after(blocks @ columns).reshape(-1, width, width)
+    half = linalg.solve_triangular(
+        fit.factor[0], cross.T, lower=True, overwrite_b=True, check_finite=False
+    ).reshape(-1, len(starts), width)
     left = own - np.einsum('amk,aml->mkl', half, half)
-    found = [gain(a, b, prior) for a, b in zip(left, score, strict=True)]
-    return Profile(starts, np.array([g for g, _ in found]), np.array([v for _, v in found]))
+    return Profile(starts, *gain(left, score, prior))
