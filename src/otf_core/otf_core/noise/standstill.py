@@ -72,9 +72,10 @@ def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_D
     for early in blocks(count):
         late = slice(early.start + 2 * half, early.stop + 2 * half)
         span = (samples.stamp_ns[late] - samples.stamp_ns[early]) * 1e-9
-        moved = np.linalg.norm(samples.xyz[late] - samples.xyz[early], axis=1)
-        still[early.start + 1 : early.stop + 1] = (moved < speed * span) & (span < 4 * half * step)
-    edges = np.flatnonzero(np.diff(still.astype(np.int8)))
+        moved = samples.xyz[late] - samples.xyz[early]
+        slow = np.einsum('ij,ij->i', moved, moved) < (speed * span) ** 2
+        still[early.start + 1 : early.stop + 1] = slow & (span < 4 * half * step)
+    edges = np.flatnonzero(still[1:] != still[:-1])
     runs = edges.reshape(-1, 2) + half
     guard = max(0, round(GUARD / step) - half)
     runs += np.array([guard, -guard])

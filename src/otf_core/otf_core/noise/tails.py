@@ -40,15 +40,19 @@ class Tails:
     beyond: float
 
 
-def _log_likelihood(square: Array, freedom: float) -> float:
-    """Largest log-likelihood over the scale, found by expectation and maximisation."""
-    scale = float(np.median(square)) or 1.0
+def _log_likelihoods(square: Array, freedom: Array) -> Array:
+    """Largest log-likelihoods over the scale, found by expectation and maximisation.
+
+    Of squares (n,) for degrees of freedom (f,), shape (f,).
+    """
+    free, scale = freedom[:, None], np.full((len(freedom), 1), float(np.median(square)) or 1.0)
     for _ in range(20):
-        scale = float(np.mean((freedom + 1) * square / (freedom + square / scale)))
+        share = square / (square + free * scale)
+        scale = (free + 1) * scale * share.mean(axis=1, keepdims=True)
+    rest = (0.5 * (free + 1) * np.log1p(square / (free * scale))).sum(axis=1)
     constant = gammaln(0.5 * (freedom + 1)) - gammaln(0.5 * freedom)
-    constant -= 0.5 * np.log(np.pi * freedom * scale)
-    rest = 0.5 * (freedom + 1) * np.log1p(square / (freedom * scale))
-    return float(square.size * constant - rest.sum())
+    constant -= 0.5 * np.log(np.pi * freedom * scale[:, 0])
+    return np.asarray(square.size * constant - rest)
 
 
 def student_likelihood(values: Array) -> tuple[Array, float]:
@@ -56,7 +60,7 @@ def student_likelihood(values: Array) -> tuple[Array, float]:
     values = values[:: max(1, values.size // MAX_VALUES)]
     square = values**2 / max(float(np.mean(values**2)), 1e-300)
     normal = -0.5 * square.size * (np.log(2 * np.pi) + 1.0)
-    return np.array([_log_likelihood(square, f) for f in FREEDOMS]), float(normal)
+    return _log_likelihoods(square, FREEDOMS), float(normal)
 
 
 def student_freedom(values: Array) -> float | None:
