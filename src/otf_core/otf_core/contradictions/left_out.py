@@ -160,11 +160,11 @@ def left_out(run: Run, kept: Run) -> LeftOut:
     index = np.concatenate([stays, lost])
     out = np.arange(len(index)) >= len(stays)
     lines, leg = Lines.of(run.shape), run.alignment.leg[index].astype(np.int64)
-    along = np.asarray(lines.along(run.pose.apply(run.samples.xyz[index]), leg))
+    along = lines.seen_from(run.pose).along(run.samples.xyz.take(index, axis=0), leg)
     whole, own = lines.total[leg], lines.start[leg] + along
     near = np.minimum(own, whole - own) < np.minimum(CORNER, OF_LEG * whole)
     cell = _cells(run.shape.corners, leg, along, lines.length[leg])
-    places = _places(lines.at(along, leg), cell, out)
+    places = _places(lines.at(along[out], leg[out]), cell[out])
     return LeftOut(
         name=run.name,
         samples=len(lost),
@@ -210,10 +210,10 @@ def _different(values: Index) -> Index:
     return np.unique(values[np.flatnonzero(np.diff(values, prepend=-1))])
 
 
-def _places(q: Array, cell: Index, out: NDArray[np.bool_]) -> tuple[tuple[float, ...], ...]:
-    """Middles of the stretches with samples left out, the fullest first."""
-    own, inverse, count = np.unique(cell[out], return_inverse=True, return_counts=True)
-    middle = np.stack([np.bincount(inverse.reshape(-1), q[out, k], len(own)) for k in range(3)])
+def _places(q: Array, cell: Index) -> tuple[tuple[float, ...], ...]:
+    """Middles of the stretches of samples that were left out, the fullest first."""
+    own, inverse, count = np.unique(cell, return_inverse=True, return_counts=True)
+    middle = np.stack([np.bincount(inverse.reshape(-1), q[:, k], len(own)) for k in range(3)])
     found = (middle / np.maximum(count, 1)).T[np.argsort(-count, kind='stable')]
     return tuple(tuple(float(round(v, 4)) for v in row) for row in found)
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import InputError, ShapeError
+from otf_core.model.frames import RigidTransform
 
 Array = NDArray[np.float64]
 
@@ -149,6 +150,11 @@ class Legs:
     def reach(self) -> Array:
         """Path length from the first corner to every corner, shape (m + 1,), m."""
         return np.concatenate([[0.0], np.cumsum(self.length)])
+
+    def seen_from(self, T_machine_tracker: RigidTransform) -> Legs:
+        """Return the same legs in the frame of a tracker: there samples are as they are."""
+        pose = T_machine_tracker
+        return Legs((self.corners - pose.translation) @ pose.rotation)
 
     def along(self, points: Array, leg: NDArray[np.int64]) -> Array:
         """Position of points (n, 3) on their legs (n,), m from the start, not clipped."""

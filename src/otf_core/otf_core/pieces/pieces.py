@@ -18,7 +18,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.memory import blocks
 from otf_core.model.observation import Samples
-from otf_core.model.path import Legs, leg_bounds, sides_of_travel
+from otf_core.model.path import leg_bounds, sides_of_travel
 from otf_core.pieces.boundaries import all_boundaries
 from otf_core.pieces.outliers import outlying
 from otf_core.pieces.windows import over_windows
@@ -199,7 +199,7 @@ def samples_on_lines(
     """
     leg = np.where(alignment.leg == OFF_PATH, 0, alignment.leg)
     pose, lines = alignment.T_machine_tracker, Lines.of(alignment.shape)
-    seen = Legs((lines.corners - pose.translation) @ pose.rotation)  # from the tracker
+    seen = lines.seen_from(pose)
     on_chord, along = np.empty((2, len(samples)))
     for part in blocks(len(samples)):
         on_chord[part] = seen.along(samples.xyz[part], leg[part])

@@ -228,10 +228,12 @@ def rigid_pose(pieces: Pieces, pose: RigidTransform, config: CalibrationConfig) 
     """
     if pieces.standstill:
         return rigid_fit(pieces.xyz, pieces.origin)
-    weight, own = pieces.count.astype(float), np.arange(len(pieces))
+    lines, weight = np.hstack([pieces.origin, pieces.direction]), pieces.count.astype(float)
+    another = np.concatenate([[True], np.any(lines[1:] != lines[:-1], axis=1)])
+    line, (origin, direction) = np.cumsum(another) - 1, np.hsplit(lines[another], 2)
     for _ in range(config.max_iterations):
         points = pose.apply(pieces.xyz)
-        step = line_step(points, pieces.origin, pieces.direction, weight, own)
+        step = line_step(points, origin, direction, weight, line)
         moved = pose.moved_by(*step)
         change = float(np.abs(moved.apply(pieces.xyz) - points).max())
         pose = moved

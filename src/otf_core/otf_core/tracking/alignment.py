@@ -311,10 +311,10 @@ def _on_arcs(found: Alignment, points: Array, least: float) -> Alignment:
 
 def _rounded(match: Match, driven: Driven, config: CalibrationConfig) -> Array:
     """Length at both ends of every leg of the driven path that is rounded, shape (m, 2), m."""
-    pose, found = match.pose, np.zeros((len(driven.shape.stretch), 2))
+    found = np.zeros((len(driven.shape.stretch), 2))
     legs = np.flatnonzero((driven.chord != OFF_PATH) & (driven.chord == driven.last))
     chord = driven.chord[legs]
-    corners = (driven.shape.corners - pose.translation) @ pose.rotation  # tracker frame
+    corners = Legs(driven.shape.corners).seen_from(match.pose).corners
     ends = np.stack([corners[chord], corners[chord + 1]], axis=1)
     rounded = rounded_ends(match.track, legs, ends, config.corner_exclusion)
     np.maximum.at(found, chord, rounded)

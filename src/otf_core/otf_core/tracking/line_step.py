@@ -62,9 +62,12 @@ def line_step(
 
 def _moments(local: Array, share: Array, line: Index, lines: int) -> tuple[Array, Array, Array]:
     """Sums over the points (3, n) of every line of 1, l and l l^T: (m,), (3, m), (3, 3, m)."""
+    passages = np.flatnonzero(np.diff(line, prepend=-1))  # points in a row on the same line
+    passed = line[passages]
 
     def of_lines(values: Array) -> Array:
-        return np.bincount(line, values, lines).astype(np.float64, copy=False)
+        sums = np.bincount(passed, np.add.reduceat(values, passages), lines)
+        return sums.astype(np.float64, copy=False)
 
     square = np.empty((3, 3, lines))
     weighted = local * share

@@ -185,11 +185,12 @@ class _Chain:
         leg, before = emission.leg, np.maximum(emission.leg - 1, 0)
         ahead = self.score - self._skipped
         running = np.minimum.accumulate(ahead)
-        skip = np.where(leg > 0, running[before] + self._skipped[before], np.inf)
-        go_on = self.score[leg] + emission.anew
-        options = np.stack([skip, go_on, entry[leg], np.full(len(leg), jump)])
-        pick = np.argmin(options, axis=0)
-        reach = options[pick, np.arange(len(leg))] + emission.cost
+        options = np.empty((4, len(leg)))
+        options[0] = np.where(leg > 0, running[before] + self._skipped[before], np.inf)
+        options[1] = self.score[leg] + emission.anew
+        options[2], options[3] = entry[leg], jump
+        pick = options.argmin(axis=0)
+        reach = options.min(axis=0) + emission.cost
         self.score += off
         better = reach < self.score[leg]
         leg, before, pick = leg[better], before[better], pick[better]
