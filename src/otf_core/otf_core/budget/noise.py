@@ -23,6 +23,7 @@ from operator import add, attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.aside import shared_out
 from otf_core.noise.model import (
     MISFIT_TIME,
     NoiseModel,
@@ -34,7 +35,6 @@ from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.solving.normal import NormalEquations, of_free, pieces_of, shares_of, white_rows
 from otf_core.solving.triangular import turned_times
-from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -45,7 +45,7 @@ LINES = 256
 
 @dataclass(frozen=True)
 class NoiseParts:
-    """Parts of A^T W S W A of all runs.
+    """Parts of A^T W S W A of all runs; zero for motions that are not solved for.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
     within, between, corners, lasting = (np.zeros((size, size)) for _ in range(4))
     for run, solved in zip(runs, done.runs, strict=True):
         shares = shares_of(solved.system, solved.whitener)
-        parts = side_by_side(partial(_summed, run, solved, solved_for), shares)
+        parts = shared_out(partial(_summed, run, solved, solved_for), shares)
         product = reduce(np.add, (sums.product for sums in parts))
         normals.append(of_free(product, done.unknowns, solved.residual.size))
         for sums in parts:

@@ -21,7 +21,6 @@ Harville, J. Am. Stat. Assoc. 72 (1977) 320 (restricted likelihood).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +43,6 @@ from otf_core.noise.model import (
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.design import Design
 from otf_core.solving.system import System
-from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -112,8 +110,7 @@ def _lines(system: System, pieces: Pieces, residual: Array, covariance: Array) -
         windows = (pieces.time[own], pieces.duration[own], pieces.count[own])
         return _Lines(system.shares[:, :, own], windows, residual[:, own], explained)
 
-    system.rows.prepare()
-    return side_by_side(of_size, np.unique(high - low).tolist())
+    return [of_size(size) for size in np.unique(high - low).tolist()]
 
 
 def _explained(rows: Design, lines: Index, covariance: Array) -> Array:
@@ -135,7 +132,7 @@ def _derivatives(noise: NoiseModel, logs: Array, lines: _Lines) -> list[Array]:
 
 def _slopes(noise: NoiseModel, logs: Array, groups: list[_Lines]) -> tuple[Array, Array]:
     """Score and information of the logarithms, prior left out."""
-    parts = side_by_side(partial(_slopes_of, noise, logs), groups)
+    parts = [_slopes_of(noise, logs, lines) for lines in groups]
     score, information = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     return score, information
 

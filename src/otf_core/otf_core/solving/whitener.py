@@ -20,7 +20,6 @@ from otf_core.noise.model import Misfit, NoiseModel
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.alike import Alike, Covariances, Moments, inverse_factor, inverse_of_lower
 from otf_core.solving.system import System
-from otf_core.threads import side_by_side
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -93,7 +92,7 @@ class Whitener:
                 raise _two_passes(pieces, own, among) from None
             return Alike(legs, own, inverse if held[k] else covariances, Moments.of(among))
 
-        found = side_by_side(alike, range(len(groups)))
+        found = map(alike, range(len(groups)))
         return cls(bounds, tuple(found), _first_passes(pieces, system.q, bounds))
 
     @classmethod

@@ -180,9 +180,15 @@ def _between(run, amplitudes, correlation_time):
 
 
 def _weighed_design(solved):
-    """W A, (rows, full)."""
-    c, p = solved.done.runs[0].system.deviation.shape
-    return _weigh(solved, solved.done.runs[0].system.design.toarray().reshape(c, p, -1))
+    """W A, (rows, full), without the motions that are not solved for."""
+    done = solved.done
+    c, p = done.runs[0].system.deviation.shape
+    weighed = _weigh(solved, done.runs[0].system.design.toarray().reshape(c, p, -1))
+    left_out = [m for m in MOTIONS if m not in done.solution.accepted]
+    assert left_out
+    for motion in left_out:
+        weighed[:, done.unknowns.blocks[motion]] = 0.0
+    return weighed
 
 
 def test_noise_across_corners_is_that_of_all_pairs_of_legs(solved):
