@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg.lapack import dtrtri, dtrtrs
 
 from otf_core.noise.model import Misfit, NoiseModel, Windows, covariance_parts, with_diagonal
 
@@ -137,3 +137,14 @@ def inverse_of_lower(lower: Array) -> Array:
     size = lower.shape[-1]
     inverses = [dtrtri(own.T)[0].T for own in lower.reshape(-1, size, size)]
     return np.stack(inverses).reshape(lower.shape)
+
+
+def covariance_times(inverse: Array, values: Array) -> Array:
+    """Covariances (..., m, m) of inverse lower factors T, T^-1 T^-T, times values (..., m, k)."""
+    size, found = inverse.shape[-1], np.empty(values.shape)
+    flat = found.reshape(-1, *values.shape[-2:])
+    pairs = zip(inverse.reshape(-1, size, size), values.reshape(flat.shape), strict=True)
+    for k, (factor, own) in enumerate(pairs):
+        half = dtrtrs(factor.T, own)[0]
+        flat[k] = dtrtrs(factor.T, half, trans=1)[0]
+    return found

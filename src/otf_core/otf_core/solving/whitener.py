@@ -18,7 +18,14 @@ from otf_core.errors import InputError
 from otf_core.model.path import leg_bounds
 from otf_core.noise.model import Misfit, NoiseModel
 from otf_core.pieces.pieces import Pieces
-from otf_core.solving.alike import Alike, Covariances, Moments, inverse_factor, inverse_of_lower
+from otf_core.solving.alike import (
+    Alike,
+    Covariances,
+    Moments,
+    covariance_times,
+    inverse_factor,
+    inverse_of_lower,
+)
 from otf_core.solving.system import System
 
 Array = NDArray[np.float64]
@@ -209,12 +216,7 @@ class Whitener:
 
     def covaried(self, values: Array) -> Array:
         """Multiply values (c, p, ...) by the covariance of the noise."""
-
-        def product(inverse: Array, own: Array) -> Array:
-            factor = inverse_of_lower(inverse)
-            return np.asarray(factor @ (np.swapaxes(factor, -1, -2) @ own))
-
-        return self._applied(product, values)
+        return self._applied(covariance_times, values)
 
 
 class _Legs(Sequence[Array]):
