@@ -54,9 +54,17 @@ def all_boundaries(
         m.
     """
     corners, ends = lines.shape.corners, np.append(first[1:], len(lines.length))
-    return [
-        piece_boundaries(corners, a, nodes, size)
-        if b == a + 1
-        else curve_boundaries(corners[a : b + 1], nodes, size)
-        for a, b in zip(first.tolist(), ends.tolist(), strict=True)
-    ]
+    known: dict[bytes, Array] = {}  # laps drive the same lines
+
+    def boundaries(a: int, b: int) -> Array:
+        driven = corners[a : b + 1]
+        key = driven.tobytes()
+        if key not in known:
+            known[key] = (
+                piece_boundaries(driven, 0, nodes, size)
+                if b == a + 1
+                else curve_boundaries(driven, nodes, size)
+            )
+        return known[key]
+
+    return [boundaries(a, b) for a, b in zip(first.tolist(), ends.tolist(), strict=True)]

@@ -239,8 +239,7 @@ def measured_track(samples: Samples, tolerance: float) -> Track:
         If the target hardly moved.
     """
     stride = max(1, round(STRIDE_TIME / max(samples.step, 1e-9))) if len(samples) > 2 else 1
-    index = np.arange(0, len(samples), stride)
-    points = samples.xyz[index].copy()
+    index, points = np.arange(0, len(samples), stride), samples.xyz[::stride].copy()
     if len(points) > 2:
         points[1:-1] = _middle_of_three(points)
     kept = _hop_selection(points) if len(points) else index
