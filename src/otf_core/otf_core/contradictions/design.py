@@ -118,13 +118,19 @@ class Design:
     @cached_property
     def tables(self) -> sparse.csr_array:
         """Columns of the tables, shape (r, n)."""
-        starts = np.cumsum([0, *(6 * a.nodes for a in self.axes)])
-        places = [a.columns + start for a, start in zip(self.axes, starts[:-1], strict=True)]
-        columns = np.concatenate([p.reshape(-1, p.shape[2]) for p in places])
-        values = [a.influence[:, :, None] * a.hat for a in self.axes]
-        joined = np.concatenate([v.reshape(len(v), -1, v.shape[3]) for v in values], axis=1)
-        across = np.concatenate(list(joined), axis=1)
-        return _of_rows(np.tile(columns, len(joined)), across, starts[-1])
+        across, _, pieces = self.axes[0].influence.shape
+        size = sum(6 * len(a.hat) for a in self.axes)
+        values, places = np.empty((across, pieces, size)), np.empty((pieces, size), dtype=np.int32)
+        start = at = 0
+        for axis in self.axes:
+            own = slice(at, at := at + 6 * len(axis.hat))
+            hats = (axis.influence[:, :, None] * axis.hat).reshape(across, -1, pieces)
+            values[:, :, own] = np.swapaxes(hats, 1, 2)
+            places[:, own] = (start + axis.columns).reshape(-1, pieces).T
+            start += 6 * axis.nodes
+        rows = np.arange(0, values.size + 1, size)
+        entries = values.ravel(), np.tile(places, (across, 1)).ravel(), rows
+        return sparse.csr_array(entries, shape=(across * pieces, start))
 
     def times(self, value: Array) -> Array:
         """Rows of what the columns give, shape (r,), for values (k + n,)."""
