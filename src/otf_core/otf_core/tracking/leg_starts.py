@@ -44,29 +44,25 @@ def leg_starts(
         Of every sample, ``OFF_PATH`` where there is none.
     lines : Lines
     """
-    found = np.full(len(lines.length), np.nan)
+    found, seen = np.full(len(lines.length), np.nan), lines.seen_from(pose)
     first = np.flatnonzero((np.diff(leg, prepend=OFF_PATH) != 0) & (leg != OFF_PATH))
     last = np.append(first[1:], len(leg))
     for low, high in zip(first.tolist(), last.tolist(), strict=True):
         number = int(leg[low])
-        moves = np.flatnonzero(_gone(samples.part(low, high), pose, number, lines) > BEGUN)
+        corner, unit = seen.corners[number], seen.unit[number]
+        moves = np.flatnonzero((samples.xyz[low:high] - corner) @ unit > BEGUN)
         if len(moves):
-            found[number] = _start(samples, pose, number, lines, low + int(moves[0]))
+            found[number] = _start(samples, corner, unit, low + int(moves[0]))
     return found
 
 
-def _gone(samples: Samples, pose: RigidTransform, number: int, lines: Lines) -> Array:
-    """How far along a leg samples lie, m."""
-    return np.asarray(lines.along(pose.apply(samples.xyz), np.full(len(samples), number)))
-
-
-def _start(samples: Samples, pose: RigidTransform, number: int, lines: Lines, seen: int) -> float:
-    """When a leg began, seen to move from a sample on."""
+def _start(samples: Samples, corner: Array, unit: Array, seen: int) -> float:
+    """When a leg in the frame of the tracker began, seen to move from a sample on."""
     stamp = samples.stamp_ns
     low, high = stamp[seen] - round(1e9 * STILL[0]), stamp[seen] + round(1e9 * AFTER)
     a, b = np.searchsorted(stamp, [low, high]).tolist()
     at = (stamp[a:b] - stamp[0]) * 1e-9
-    gone = _gone(samples.part(a, b), pose, number, lines)
+    gone = (samples.xyz[a:b] - corner) @ unit
     stands = at < at[seen - a] - STILL[1]
     if stands.sum() < 2 or np.ptp(gone[stands]) > STOOD:
         return np.nan
@@ -75,5 +71,7 @@ def _start(samples: Samples, pose: RigidTransform, number: int, lines: Lines, se
     use &= np.cumsum(~use & ~stands & (way > LONG)) == 0
     if use.sum() < 2:
         return np.nan
-    slope, offset = np.polyfit(at[use], np.sqrt(way[use]), 1)
-    return float(-offset / slope) if slope > 0.0 else np.nan
+    time, root = at[use] - at[seen - a], np.sqrt(way[use])
+    late = time - time.mean()
+    slope = float(late @ root) / float(late @ late)
+    return float(at[seen - a] + time.mean() - root.mean() / slope) if slope > 0.0 else np.nan
