@@ -2,6 +2,7 @@
 """Where a run begins and ends, whatever order samples and status arrive in."""
 
 import time
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
@@ -68,6 +69,24 @@ def test_samples_on_their_way_are_waited_for_when_a_calibration_is_asked_for(col
     assert not collector.on_the_way(1.1 * LATE, 0.03)
     add(collector, 10, start=90)
     assert not collector.on_the_way(0.04, 0.03)
+
+
+@pytest.mark.parametrize('seconds', [0.2, 0.3])
+def test_standstill_at_the_end_ends_a_run_whether_or_not_the_target_has_moved_on(seconds):
+    config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
+    session, verdict, now = Session(lambda: config, print), Future(), time.monotonic()
+    session.worker.follow = lambda look, samples: verdict
+    session.collector.set_path(PATH)
+    add(session.collector, 101, now=now)
+    for k in range(101, 201 + round(500 * seconds)):
+        session.collector.add(k * 2_000_000, 0.1, 1e-3 * min(k - 100, 100), 0.0, now)
+        assert not session.complete()
+    session.collector.add((k + 1) * 2_000_000, 0.09, 0.1, 0.0, now)
+    assert not session.complete()  # nobody knows yet where that was
+    verdict.set_result(True)
+    ended = session.complete()
+    assert ended == ('standstill at the end point' if seconds > 0.25 else '')
+    assert not session.complete()
 
 
 def test_calibration_that_is_asked_for_has_the_last_samples():

@@ -23,7 +23,6 @@ from otf_core.bags.screening import Screening
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
-from otf_core.tracking.alignment import Followed
 from otf_core.tracking.path_watch import PathWatcher
 
 SILENT = 0.5
@@ -102,6 +101,8 @@ class Collector:
         Of the samples, as far as the graph knows.
     missed : int
         Samples of the run that the transport lost by its own count.
+    watcher : PathWatcher or None
+        Of the samples so far; None without a path.
     """
 
     def __init__(
@@ -119,7 +120,7 @@ class Collector:
         self.publishers = 1
         self.missed = 0
         self._lap_taken = False
-        self._watcher: PathWatcher | None = None
+        self.watcher: PathWatcher | None = None
         self._stream = Stream()
         self._lost_before = 0
         self._left: dict[str, int] = {}
@@ -133,7 +134,7 @@ class Collector:
     @property
     def travelled(self) -> float:
         """Length travelled in this run, m; 0 without a path."""
-        return self._watcher.travelled if self._watcher else 0.0
+        return self.watcher.travelled if self.watcher else 0.0
 
     @property
     def lost(self) -> int:
@@ -291,13 +292,10 @@ class Collector:
 
     def end_to_judge(self) -> Samples | None:
         """Return all samples if they should be looked at now, once a standstill."""
-        if self.taken or not self._watcher or not self._watcher.worth_judging():
+        if self.taken or not self.watcher or not self.watcher.worth_judging:
             return None
+        self.watcher.judge()
         return self.buffer.snapshot()
-
-    def look(self, samples: Samples) -> Followed | None:
-        """Tell how the samples follow the path, see ``PathWatcher``; may take a second."""
-        return self._watcher.look(samples) if self._watcher else None
 
     def complete(self, now: float, at_stream_end: bool, idle_timeout: float) -> str:
         """Say why the run is complete; empty if it is not."""
@@ -325,8 +323,8 @@ class Collector:
         if self.taken:
             return
         self.buffer.append(stamp_ns, x, y, z)
-        if self._watcher:
-            self._watcher.add(stamp_ns, x, y, z)
+        if self.watcher:
+            self.watcher.add(stamp_ns, x, y, z)
 
     def _off(self, stamps_ns: list[int], newest_ns: int) -> None:
         if not self.taken:
@@ -387,12 +385,12 @@ class Collector:
     def _watch(self) -> None:
         self.run += 1
         self._lap_taken = False
-        self._watcher = PathWatcher(self.path, self._config()) if self.path else None
+        self.watcher = PathWatcher(self.path, self._config()) if self.path else None
         samples = self.buffer.snapshot()
-        if self._watcher:
+        if self.watcher:
             rows = zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True)
             for stamp_ns, (x, y, z) in rows:
-                self._watcher.add(stamp_ns, x, y, z)
+                self.watcher.add(stamp_ns, x, y, z)
 
 
 def _same(a: NominalPath, b: NominalPath) -> bool:

@@ -42,6 +42,7 @@ from otf_core.tracking.alignment import Followed
 Writer = Callable[[Path], object]
 A = TypeVar('A')
 Look = Callable[[Samples], Followed | None]
+Wake = Callable[[], None]
 
 BAG = 'samples'
 """Name of the bag beside the results, and so of the run in them."""
@@ -90,6 +91,8 @@ class Worker:
     ----------
     warn : callable
         Takes a message about what went wrong after a calibration was done.
+    wake : callable, optional
+        Called, by another thread, as soon as something that was started has come to its end.
 
     Attributes
     ----------
@@ -97,8 +100,8 @@ class Worker:
         Progress as the core reports it.
     """
 
-    def __init__(self, warn: Callable[[str], None]) -> None:
-        self._warn = warn
+    def __init__(self, warn: Callable[[str], None], wake: Wake = lambda: None) -> None:
+        self._warn, self._wake = warn, wake
         self._pool = ThreadPoolExecutor(1, 'calibration')
         self._stop, self._ahead = threading.Event(), threading.Event()
         self._cancelled = threading.Event()
@@ -111,7 +114,7 @@ class Worker:
         self.stage, self.fraction = 'aligning', 0.0
         self._ahead.set()
         self._cancelled.clear()
-        return self._pool.submit(self._calibrate, request)
+        return self._begin(self._calibrate, request)
 
     def cancel(self) -> None:
         """End the calibration under way at its next step."""
@@ -121,12 +124,12 @@ class Worker:
         """Calibrate what has been driven so far, until a calibration is started."""
         self._ahead.clear()
         self._solver.warm_up()
-        return self._pool.submit(self._provisional, request)
+        return self._begin(self._provisional, request)
 
     def save(self, outcome: Calibrated) -> Future[Calibrated]:
         """Add path and samples as a bag, and the report, to the results as far as wanted."""
         self.stage, self.fraction = 'saving samples and report', 0.0
-        return self._pool.submit(self._save, outcome)
+        return self._begin(self._save, outcome)
 
     def _save(self, outcome: Calibrated) -> Calibrated:
         files, folder = outcome.request.files, outcome.folder
@@ -149,19 +152,25 @@ class Worker:
                 self._warn(problems[-1])
         return replace(outcome, problem='; '.join(problems))
 
-    def follow(self, look: Look, samples: Samples) -> Future[Followed | None]:
-        """Find out how samples follow the path; the next calibration begins with that."""
+    def follow(self, look: Look, samples: Samples) -> Future[bool]:
+        """Find out whether samples follow the path to its end; a calibration begins with that."""
 
-        def looked() -> Followed | None:
+        def looked() -> bool:
             self._seen = look(samples)
-            return self._seen
+            return self._seen is not None and self._seen.to_the_end
 
-        return self._pool.submit(looked)
+        return self._begin(looked)
 
     def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
         self._solver.warm_up()
-        return self._pool.submit(question, samples)
+        return self._begin(question, samples)
+
+    def _begin(self, work: Callable[..., A], *given: object) -> Future[A]:
+        """Start work in the thread."""
+        job = self._pool.submit(work, *given)
+        job.add_done_callback(lambda _: self._wake())
+        return job
 
     def close(self) -> None:
         """Stop a calibration under way, but finish writing the bag of one that is done."""

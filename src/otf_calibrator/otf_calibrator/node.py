@@ -32,7 +32,7 @@ from otf_ros.timers import create_timer
 from otf_ros.topic_watch import TopicWatch
 
 PERIOD = 0.1
-"""s; how often the run and a calibration under way are looked at."""
+"""s; how often the run and a calibration under way are looked at if nothing happens to them."""
 POINT, PATH, STATUS = 'tracker/point', 'planner/path', 'tracker/status'
 READ = {POINT: qos.MEASUREMENT, PATH: qos.PATH, STATUS: qos.STATUS}
 
@@ -51,10 +51,10 @@ class Calibrator(Node):
         super().__init__('calibrator')
         groups = CalibratorConfig, CalibrationConfig
         self._settings = NodeParameters(self, *groups, read_only=['journal_directory'])
-        files, _ = self._read_settings()
-        check_files(files)
+        check_files(files := self._read_settings()[0])
         self._settings.check_also(CalibratorConfig, check_files)
-        self._session = Session(self._read_settings, self.get_logger().warning)
+        wake = self.create_guard_condition(self._tick).trigger
+        self._session = Session(self._read_settings, self.get_logger().warning, wake)
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
@@ -92,7 +92,8 @@ class Calibrator(Node):
         self._session.intake.status(status_of(message), serialize_message(message))
 
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
-        self._session.intake.samples(Batch(convert.points_from_messages(messages), numbers))
+        if self._session.take(Batch(convert.points_from_messages(messages), numbers)):
+            self._tick()
 
     def _tick(self) -> None:
         self._watch.look()

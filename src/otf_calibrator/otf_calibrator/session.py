@@ -15,13 +15,12 @@ from functools import partial
 from otf_calibrator.collector import Collector
 from otf_calibrator.diagnosis_job import Answer, DiagnosisJob
 from otf_calibrator.glances import Glances
-from otf_calibrator.intake import Intake
-from otf_calibrator.job import Calibrated, Request, Worker
+from otf_calibrator.intake import Batch, Intake
+from otf_calibrator.job import Calibrated, Request, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
 from otf_core.calibration.first_sight import FirstSight, first_sight
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
-from otf_core.tracking.alignment import Followed
 
 Ahead = CalibrationResult | FirstSight
 LAST_SAMPLES = 'waiting for the last samples'
@@ -38,6 +37,8 @@ class Session:
         Returns the present parameters.
     warn : callable
         Takes messages for the user.
+    wake : callable, optional
+        Called, by another thread, as soon as there is something to look at.
 
     Attributes
     ----------
@@ -48,16 +49,18 @@ class Session:
         The diagnosis under way.
     """
 
-    def __init__(self, settings: Settings, warn: Callable[[str], None]) -> None:
+    def __init__(
+        self, settings: Settings, warn: Callable[[str], None], wake: Wake = lambda: None
+    ) -> None:
         self._settings = settings
         self.collector = Collector(lambda: settings()[1], lambda why: self.intake.set_aside(why))
         self.intake = Intake(self.collector, warn)
-        self.worker = Worker(warn)
+        self.worker = Worker(warn, wake)
         self._job: Future[Calibrated] | None = None
         self._saving: Future[Calibrated] | None = None
         self._ahead: Future[Ahead] | None = None
         self._glances = Glances()
-        self._verdict: Future[Followed | None] | None = None
+        self._verdict: Future[bool] | None = None
         self._judged_run = 0
         self.diagnosis: DiagnosisJob | None = None
         self._last: Calibrated | None = None
@@ -85,6 +88,14 @@ class Session:
     @property
     def _present(self) -> tuple[int, int]:
         return self.collector.run, len(self.collector.buffer)
+
+    def take(self, batch: Batch) -> bool:
+        """Take samples; tell whether they may have ended the run, or show that it may end."""
+        self.intake.samples(batch)
+        collector, watcher = self.collector, self.collector.watcher
+        if watcher is None or collector.taken:
+            return False
+        return watcher.worth_judging or (self._verdict is not None and watcher.stood)
 
     def calibrate(self) -> tuple[bool, str]:
         """Calibrate the samples so far; tell whether that has started, or what to do first.
@@ -252,17 +263,28 @@ class Session:
         """Say why the run is complete and can be calibrated; empty if it is not."""
         if self.busy or self.answered or self.collector.undecided(time.monotonic()):
             return ''
-        files = self._settings()[0]
-        if self._verdict and self._verdict.done():
-            seen = None if self._verdict.exception() else self._verdict.result()
-            self._verdict = None
-            same = not self.collector.taken and self._judged_run == self.collector.run
-            if same and seen is not None and seen.to_the_end:
-                return 'standstill at the end point'
+        files, collector = self._settings()[0], self.collector
+        if self._at_the_end():
+            return 'standstill at the end point'
         if files.finish_at_standstill and not self._verdict:
-            samples = self.collector.end_to_judge()
-            if samples is not None:
-                self._verdict = self.worker.follow(self.collector.look, samples)
-                self._judged_run = self.collector.run
+            samples = collector.end_to_judge()
+            if samples is not None and collector.watcher is not None:
+                self._verdict = self.worker.follow(collector.watcher.look, samples)
+                self._judged_run = collector.run
         now = time.monotonic()
-        return self.collector.complete(now, files.finish_at_stream_end, files.idle_timeout)
+        return collector.complete(now, files.finish_at_stream_end, files.idle_timeout)
+
+    def _at_the_end(self) -> bool:
+        """Tell whether the target has stood at the end point for long enough, once."""
+        if not self._verdict or not self._verdict.done():
+            return False
+        collector, watcher = self.collector, self.collector.watcher
+        same = not collector.taken and self._judged_run == collector.run
+        end = same and not self._verdict.exception() and self._verdict.result()
+        if not end or watcher is None:
+            self._verdict = None
+            return False
+        if watcher.judged and not watcher.stood:
+            return False  # it may move on
+        self._verdict = None
+        return watcher.stood

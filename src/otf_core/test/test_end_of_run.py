@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from core_cells import record, small_plan, some_machine
 
 from otf_core.config import CalibrationConfig
@@ -42,28 +43,45 @@ def test_what_was_seen_of_a_run_before_its_last_samples_changes_nothing():
     assert again is not seen and not again.to_the_end
 
 
-def looked_at(samples):
-    """Standstills, s, after which a watcher of the run wants its samples looked at."""
-    watcher, asked = PathWatcher(RECORDING.path, CONFIG), []
+def watched(samples):
+    """Standstills, s, in which a watcher of the run wants it looked at, and ends it."""
+    watcher, asked, ended = PathWatcher(RECORDING.path, CONFIG), [], []
     for stamp, point in zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True):
         watcher.add(stamp, *point)
-        if watcher.worth_judging():
+        if watcher.worth_judging:
             asked.append(watcher.standstill)
-    return asked
+            watcher.judge()
+        if watcher.stood and len(ended) < len(asked):
+            ended.append(watcher.standstill)
+    return asked, ended
 
 
-def test_standstill_after_the_whole_path_is_looked_at_soon_and_once():
-    *_, last = asked = looked_at(standing(RECORDING.measured(seed=3), 1.5))
-    assert 0.4 <= last < 0.5 and len(asked) == 1
+def test_standstill_after_the_whole_path_is_looked_at_soon_and_ends_a_run_soon():
+    asked, ended = watched(standing(RECORDING.measured(seed=3), 1.5))
+    assert len(asked) == len(ended) == 1
+    assert 0.15 <= asked[0] < 0.2 and 0.25 <= ended[0] < 0.35
 
 
 def test_standstill_on_the_way_is_looked_at_later():
     samples = RECORDING.measured(seed=3)
     way = np.linalg.norm(np.diff(samples.xyz, axis=0), axis=1).cumsum()
     early = samples.part(0, int(np.searchsorted(way, 0.8 * RECORDING.path.length)))
-    assert looked_at(early) == []
-    asked = looked_at(standing(early, 1.5))
-    assert len(asked) == 1 and asked[0] >= 1.0
+    assert watched(early) == ([], [])
+    asked, ended = watched(standing(early, 1.5))
+    assert len(asked) == len(ended) == 1 and asked[0] == ended[0] >= 1.0
+
+
+@pytest.mark.parametrize('seconds', [0.2, 0.3])
+def test_who_moves_on_has_stood_if_it_was_for_long_enough(seconds):
+    samples, watcher = RECORDING.measured(seed=3), PathWatcher(RECORDING.path, CONFIG)
+    rows = zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True)
+    while watcher.travelled < 0.99 * RECORDING.path.length or watcher.standstill < seconds:
+        stamp, (x, y, z) = next(rows)
+        watcher.add(stamp, x, y, z)
+    assert watcher.worth_judging
+    watcher.judge()
+    watcher.add(stamp + int(samples.step_ns), x + 0.01, y, z)
+    assert not watcher.judged and watcher.stood == (seconds > 0.25)
 
 
 def test_samples_out_of_order_are_looked_at_by_stamp_and_no_travel_to_and_fro():

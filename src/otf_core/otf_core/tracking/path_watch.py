@@ -14,8 +14,10 @@ END_STANDSTILL = 1.0
 """s; a standstill so long is looked at: it ends the run if it is at the end point."""
 MIN_TRAVEL = 0.5
 """Share of the path length before which no end is looked for (gaps shorten the travel)."""
-SOON, NEARLY = 0.4, 0.98
-"""s; after nearly the whole path a standstill is looked at so soon: most likely it is the end."""
+NEARLY, SOON = 0.98, 0.25
+"""After nearly the whole path so short a standstill, s, ends the run, if at the end point."""
+AHEAD = 0.15
+"""s; such a standstill is looked at so soon, to know by then; corners take less."""
 
 STRAY, AT_ONCE_NS = 0.05, 50_000_000
 """m, ns; no target travels so far at once: a stray point, or the way back from one."""
@@ -32,6 +34,13 @@ class PathWatcher:
     ----------
     path : NominalPath
     config : CalibrationConfig
+
+    Attributes
+    ----------
+    travelled : float
+        m
+    judged : bool
+        The target stands, and the samples were looked at in this standstill.
     """
 
     def __init__(self, path: NominalPath, config: CalibrationConfig) -> None:
@@ -40,7 +49,7 @@ class PathWatcher:
         self._last: tuple[float, float, float] | None = None
         self._still_since_ns: int | None = None
         self._newest_ns = 0
-        self._judged = False
+        self.judged = self._stood = False
 
     def add(self, stamp_ns: int, x: float, y: float, z: float) -> None:
         """Take one sample: stamp in ns, tracker frame, m."""
@@ -54,11 +63,12 @@ class PathWatcher:
                     self._still_since_ns = stamp_ns
                 self._newest_ns = stamp_ns
                 return
+            self._stood = self.stood
             stray = square > STRAY * STRAY and stamp_ns - self._newest_ns < AT_ONCE_NS
             self.travelled += 0.0 if stray else square**0.5
         self._last = (x, y, z)
         self._still_since_ns = self._newest_ns = stamp_ns
-        self._judged = False
+        self.judged = False
 
     @property
     def standstill(self) -> float:
@@ -67,14 +77,28 @@ class PathWatcher:
             return 0.0
         return (self._newest_ns - self._still_since_ns) * 1e-9
 
+    @property
     def worth_judging(self) -> bool:
-        """Tell, once per standstill, that the samples should be looked at."""
-        share = self.travelled / self._path.length
-        ready = self.standstill >= (SOON if share >= NEARLY else END_STANDSTILL)
-        if not ready or share < MIN_TRAVEL or self._judged:
-            return False
-        self._judged = True
-        return True
+        """True if the samples should be looked at, which is so until ``judge`` is called."""
+        enough = self._share >= MIN_TRAVEL and self.standstill >= self._long(AHEAD)
+        return enough and not self.judged
+
+    def judge(self) -> None:
+        """Take note that the samples are looked at; once a standstill is enough."""
+        self.judged, self._stood = True, False
+
+    @property
+    def stood(self) -> bool:
+        """True if the standstill that was looked at last is, or was, long enough to end a run."""
+        return self._stood or (self.judged and self.standstill >= self._long(SOON))
+
+    @property
+    def _share(self) -> float:
+        return self.travelled / self._path.length
+
+    def _long(self, at_the_end: float) -> float:
+        """Standstill, s, that counts here."""
+        return at_the_end if self._share >= NEARLY else END_STANDSTILL
 
     def look(self, samples: Samples) -> Followed | None:
         """Tell how the samples follow the path, and whether to its end; None if they do not.
