@@ -20,6 +20,7 @@ from otf_calibrator.diagnosis_task import Failure, Task
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.errors import OtfError
 from otf_core.live.stages import DIAGNOSE, of_whole
+from otf_core.memory import seldom_look_for_cycles
 from otf_core.reports.diagnosis import BESIDE_TABLES, diagnosis_to_dict, write_diagnosis
 from otf_core.sim.twin import twin_recording
 
@@ -53,6 +54,7 @@ def perform(task: Task, progress: Callable[[str, float], None]) -> dict[str, Any
 
 def main() -> int:
     """Diagnose the run on standard input; the descriptor of the pipe is the only argument."""
+    seldom_look_for_cycles()
     answer = Connection(int(sys.argv[1]), readable=False)
     task: Task = pickle.load(sys.stdin.buffer)
     try:

@@ -7,6 +7,7 @@ are looked for and taken off, the run is compared with its twin, and is given th
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -15,7 +16,7 @@ from otf_calibrator.solver_task import Solved, Task
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.diagnosis.calibrate_with_effects import NONE, calibrate_with_effects
 from otf_core.errors import OtfError
-from otf_core.memory import give_back
+from otf_core.memory import give_back, seldom_look_for_cycles
 from otf_core.pieces.methods import PREPARATIONS
 from otf_core.sim.twin import twin_recording
 
@@ -32,6 +33,7 @@ def perform(task: Task, progress: Callable[[str, float], None]) -> Solved:
 
 def main() -> int:
     """Perform tasks until the node is gone; the descriptor of the pipe is the only argument."""
+    seldom_look_for_cycles()
     node = Connection(int(sys.argv[1]))
     answer: Solved | OtfError
     try:
@@ -43,6 +45,7 @@ def main() -> int:
                 answer = error
             node.send(answer)
             del task, answer  # the next one may be hours away
+            gc.collect()
             give_back()
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return 0

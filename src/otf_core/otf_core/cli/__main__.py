@@ -10,8 +10,7 @@ import sys
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-GARBAGE = 1_000_000
-"""Objects after which cycles are looked for: more than the start of the longest command makes."""
+from otf_core.memory import seldom_look_for_cycles
 
 
 class _Terminated(BaseException):
@@ -25,7 +24,7 @@ def _terminate(*_: Any) -> None:
 def run() -> NoReturn:
     """Run the verb of the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _terminate)
-    gc.set_threshold(GARBAGE)
+    seldom_look_for_cycles()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors='replace')  # a console that cannot show a letter
