@@ -3,7 +3,9 @@
 
 On busy machines several threads make a calibration ten times slower, and their number changes the
 last bits. threadpoolctl has no rosdep key; without it the number of threads stays as it is, and
-OPENBLAS_NUM_THREADS=1 in the environment does the same.
+OPENBLAS_NUM_THREADS=1 in the environment does the same. Processes of our own set that before NumPy
+is loaded: threads that its library begins then look for work in loops, which takes a third of the
+processor time of a start.
 """
 
 from __future__ import annotations

@@ -33,6 +33,8 @@ def main(module: str, interrupted: int = 0) -> int:
     numbers = (signal.SIGINT, signal.SIGTERM)
     for number in numbers:
         signal.signal(number, leave)
+    # read when NumPy is loaded, here and in processes begun here; see otf_core.threads
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     code = int(import_module(module).main())
     for number in numbers:  # Python would go back to the default while it ends
         signal.signal(number, signal.SIG_IGN)

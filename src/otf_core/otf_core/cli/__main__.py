@@ -25,6 +25,8 @@ def run() -> NoReturn:
     """Run the verb of the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _terminate)
     seldom_look_for_cycles()
+    # read when NumPy is loaded; idle threads of its library take processor time (otf_core.threads)
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors='replace')  # a console that cannot show a letter
