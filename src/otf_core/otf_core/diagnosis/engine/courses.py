@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -124,7 +125,22 @@ class Courses:
         right = self.right.reshape(-1)
         return 0.5 * float(right @ np.linalg.solve(whole, right)) / self.variance
 
-    def evidence(self, values: Array, sets: Index, signs: Array | None = None) -> Array:
+    def evidence_of_each(self, values: Array) -> Array:
+        """Evidence of courses (n, m) at the nodes, each alone, shape (m,)."""
+        first, second = np.triu_indices(len(self.right))
+        normal = np.empty((values.shape[1], len(self.right), len(self.right)))
+        own = np.sum((self._once @ values) * values, axis=1).T
+        normal[:, first, second] = normal[:, second, first] = own
+        square = np.sum(values**2, axis=0) / NODES
+        return self._evidence(normal, (self.right @ values).T, square[:, None])
+
+    @cached_property
+    def _once(self) -> Array:
+        """Products of every two terms of the way to act, each once, shape (l, n, n)."""
+        first, second = np.triu_indices(len(self.right))
+        return np.ascontiguousarray(self.normal[first, :, second])
+
+    def evidence(self, values: Array, sets: Index) -> Array:
         """Evidence of sets of courses, each together.
 
         Parameters
@@ -133,34 +149,30 @@ class Courses:
             Courses at the nodes.
         sets : ndarray of int, shape (m, c)
             Which of them belong together.
-        signs : ndarray, shape (c,), optional
-            Of their sum, where they are one course.
 
         Returns
         -------
         ndarray, shape (m,)
         """
         turned = np.tensordot(values, np.tensordot(self.normal, values, axes=(3, 0)), axes=(0, 1))
-        pairs = sets[:, :, None], sets[:, None, :]
-        normal = turned.transpose(0, 3, 1, 2)[pairs]
-        right = (self.right @ values).T[sets]
-        square = (values.T @ values / NODES)[pairs]
-        if signs is not None:
-            both = np.outer(signs, signs)
-            normal = np.einsum('cd,mcdab->mab', both, normal)[:, None, None]
-            right = np.einsum('c,mca->ma', signs, right)[:, None]
-            square = np.einsum('cd,mcd->m', both, square)[:, None, None]
-        length = np.sqrt(np.diagonal(square, axis1=1, axis2=2))
-        scale = 1.0 / np.maximum(length[:, :, None] * self.size, 1e-300)
-        count = scale[0].size
-        flat = scale.reshape(-1, count)
+        normal = turned.transpose(0, 3, 1, 2)[sets[:, :, None], sets[:, None, :]]
+        count = sets.shape[1] * len(self.right)
         whole = np.moveaxis(normal, 3, 2).reshape(-1, count, count)
-        unit = whole * flat[:, :, None] * flat[:, None, :] / self.variance
-        pull = (right * scale).reshape(-1, count) / self.variance
-        found = []
-        for spread in SPREADS:
-            factor = np.linalg.cholesky(spread**2 * unit + np.eye(count))
-            half = np.linalg.solve(factor, spread * pull[:, :, None])[:, :, 0]
-            volume = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-            found.append(0.5 * np.sum(half**2, axis=1) - volume)
+        right = (self.right @ values).T[sets].reshape(-1, count)
+        return self._evidence(whole, right, (np.sum(values**2, axis=0) / NODES)[sets])
+
+    def _evidence(self, normal: Array, right: Array, square: Array) -> Array:
+        """Evidence by products (m, c k, c k) and (m, c k); ``square`` (m, c): means over time."""
+        scale = 1.0 / np.maximum(np.sqrt(square)[:, :, None] * self.size, 1e-300)
+        scale = scale.reshape(right.shape)
+        unit = normal * scale[:, :, None] * scale[:, None, :] / self.variance
+        spread = np.array(SPREADS)[:, None, None]
+        pull = spread * (right * scale / self.variance)
+        # with the pull as its last row, a factor holds the half-solved system in its own
+        whole = np.zeros((*pull.shape[:2], unit.shape[1] + 1, unit.shape[1] + 1))
+        whole[..., :-1, :-1] = spread[..., None] ** 2 * unit + np.eye(unit.shape[1])
+        whole[..., -1, :-1], whole[..., -1, -1] = pull, 1.0 + np.sum(pull**2, axis=2)
+        factor = np.linalg.cholesky(whole)
+        volume = np.log(np.diagonal(factor, axis1=2, axis2=3)[..., :-1]).sum(axis=2)
+        found = 0.5 * np.sum(factor[..., -1, :-1] ** 2, axis=2) - volume
         return np.asarray(np.logaddexp.reduce(found, axis=0) - np.log(len(SPREADS)))

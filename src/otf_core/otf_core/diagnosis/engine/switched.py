@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,8 @@ MADE = 2
 COARSE, FINE = range(2), range(2, 7)
 """Halvings of the steps by which moments and lag are improved: while switches are added, and of
 the best sets."""
+STEPS = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
+"""By which a moment is moved."""
 WORTH = 9.0
 """Evidence of some function of time from which switches are looked for."""
 BEHIND, HOPELESS = 0.9, 30.0
@@ -175,51 +177,70 @@ def likeliest(
     Their evidence, they themselves, and the price of having looked, which is taken off.
     """
     end = float(courses.time[-1])
-    lags = (0.0,) if jumps else tuple(end * share for share in LAGS)
+    lags = np.zeros(1) if jumps else end * np.array(LAGS)
     grid = np.linspace(0.0, end, MOMENTS + 1)[int(jumps) : -1].tolist()
-    found: list[tuple[float, Moments, float]] = []
+    found: list[tuple[float, Array]] = []
     kept: list[Moments] = [()]
     for _ in range(SWITCHES if alike else UNLIKE):
-        tried = {tuple(sorted((*known, m))) for known in kept for m in grid}
-        by_lag = [[(m, lag) for m in sorted(tried) if _apart(m, lag, end)] for lag in lags]
-        if not any(by_lag):
+        moments = np.array(sorted({tuple(sorted((*known, m))) for known in kept for m in grid}))
+        moments = moments[_apart(moments, end, jumps=jumps)]
+        if not len(moments):
             break
-        sets = [one for own in by_lag for one in own]
-        scores = np.concatenate([judged(courses, own, alike=alike) for own in by_lag if own])
-        order = np.argsort(scores)[::-1]
-        kept = list(dict.fromkeys(sets[k][0] for k in order[: BEAM * len(lags)]))[:BEAM]
-        score, moments, lag = _improved(courses, sets[order[0]], COARSE, alike=alike)
-        kept = [moments, *kept]
-        found.append((score - _price(moments, jumps), moments, lag))
-    best = []
-    for _, moments, lag in sorted(found, key=lambda one: -one[0])[:MADE]:
-        score, moments, lag = _improved(courses, (moments, lag), FINE, alike=alike)
-        if moments[0] < AT_ONCE * end and not jumps:
-            moments = (0.0, *moments[1:])
-        # one switch at the start is the formula of a drift; one alone is alike each time
-        if moments != (0.0,) and (alike or len(moments) > 1):
-            price = _price(moments, jumps)
-            best.append((score - price, Switching(lag, moments), price))
-    return best
+        by_lag = [_with_lag(moments, lag) for lag in lags]
+        scores = np.concatenate([judged(courses, sets, alike=alike) for sets in by_lag])
+        order, sets = np.argsort(scores)[::-1], np.concatenate(by_lag)
+        best = [tuple(sets[k, :-1].tolist()) for k in order[: BEAM * len(lags)]]
+        score, likely = _improved(courses, sets[order[0]], COARSE, alike=alike)
+        kept = [tuple(likely[:-1].tolist()), *list(dict.fromkeys(best))[:BEAM]]
+        found.append((score - _price(likely[:-1], jumps), likely))
+    found.sort(key=lambda one: -one[0])
+    made = (_improved(courses, own, FINE, alike=alike) for _, own in found[:MADE])
+    return [
+        (score - price, switching, price)
+        for score, own in made
+        for switching, price in _as_switching(own, end, alike=alike)
+    ]
 
 
-def judged(courses: Courses, sets: Sequence[tuple[Moments, float]], *, alike: bool) -> Array:
-    """Evidence of what switches at equally many moments and is followed with a lag.
+def _as_switching(own: Array, end: float, *, alike: bool) -> Iterator[tuple[Switching, float]]:
+    """What switches at moments with a lag (c + 1,), and its price; not what is something else."""
+    *moments, lag = own.tolist()
+    if moments[0] < AT_ONCE * end and lag:
+        moments[0] = 0.0
+    # one switch at the start is the formula of a drift; one alone is alike each time
+    if moments != [0.0] and (alike or len(moments) > 1):
+        yield Switching(lag, tuple(moments)), _price(np.array(moments), not lag)
 
-    On and off by the same amount each time, or by any other.
+
+def judged(courses: Courses, sets: Array, *, alike: bool) -> Array:
+    """Evidence of what switches on and off by the same amount each time, or by any other.
+
+    Parameters
+    ----------
+    courses : Courses
+    sets : ndarray, shape (m, c + 1), s
+        Moments, and the lag with which they are followed.
+    alike : bool
+
+    Returns
+    -------
+    ndarray, shape (m,)
     """
-    each = list(dict.fromkeys((m, lag) for moments, lag in sets for m in moments))
-    place = {one: k for k, one in enumerate(each)}
-    places = np.array([[place[m, lag] for m in moments] for moments, lag in sets])
-    values = courses.fitted @ responses(courses.time, *np.array(each).T)
-    signs = np.asarray((-1.0) ** np.arange(places.shape[1])) if alike else None
-    return courses.evidence(values, places, signs)
+    moments = sets[:, :-1]
+    each, place = np.unique(moments + 1j * sets[:, -1:], return_inverse=True)
+    places = place.reshape(moments.shape)
+    values = courses.fitted @ responses(courses.time, each.real, each.imag)
+    if not alike:
+        return courses.evidence(values, places)
+    signs = np.zeros((len(each), len(sets)))
+    signs[places, np.arange(len(sets))[:, None]] = (-1.0) ** np.arange(moments.shape[1])
+    return courses.evidence_of_each(values @ signs)
 
 
 def lag_from_start(courses: Courses) -> tuple[float, float]:
     """Evidence of what is on from the start, the formula of a drift, and its likeliest lag, s."""
     lags = float(courses.time[-1]) * np.geomspace(SHORTEST, LONGEST, 60)
-    scores = judged(courses, [((0.0,), lag) for lag in lags.tolist()], alike=True)
+    scores = judged(courses, np.stack([np.zeros(len(lags)), lags], axis=1), alike=True)
     best = int(np.argmax(scores))
     return float(scores[best]), float(lags[best])
 
@@ -241,46 +262,45 @@ def swing(courses: Courses) -> tuple[float, float]:
     return float(scores.max()), end / float(near[int(np.argmax(scores))])
 
 
-def _price(moments: Moments, jumps: bool) -> float:
+def _price(moments: Array, jumps: bool) -> float:
     """Logarithm of the number of choices; a drift that begins with the run has no moment."""
-    chosen = sum(m > 0.0 for m in moments)
+    chosen = int(np.sum(moments > 0.0))
     return chosen * float(np.log(MOMENTS)) + (0.0 if jumps else float(np.log(len(LAGS))))
 
 
-def _apart(moments: Moments, lag: float, end: float) -> bool:
-    """Tell whether moments are far enough from each other and from the end."""
-    least = end * (APART if lag else JUMPS_APART)
-    apart = all(after - before >= least for before, after in pairwise(moments))
-    return apart and moments[-1] < end * (1.0 - JUMPS_APART)
+def _apart(moments: Array, end: float, *, jumps: bool) -> NDArray[np.bool_]:
+    """Tell which moments (m, c) are far enough from each other and from the end, shape (m,)."""
+    least = end * (JUMPS_APART if jumps else APART)
+    apart = np.all(np.diff(moments, axis=1) >= least, axis=1)
+    return np.asarray(apart & (moments[:, -1] < end * (1.0 - JUMPS_APART)))
+
+
+def _with_lag(moments: Array, lag: float) -> Array:
+    """Moments (m, c), followed with one lag, as sets for ``judged``."""
+    return np.column_stack([moments, np.full(len(moments), lag)])
 
 
 def _improved(
-    courses: Courses, start: tuple[Moments, float], halvings: range, *, alike: bool
-) -> tuple[float, Moments, float]:
-    """Move moments and lag, by steps that are halved, while the evidence rises."""
-    end, (moments, lag) = float(courses.time[-1]), start
-    best = float(judged(courses, [start], alike=alike)[0])
+    courses: Courses, start: Array, halvings: range, *, alike: bool
+) -> tuple[float, Array]:
+    """Move moments and lag (c + 1,), by steps that are halved, while the evidence rises."""
+    end, own = float(courses.time[-1]), start
+    best = float(judged(courses, own[None], alike=alike)[0])
     for halving in halvings:
         step, factor = 0.5**halving * end / MOMENTS, 1.3 ** (0.5**halving)
-        while sets := _near(moments, lag, step, factor, end):
+        while len(sets := _near(own, step, factor, end)):
             scores = judged(courses, sets, alike=alike)
             place = int(np.argmax(scores))
             if scores[place] <= best + 1e-3:
                 break
-            best, (moments, lag) = float(scores[place]), sets[place]
-    return best, moments, lag
+            best, own = float(scores[place]), sets[place]
+    return best, own
 
 
-def _near(
-    moments: Moments, lag: float, step: float, factor: float, end: float
-) -> list[tuple[Moments, float]]:
-    """Sets that differ in one moment or in the lag."""
-    moved = [
-        (*moments[:k], max(m + float(by), 0.0), *moments[k + 1 :])
-        for k, m in enumerate(moments)
-        for by in step * np.array([-3, -2, -1, 1, 2, 3])
-    ]
-    lags = [own for own in (lag * factor, lag / factor) if SHORTEST * end <= own <= LONGEST * end]
-    return [(m, lag) for m in moved if m != moments and _apart(m, lag, end)] + [
-        (moments, own) for own in lags
-    ]
+def _near(own: Array, step: float, factor: float, end: float) -> Array:
+    """Sets (m, c + 1) that differ from one (c + 1,) in one moment or in the lag."""
+    moments, lag = own[:-1], float(own[-1])
+    moved = np.maximum(moments + np.kron(np.eye(len(moments)), step * STEPS[:, None]), 0.0)
+    moved = moved[(moved != moments).any(axis=1) & _apart(moved, end, jumps=not lag)]
+    lags = [by for by in (lag * factor, lag / factor) if SHORTEST * end <= by <= LONGEST * end]
+    return np.concatenate([_with_lag(moved, lag), *(_with_lag(moments[None], by) for by in lags)])
