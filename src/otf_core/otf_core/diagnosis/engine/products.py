@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Products of whitened columns of effects, with each other and with those of tables and poses.
 
-What happens for some time only has columns that are zero on most lines: there they are left out.
+What happens for some time only has columns that are zero on most lines: there they are left out,
+as are unknowns that a line does not touch.
 """
 
 from __future__ import annotations
@@ -12,24 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.touched import Touched, acts_on_lines
+from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-TOGETHER = 8
-"""Lines on which a column acts or does not."""
 MOST = 0.6
 """Share of the columns, mean over the lines, from which all of them are taken everywhere."""
 
 
-def add_products(
-    rows: Rows,
-    run: int,
-    values: Array,
-    places: Sequence[slice],
-    cross: Array,
-    squares: Sequence[Array],
-) -> None:
+def add_products(rows: Rows, run: int, values: Array, cross: Array, square: Array) -> None:
     """Add the products of columns of one run to those of other runs.
 
     Parameters
@@ -37,36 +31,37 @@ def add_products(
     rows : Rows
     run : int
     values : ndarray, shape (c, p, k)
-        The columns, not yet whitened; of no use afterwards.
-    places : sequence of slice
-        Those that belong together.
+        The columns, not yet whitened.
     cross : ndarray, shape (b, k)
         A'E.
-    squares : sequence of ndarray
-        E'E of those that belong together.
+    square : ndarray, shape (k, k)
+        E'E.
     """
-    bounds, base = rows.whiteners[run].bounds, rows.by_run(rows.base)[run]
-    for lines, acting in _acting(values, bounds):
-        pieces = slice(bounds[lines[0]][0], bounds[lines[-1]][1])
-        white = values[:, pieces]
-        if len(acting) < values.shape[2]:
-            white = white[:, :, acting]
-        rows.whiten_lines(white, run, lines)
-        for own, known in zip(white, base[:, pieces], strict=True):
-            cross[:, acting] += (own.T @ known).T  # faster than the other way round
-            for square, place in zip(squares, places, strict=True):
-                low, high = np.searchsorted(acting, [place.start, place.stop]).tolist()
-                some, inner = own[:, low:high], acting[low:high] - place.start
-                square[np.ix_(inner, inner)] += some.T @ some
+    whitener = rows.whiteners[run]
+    for some, acting in _acting(rows, run, values):
+        white = _whitened(whitener, values, some.lines, acting)
+        cross[np.ix_(some.unknowns, acting)] += (white.T @ some.base).T  # faster than reversed
+        square[np.ix_(acting, acting)] += white.T @ white
 
 
-def _acting(values: Array, bounds: Sequence[tuple[int, int]]) -> Iterator[tuple[range, Index]]:
+def _acting(rows: Rows, run: int, values: Array) -> Iterator[tuple[Touched, Index]]:
     """Yield lines, and the columns of values (c, p, k) that are not zero on all of them."""
-    starts = [low for low, _ in bounds[::TOGETHER]]
-    acts = np.logical_or.reduceat((values != 0.0).any(axis=0), starts, axis=0)
-    if acts.mean() > MOST:
-        yield range(len(bounds)), np.arange(values.shape[2])
-        return
-    for number, own in enumerate(acts):
-        if own.any():
-            yield range(len(bounds))[number * TOGETHER :][:TOGETHER], np.flatnonzero(own)
+    acts = acts_on_lines(values, rows.whiteners[run].bounds)
+    acts |= acts.mean() > MOST
+    for some in rows.touched[run]:
+        acting = np.flatnonzero(acts[some.lines].any(axis=0))
+        if acting.size:
+            yield some, acting
+
+
+def _whitened(whitener: Whitener, values: Array, lines: Sequence[int], take: Index) -> Array:
+    """Whiten some of the columns (c, p, k) on the m pieces of some lines, shape (c m, k)."""
+    parts = [values[:, slice(*whitener.bounds[line])] for line in lines]
+    if len(take) < values.shape[2]:
+        parts = [part[:, :, take] for part in parts]
+    found = np.empty((len(values), sum(part.shape[1] for part in parts), len(take)))
+    start = 0
+    for line, part in zip(lines, parts, strict=True):
+        np.matmul(whitener.inverses[line], part, out=found[:, start : start + part.shape[1]])
+        start += part.shape[1]
+    return found.reshape(-1, len(take))

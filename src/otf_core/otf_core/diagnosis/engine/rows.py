@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.diagnosis.engine.touched import Touched, touched
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.free import FreeForm
 from otf_core.model.motions import MOTIONS
@@ -233,15 +234,6 @@ class Rows:
             whitener.whiten(part).reshape(-1, *columns.shape[1:]) for whitener, part in parts
         ])  # fmt: skip
 
-    def whiten_lines(self, values: Array, run: int, lines: range) -> None:
-        """Whiten columns (c, m, k) of the pieces of some lines of a run in place."""
-        whitener, start = self.whiteners[run], 0
-        for inverses in (whitener.inverses[k] for k in lines):
-            own = slice(start, start + inverses.shape[1])
-            for component, inverse in enumerate(inverses):
-                values[component, own] = inverse @ values[component, own]
-            start = own.stop
-
     def pulled(self, white: Array) -> Pulled:
         """Set up products of whitened columns (r, q) with what effects add beyond the tables."""
         parts = zip(self.whiteners, self.by_run(white), self.done.runs, strict=True)
@@ -260,7 +252,7 @@ class Rows:
 
     def prepare(self) -> None:
         """Make what columns are compared with; afterwards several threads may do so."""
-        self.pulled_residual, self.slack  # noqa: B018
+        self.pulled_residual, self.slack, self.touched  # noqa: B018
         if self.runs:
             self.sample_states  # noqa: B018
 
@@ -275,8 +267,16 @@ class Rows:
         found = np.empty((len(self.plain_deviation), len(self.use)))
         for k, (solved, white) in enumerate(zip(self.done.runs, self.by_run(found), strict=True)):
             (solved.system.design @ gauge).toarray(out=white.reshape(-1, white.shape[2]))
-            self.whiten_lines(white, k, range(len(self.whiteners[k].bounds)))
+            whitener = self.whiteners[k]
+            for line, inverse in zip(whitener.bounds, whitener.inverses, strict=True):
+                white[:, slice(*line)] = inverse @ white[:, slice(*line)]
         return found
+
+    @cached_property
+    def touched(self) -> list[list[Touched]]:
+        """Lines of every run that touch the same unknowns, with what ``base`` has of these."""
+        pairs = zip(self.by_run(self.base), self.whiteners, strict=True)
+        return [touched(own, whitener.bounds) for own, whitener in pairs]
 
     @cached_property
     def deviation(self) -> Array:

@@ -304,15 +304,13 @@ def _group(
     plain = [_beside([_columns(rows, one, k) for one in batch]) for k in group]
     size = column_size(*plain)
     cross, right = np.zeros((len(rows.use), len(size))), np.zeros(len(size))
-    squares = [np.zeros((s.place.stop - s.place.start,) * 2) for s in batch]
+    square = np.zeros((len(size), len(size)))
     for k, columns in zip(group, plain, strict=True):
         values = columns.reshape(*pull[k].shape[:2], -1)
         right += columns.T @ pull[k].reshape(-1)
-        add_products(rows, k, values, [s.place for s in batch], cross, squares)
-    return [
-        _Sums(size[s.place], square, cross[:, s.place], right[s.place])
-        for s, square in zip(batch, squares, strict=True)
-    ]
+        add_products(rows, k, values, cross, square)
+    places = [s.place for s in batch]
+    return [_Sums(size[p], square[p, p], cross[:, p], right[p]) for p in places]
 
 
 def _columns(rows: Rows, one: _Shape, run: int) -> Array:
