@@ -32,8 +32,8 @@ Columns = Callable[[slice], Array]
 """Columns (c, m, k), m, of m pieces of a run."""
 SOME = 2048
 """Pieces whose columns are made together, and the rest of their line."""
-ACTS, TINY = 0.02, 1e-150
-"""Share of its largest value, and m, above which a column acts."""
+ACTS, TINY = 0.02, 1e-300
+"""Share of its largest value, and m^2, above which a column acts."""
 VALUES = 65_536
 """Values that are looked at together."""
 
@@ -129,9 +129,12 @@ def column_size(*parts: Array) -> Array:
         One below the other.
     """
     step = max(1, VALUES // max(1, parts[0].shape[1]))
-    some = [part[low : low + step] for part in parts for low in range(0, len(part), step)]
-    most = np.max([np.maximum(own.max(axis=0), -own.min(axis=0)) for own in some], axis=0)
-    least = ACTS * np.maximum(most, TINY)
-    square = np.sum([np.einsum('rk,rk->k', own, own) for own in some], axis=0)
-    count = np.sum([np.count_nonzero(np.abs(own) > least, axis=0) for own in some], axis=0)
-    return np.asarray(np.sqrt(square / np.maximum(count, 1)))
+
+    def squares() -> Iterator[Array]:
+        for part in parts:
+            yield from (part[low : low + step] ** 2 for low in range(0, len(part), step))
+
+    total, most = zip(*((np.ones(len(s)) @ s, s.max(axis=0)) for s in squares()), strict=True)
+    least = ACTS**2 * np.maximum(np.max(most, axis=0), TINY)
+    count = np.sum([np.ones(len(s)) @ (s > least) for s in squares()], axis=0)
+    return np.asarray(np.sqrt(np.sum(total, axis=0) / np.maximum(count, 1.0)))
