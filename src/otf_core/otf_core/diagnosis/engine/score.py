@@ -135,20 +135,20 @@ class Scores:
         return np.asarray((functions**2).T @ self.information + (own**2).T @ self.beyond)
 
     def gains_of_waves(self, time: Array, frequency: Array) -> Array:
-        """The same of cosine and sine of time (p,) at evenly spaced frequencies (f,), Hz."""
-        turned, found = None, []
+        """The same of cosine and sine of time (p,) at evenly spaced frequencies (f,), Hz.
+
+        Squares and products of these two are those of z = cosine + i sine: z^2 and |z|^2.
+        """
+        turned, found, every = None, [], self.information.sum(axis=0)
         for part in np.array_split(frequency, max(1, len(frequency) // TOGETHER)):
             if turned is None:
                 turned = np.exp(2j * np.pi * time[:, None] * (part - part[0]))
             turn = turned[:, : len(part)] * np.exp(2j * np.pi * part[0] * time)[:, None]
-            waves = np.ascontiguousarray(turn.real), np.ascontiguousarray(turn.imag)
-            slow = [self.slow @ wave for wave in waves]
-            first, second = (self._squares(w, own) for w, own in zip(waves, slow, strict=True))
-            both = (
-                np.prod(waves, axis=0).T @ self.information + np.prod(slow, axis=0).T @ self.beyond
-            )
-            right = np.concatenate([wave.T @ self.pull for wave in waves], axis=1)
-            found.append(_gains(_of_pairs(first, both, second), right))
+            slow, right = self.slow @ turn, turn.T @ self.pull
+            whole = every + (np.abs(slow) ** 2).T @ self.beyond
+            twice = np.square(turn, out=turn).T @ self.information + (slow**2).T @ self.beyond
+            matrix = _of_pairs(whole + twice.real, twice.imag, whole - twice.real)
+            found.append(_gains(0.5 * matrix, np.concatenate([right.real, right.imag], axis=1)))
         return np.concatenate(found)
 
 
