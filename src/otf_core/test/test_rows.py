@@ -9,7 +9,8 @@ from engine_cells import LIMIT, coloured, holding, noise, solved_rows
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag, cholesky
 
-from otf_core.diagnosis.engine.tried import tried_shapes
+from otf_core.diagnosis.engine.decoys import DECOYS
+from otf_core.diagnosis.engine.tried import family, shared_with, tried_shapes
 from otf_core.effects import REGISTRY
 from otf_core.effects.free import free_forms
 from otf_core.model.motions import MOTIONS
@@ -257,3 +258,30 @@ def test_what_a_candidate_does_needs_none_of_its_columns(rows, name, free):
     size = np.linalg.norm(own, axis=0).max() * np.linalg.norm(other, axis=0).max()
     found = tried.source.shared(rows.pulled(other))[:, take]
     assert_allclose(found, other.T @ own, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize('effect', DECOYS, ids=lambda e: e.name)
+def test_shapes_in_time_multiplied_together_are_those_of_their_columns(rows, effect):
+    shapes = effect.shapes(rows.states[0])[:3]
+    alike = tried_shapes(rows, effect, shapes)
+    assert len({family(one) for one in alike}) == 1
+    other = np.random.default_rng(5).standard_normal((len(rows.deviation), 2))
+    every = np.arange(len(alike[0].terms.names))
+    for found, one in zip(shared_with(alike, rows.pulled(other)), alike, strict=True):
+        own = one.source.option(every).own
+        size = np.linalg.norm(own, axis=0).max() * np.linalg.norm(other, axis=0).max()
+        assert_allclose(found, other.T @ own, atol=1e-9 * size)
+
+
+def test_lines_are_sorted_by_the_unknowns_that_they_touch(rows):
+    for base, whitener, some in zip(
+        rows.by_run(rows.base), rows.whiteners, rows.touched, strict=True
+    ):
+        left = base.copy()
+        for one in some:
+            pieces = np.concatenate([np.arange(*whitener.bounds[k]) for k in one.lines])
+            own = left[:, pieces[:, None], one.unknowns]
+            np.testing.assert_array_equal(own.reshape(one.base.shape), one.base)
+            left[:, pieces[:, None], one.unknowns] = 0.0
+        assert sorted(k for one in some for k in one.lines) == [*range(len(whitener.bounds))]
+        assert not left.any()

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain, groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.evidence import Option
 from otf_core.diagnosis.engine.rows import Pulled, Rows
-from otf_core.diagnosis.engine.tried import Tried
+from otf_core.diagnosis.engine.tried import Tried, family, shared_with
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -128,7 +129,9 @@ class Pool:
 
 def _without(groups: Candidates, pulled: Pulled, amount: Array) -> Candidates:
     every = [t for g in groups.values() for t in g]
-    shared = iter(shared_out(lambda tried: tried.source.shared(pulled), every))
+    families = [list(alike) for _, alike in groupby(every, family)]
+    found = shared_out(lambda alike: shared_with(alike, pulled), families)
+    shared = chain.from_iterable(found)
     return {n: [t.without(next(shared), amount) for t in g] for n, g in groups.items()}
 
 

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.evidence import SPREADS
+from otf_core.diagnosis.engine.in_time import InTime
 from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.acting import Acting
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Effect, Shape, State
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -33,7 +34,7 @@ FINE = 8 * NODES
 """Times at which a course is fitted by them."""
 
 
-class CourseInTime(Effect):
+class CourseInTime(InTime):
     """Piecewise linear function of time times a way to act; never named."""
 
     name: ClassVar[str] = 'course_in_time'
@@ -43,19 +44,19 @@ class CourseInTime(Effect):
     source: ClassVar[str] = 'not of the catalogue'
     signature: ClassVar[str] = 'any course in time'
     needs: ClassVar[str] = ''
-    own_per_run: ClassVar[bool] = True
+    heads: ClassVar[tuple[str, ...]] = tuple(f'H{k}' for k in range(NODES))
 
     def __init__(self, acts: Acting, drivers: Sequence[Effect]) -> None:
-        self.acts, self.drivers = acts, tuple(drivers)
+        self._acts, self.drivers = acts, tuple(drivers)
 
-    def terms(self, state: State, shape: Shape) -> Terms:
-        """Return every term of the way to act at every node, one after the other."""
-        base, hats = self.acts(state, {}), _hats(state.time, state.end)
-        columns = base.columns[:, :, :, None] * hats[:, None, None, :]
-        names = tuple(f'{n}_{k}' for n in base.names for k in range(NODES))
-        units = tuple(u for u in base.units for _ in range(NODES))
-        whole = columns.reshape(len(state), 3, -1)
-        return Terms(names, units, ('',) * len(names), whole)
+    @property
+    def acts(self) -> Acting:
+        """What the functions are multiplied with."""
+        return self._acts
+
+    def course(self, state: State, shape: Shape) -> Array:
+        """Return one function for every node."""
+        return _hats(state.time, state.end)
 
 
 def _hats(time: Array, end: float) -> Array:

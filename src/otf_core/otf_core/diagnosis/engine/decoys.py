@@ -12,9 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.diagnosis.engine.in_time import InTime
 from otf_core.effects.acting import Acting, rigid_tracker, vector
-from otf_core.effects.base import Effect, Shape, State, Terms
-from otf_core.model.frames import XYZ
+from otf_core.effects.base import Array, Effect, Shape, State
 
 MOMENTS = 40
 """Moments of a jump that are tried."""
@@ -24,7 +24,7 @@ SHORTEST = 8.0
 """s; shortest period of a slow wave."""
 
 
-class Jump(Effect):
+class Jump(InTime):
     """Shift of the target or the tracker at a moment."""
 
     name: ClassVar[str] = 'jump'
@@ -36,7 +36,7 @@ class Jump(Effect):
     needs: ClassVar[str] = 'lines repeated before and after'
     shape_names: ClassVar[tuple[str, ...]] = ('moment',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
-    own_per_run: ClassVar[bool] = True
+    heads: ClassVar[tuple[str, ...]] = ('J',)
     refine: ClassVar[str] = 'moment'
     refine_width: ClassVar[float] = 0.02
     switches: ClassVar[tuple[Acting, ...]] = (vector,)
@@ -45,11 +45,9 @@ class Jump(Effect):
         """Moments spread over the run."""
         return tuple({'moment': float(t)} for t in np.linspace(0, state.end, MOMENTS + 2)[1:-1])
 
-    def terms(self, state: State, shape: Shape) -> Terms:
-        """Return J_X, J_Y, J_Z."""
-        after = (state.time > shape['moment']).astype(float)
-        columns = after[:, None, None] * np.eye(3)
-        return Terms(tuple(f'J_{a}' for a in XYZ), ('m',) * 3, ('',) * 3, columns)
+    def course(self, state: State, shape: Shape) -> Array:
+        """Return zero before the moment and one after it."""
+        return (state.time > shape['moment']).astype(float)[:, None]
 
 
 class Knock(Jump):
@@ -61,20 +59,8 @@ class Knock(Jump):
     signature: ClassVar[str] = 'everything lies shifted and turned from a moment on'
     switches: ClassVar[tuple[Acting, ...]] = (rigid_tracker,)
 
-    def terms(self, state: State, shape: Shape) -> Terms:
-        """Return J_X, J_Y, J_Z, and the turns W_X, W_Y, W_Z."""
-        shift = super().terms(state, shape)
-        after = (state.time > shape['moment']).astype(float)[:, None]
-        turns = np.stack([after * np.cross(e, state.beam) for e in np.eye(3)], axis=2)
-        return Terms(
-            (*shift.names, *(f'W_{a}' for a in XYZ)),
-            (*shift.units, *('rad',) * 3),
-            ('',) * 6,
-            np.concatenate([shift.columns, turns], axis=2),
-        )
 
-
-class SlowWave(Effect):
+class SlowWave(InTime):
     """Shift that swings slowly in time."""
 
     name: ClassVar[str] = 'slow_wave'
@@ -86,7 +72,7 @@ class SlowWave(Effect):
     needs: ClassVar[str] = 'a run of several periods'
     shape_names: ClassVar[tuple[str, ...]] = ('period',)
     shape_units: ClassVar[tuple[str, ...]] = ('s',)
-    own_per_run: ClassVar[bool] = True
+    heads: ClassVar[tuple[str, ...]] = ('S', 'C')
     refine: ClassVar[str] = 'period'
     refine_width: ClassVar[float] = 0.05
     switches: ClassVar[tuple[Acting, ...]] = (vector,)
@@ -98,15 +84,10 @@ class SlowWave(Effect):
         step = max(1, len(number) // (4 * PERIODS))
         return tuple({'period': float(1.0 / f)} for f in number[::step])
 
-    def terms(self, state: State, shape: Shape) -> Terms:
-        """Return S_X, S_Y, S_Z, C_X, C_Y, C_Z."""
+    def course(self, state: State, shape: Shape) -> Array:
+        """Return sine and cosine."""
         phase = 2.0 * np.pi * state.time / shape['period']
-        columns = np.zeros((len(phase), 3, 6))
-        for start, wave in ((0, np.sin(phase)), (3, np.cos(phase))):
-            for direction in range(3):
-                columns[:, direction, start + direction] = wave
-        names = tuple(f'{part}_{a}' for part in 'SC' for a in XYZ)
-        return Terms(names, ('m',) * 6, ('',) * 6, columns)
+        return np.stack([np.sin(phase), np.cos(phase)], axis=1)
 
 
 DECOYS: tuple[Effect, ...] = (Jump(), Knock(), SlowWave())

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.diagnosis.engine.in_time import InTime
 from otf_core.diagnosis.engine.touched import Touched, touched
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.free import FreeForm
@@ -157,17 +158,21 @@ class Rows:
         return np.concatenate(found)
 
     def products_in_run(
-        self, turned: Array, effect: Effect, shape: Shape, run: int, count: int
+        self, turned: Array, effect: Effect, shapes: Sequence[Shape], run: int, count: int
     ) -> Array:
-        """Products (q, k) of ``Pulled.turned`` of a run with displacements by its k terms."""
-        found = np.zeros((turned.shape[2], count))
-        for part, columns, functions in self._factors(effect, shape, run, count):
-            if functions is None:
-                flat = turned[part].reshape(-1, turned.shape[2])
-                found += flat.T @ columns.reshape(len(flat), -1)
-                continue
-            for j, (own, place) in enumerate(zip(functions, _places(functions), strict=True)):
-                found[:, place] += np.einsum('piq,pi->qp', turned[part], columns[:, :, j]) @ own
+        """Products (s, q, k) of ``Pulled.turned`` of a run with displacements by k terms."""
+        if isinstance(effect, InTime):
+            return effect.products(self.states[run], shapes, turned)
+        found = np.zeros((len(shapes), turned.shape[2], count))
+        for whole, shape in zip(found, shapes, strict=True):
+            for part, columns, functions in self._factors(effect, shape, run, count):
+                if functions is None:
+                    flat = turned[part].reshape(-1, turned.shape[2])
+                    whole += flat.T @ columns.reshape(len(flat), -1)
+                    continue
+                for j, (own, place) in enumerate(zip(functions, _places(functions), strict=True)):
+                    moved = np.einsum('piq,pi->qp', turned[part], columns[:, :, j])
+                    whole[:, place] += moved @ own
         return found
 
     def _factors(

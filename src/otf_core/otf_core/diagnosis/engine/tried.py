@@ -30,6 +30,7 @@ from otf_core.diagnosis.engine.evidence import (
     log_evidence,
     motion_subsets,
 )
+from otf_core.diagnosis.engine.in_time import InTime
 from otf_core.diagnosis.engine.products import add_products
 from otf_core.diagnosis.engine.rows import Pulled, Rows
 from otf_core.effects import Effect, Shape, Terms
@@ -231,14 +232,32 @@ class Made:
 
     def shared(self, pulled: Pulled) -> Array:
         """Products of whitened columns with what the effect adds."""
-        count = self.terms.columns.shape[2]
-        parts = [
-            self.rows.products_in_run(turned, self.effect, self.shape, k, count)
-            for k, turned in enumerate(pulled.turned)
-        ]
-        own = self.effect.own_per_run
-        found = np.concatenate(parts, axis=1) if own else np.asarray(sum(parts))
-        return np.asarray(found - pulled.inner.T @ self.cross)
+        return _shared([self], pulled)[0]
+
+
+def shared_with(alike: Sequence[Tried], pulled: Pulled) -> list[Array]:
+    """``Source.shared`` of candidates of one ``family``."""
+    made = [t.source for t in alike if isinstance(t.source, Made)]
+    return _shared(made, pulled) if made else [t.source.shared(pulled) for t in alike]
+
+
+def family(tried: Tried) -> object:
+    """Effect of which all shapes are multiplied together; else the candidate itself."""
+    together = isinstance(tried.source, Made) and isinstance(tried.effect, InTime)
+    return tried.effect if together else tried
+
+
+def _shared(made: Sequence[Made], pulled: Pulled) -> list[Array]:
+    """Products of whitened columns with what shapes of one effect add."""
+    rows, effect, shapes = made[0].rows, made[0].effect, [one.shape for one in made]
+    count = made[0].terms.columns.shape[2]
+    parts = [
+        rows.products_in_run(turned, effect, shapes, k, count)
+        for k, turned in enumerate(pulled.turned)
+    ]
+    own = effect.own_per_run
+    found = np.concatenate(parts, axis=2) if own else np.asarray(sum(parts))
+    return [part - pulled.inner.T @ one.cross for part, one in zip(found, made, strict=True)]
 
 
 def tried_shapes(rows: Rows, effect: Effect, shapes: Sequence[Shape]) -> list[Tried]:
