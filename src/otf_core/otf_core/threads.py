@@ -11,11 +11,11 @@ processor time of a start.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import contextmanager
 from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 try:
     from threadpoolctl import threadpool_limits
@@ -50,9 +50,18 @@ def one_by_one() -> None:
     _here.beside_another = True
 
 
-def one_thread() -> AbstractContextManager[Any]:
-    """Return a context in which linear algebra uses one thread."""
-    return nullcontext() if threadpool_limits is None else threadpool_limits(1)
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let linear algebra use one thread in this context; finding its libraries takes 2 ms."""
+    if threadpool_limits is None or getattr(_here, 'limited', False):
+        yield
+        return
+    _here.limited = True
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        _here.limited = False
 
 
 def in_one_thread(function: Callable[P, R]) -> Callable[P, R]:
