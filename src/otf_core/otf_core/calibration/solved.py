@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from otf_core.aside import Aside
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
-from otf_core.contradictions.examine import examine
 from otf_core.contradictions.left_out import LeftOut, findings, left_out
 from otf_core.errors import InputError
 from otf_core.live.stages import silent
@@ -101,6 +100,8 @@ def _examined(
     mend: bool,
 ) -> list[Run]:
     """Examine runs; what was found as they were read is said first."""
+    from otf_core.contradictions.examine import examine  # in the copy of the process alone
+
     read = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
     found = _remarked(examine(runs, nodes, config, mend=mend), before=read)
     give_back()

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from otf_core.pieces.windows import over_windows
 
@@ -51,6 +50,8 @@ def outlying(
 
 def _from_median(offset: Array) -> Array:
     """Offsets of a leg (3, n) less their running median."""
+    from scipy.ndimage import median_filter  # 25 ms; most runs do without
+
     if offset.shape[1] <= MEDIAN_HALF:
         return np.asarray(offset - np.median(offset, axis=1, keepdims=True))
     reach = ((0, 0), (MEDIAN_HALF, MEDIAN_HALF))
