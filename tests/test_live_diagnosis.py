@@ -47,11 +47,12 @@ def start_all(graph, machine_file):
     return calibrator
 
 
-def children_of(node):
-    """Command lines of the processes that a node has started."""
-    pid = node.process.pid
-    listed = Path(f'/proc/{pid}/task/{pid}/children').read_text().split()
-    return [Path(f'/proc/{child}/cmdline').read_text() for child in listed]
+def diagnoses_of(node):
+    """Command lines of the processes that diagnose for a node, whichever thread started them."""
+    threads = Path(f'/proc/{node.process.pid}/task').iterdir()
+    listed = ' '.join((thread / 'children').read_text() for thread in threads).split()
+    commands = [Path(f'/proc/{child}/cmdline').read_text() for child in listed]
+    return [command for command in commands if 'otf_calibrator.diagnosis_process' in command]
 
 
 def assert_same_content(report, gap):
@@ -118,9 +119,10 @@ def test_live_diagnosis_follows_the_tables_and_is_that_of_the_bag(graph, machine
     # reset, the next calibration and the end of the node each end a diagnosis at once
     assert graph.trigger('calibrator/diagnose').success
     graph.wait(lambda: graph.state().diagnosing, 'the start of a diagnosis')
+    assert len(diagnoses_of(calibrator)) == 1
     assert graph.trigger('calibrator/calibrate').success
     graph.wait(lambda: 'abandoned' in graph.state().diagnosis, 'its end')
-    assert not children_of(calibrator) and not list(folder.glob('.diagnosis*'))
+    assert not diagnoses_of(calibrator) and not list(folder.glob('.diagnosis*'))
     graph.wait_for_result(2)
     graph.wait(lambda: graph.state().diagnosing, 'the start of a diagnosis')
     assert graph.trigger('calibrator/reset').success
