@@ -13,6 +13,7 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
@@ -36,6 +37,15 @@ def give_back() -> None:
     trim = of_c('malloc_trim')
     if trim is not None:
         trim(0)
+
+
+@contextmanager
+def giving_back() -> Iterator[None]:
+    """Give back what is free at the end of this context, however it ends."""
+    try:
+        yield
+    finally:
+        give_back()
 
 
 def one_heap() -> None:

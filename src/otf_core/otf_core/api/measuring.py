@@ -18,6 +18,7 @@ from otf_core.diagnosis.diagnose import diagnose as diagnose_runs
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects import REGISTRY
 from otf_core.errors import ConfigError, ShapeError
+from otf_core.memory import giving_back
 from otf_core.model.tables import ErrorTables, TablesFile, tables_from_dict
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.pieces.standstill_method import prepare_stops
@@ -81,10 +82,11 @@ def calibrate(
     runs = _several(recordings)
     if method not in METHODS:
         raise ConfigError(f'method: {method!r} is unknown; possible: {", ".join(METHODS)}')
-    if effects is None:
-        return calibrate_runs(runs, config, progress, METHODS[method])
-    done = calibrate_with_effects(runs, str(effects), twin_recording, config, progress, method)
-    return done.result
+    with giving_back():
+        if effects is None:
+            return calibrate_runs(runs, config, progress, METHODS[method])
+        done = calibrate_with_effects(runs, str(effects), twin_recording, config, progress, method)
+        return done.result
 
 
 def diagnose(
@@ -129,7 +131,8 @@ def diagnose(
     unknown = [name for name in exclude if name not in REGISTRY]
     if unknown:
         raise ConfigError(f'exclude: {unknown[0]!r}: no effect; known: {", ".join(REGISTRY)}')
-    return diagnose_runs(runs, twin_recording, exclude, config, progress)
+    with giving_back():
+        return diagnose_runs(runs, twin_recording, exclude, config, progress)
 
 
 def predict(
