@@ -16,7 +16,8 @@ import pytest
 
 from otf_core.aside import Aside, shared_out
 from otf_core.effects import REGISTRY
-from otf_core.effects.free import Free, FreeForm
+from otf_core.effects.free import Free
+from otf_core.effects.free_form import FreeForm
 
 COPIES = sys.platform == 'linux' and len(os.sched_getaffinity(0)) > 1
 copies = pytest.mark.skipif(not COPIES, reason='no second process here')

@@ -86,9 +86,6 @@ def test_forms_of_nature_are_not_in_the_registry():
     assert {n for names in TAKE_TURNS.values() for n in names} == {*OUTSIDE, *REGISTRY}
 
 
-FORBIDDEN = ('otf_core.effects.free', 'otf_core.effects.inputs', 'otf_core.effects.history')
-
-
 @pytest.mark.parametrize('module', ['view', 'departed_forms', 'nameless_forms'])
 def test_natures_share_no_code_with_catalogue_or_free_forms(module):
     tree = ast.parse(find_spec(f'otf_core.blind.{module}').loader.get_data(

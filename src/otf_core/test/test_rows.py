@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, cholesky
 from otf_core.diagnosis.engine.decoys import DECOYS
 from otf_core.diagnosis.engine.tried import family, shared_with, tried_shapes
 from otf_core.effects import REGISTRY
-from otf_core.effects.free import free_forms
+from otf_core.effects.free_form import free_forms
 from otf_core.model.motions import MOTIONS
 from otf_core.noise.model import MODEL_FLOOR
 from otf_core.solving.folds import FOLDS

@@ -20,7 +20,7 @@ from otf_core.diagnosis.engine.search import search
 from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
-from otf_core.effects.free import signal_forms
+from otf_core.effects.free_form import signal_forms
 from otf_core.errors import ConfigError
 from otf_core.model.courses import Courses
 from otf_core.model.declared_signals import DRIVEN

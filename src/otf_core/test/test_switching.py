@@ -20,7 +20,8 @@ from otf_core.diagnosis.engine.search import search
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.acting import vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
-from otf_core.effects.free import FreeForm, switched
+from otf_core.effects.free import switched
+from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import known_input
 from otf_core.effects.switching import Switching
 from otf_core.errors import ConfigError

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.fitted import FittedCause
-from otf_core.effects.free import FreeForm, coefficient_name
+from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
     SIGNAL,
     label_of,

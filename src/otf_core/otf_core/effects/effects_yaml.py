@@ -19,7 +19,7 @@ import yaml
 
 from otf_core.effects import REGISTRY, AppliedEffect, Effect
 from otf_core.effects.empirical import EMPIRICAL, Empirical, Kept
-from otf_core.effects.free import FreeForm
+from otf_core.effects.free_form import FreeForm
 from otf_core.effects.free_yaml import FREE, empirical_of, free_entry, free_form_of
 from otf_core.effects.state import probe_state
 from otf_core.errors import ConfigError

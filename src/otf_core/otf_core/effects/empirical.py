@@ -18,7 +18,8 @@ from otf_core.effects.acting import Acting
 from otf_core.effects.applied import AppliedEffect
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
 from otf_core.effects.found_inputs import cycle_period
-from otf_core.effects.free import Free, FreeForm, coefficient_name
+from otf_core.effects.free import Free
+from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
     Span,
     compression,

@@ -26,7 +26,8 @@ from otf_core.effects.acting import ACTING, DIRECTION, Acting, Along, acting_nam
 from otf_core.effects.applied import AppliedEffect
 from otf_core.effects.base import Effect
 from otf_core.effects.empirical import EMPIRICAL, Empirical, of_table, tabulated
-from otf_core.effects.free import Free, FreeForm, follower, switched
+from otf_core.effects.free import Free, follower, switched
+from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL, Span, known_input
 from otf_core.effects.state import probe_state
 from otf_core.effects.switching import Switching

@@ -25,7 +25,7 @@ from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.tried import tried_shapes
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
-from otf_core.effects.free import free_forms
+from otf_core.effects.free_form import free_forms
 from otf_core.errors import ConfigError
 from otf_core.files.json_file import read_json
 from otf_core.model.machine import Machine

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.effects import AppliedEffect
-from otf_core.effects.free import FreeForm
+from otf_core.effects.free_form import FreeForm
 from otf_core.errors import ConfigError
 from otf_core.model.courses import Courses
 from otf_core.model.declared_signals import HEAD, PLAIN, USUAL, SignalSpec

@@ -26,7 +26,8 @@ from otf_core.effects.found_inputs import (
     head_of,
     numbers_of,
 )
-from otf_core.effects.free import Free, FreeForm, free_forms
+from otf_core.effects.free import Free
+from otf_core.effects.free_form import FreeForm, free_forms
 from otf_core.effects.history import lap_numbers, path_history, travel_at_start
 from otf_core.effects.inputs import scaled_input, unscaled_input
 from otf_core.effects.taken import taken

@@ -16,7 +16,7 @@ from otf_core.diagnosis.engine.search import Cause, search
 from otf_core.diagnosis.engine.spectral import LINE_SCORE, SpectralLine, strongest_lines
 from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
-from otf_core.effects.free import free_forms
+from otf_core.effects.free_form import free_forms
 
 DETECTABLE = 25.0
 """Rise of the sum of squares at which an effect is found."""

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.beside import Beside
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
-from otf_core.effects.free import FreeForm, follower
+from otf_core.effects.free import follower
+from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL
 from otf_core.model.courses import Courses, lag_of
 from otf_core.model.signals import LAGS

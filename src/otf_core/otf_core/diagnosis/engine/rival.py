@@ -35,7 +35,7 @@ from otf_core.diagnosis.engine.search import (
 from otf_core.diagnosis.engine.unnamed import Structures, inputs_of
 from otf_core.effects.acting import vector
 from otf_core.effects.found_inputs import stands_for
-from otf_core.effects.free import FreeForm
+from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL
 
 Array = NDArray[np.float64]

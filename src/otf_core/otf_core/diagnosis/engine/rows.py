@@ -22,7 +22,7 @@ from scipy import linalg
 from otf_core.diagnosis.engine.in_time import InTime
 from otf_core.diagnosis.engine.touched import Touched, touched
 from otf_core.effects import Effect, Shape, State, Terms
-from otf_core.effects.free import FreeForm
+from otf_core.effects.free_form import FreeForm
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed

@@ -20,7 +20,7 @@ from otf_core.diagnosis.engine.noise_check import heard
 from otf_core.diagnosis.engine.rows import Rows, build_rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
 from otf_core.effects.applied import AppliedEffect
-from otf_core.effects.free import FreeForm
+from otf_core.effects.free_form import FreeForm
 from otf_core.effects.state import state_of_travel
 from otf_core.model.observation import Samples
 from otf_core.noise.model import NoiseModel

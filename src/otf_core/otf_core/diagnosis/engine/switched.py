@@ -27,7 +27,8 @@ from otf_core.diagnosis.engine.rows import Rows
 from otf_core.diagnosis.engine.tried import Tried, tried_shapes
 from otf_core.effects.acting import Acting
 from otf_core.effects.base import Effect, Shape
-from otf_core.effects.free import FreeForm, switched
+from otf_core.effects.free import switched
+from otf_core.effects.free_form import FreeForm
 from otf_core.effects.switching import Switching, responses
 
 Array = NDArray[np.float64]

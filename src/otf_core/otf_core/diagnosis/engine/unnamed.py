@@ -34,7 +34,8 @@ from otf_core.effects.found_inputs import (
     head_of,
     plain_names,
 )
-from otf_core.effects.free import Free, FreeForm
+from otf_core.effects.free import Free
+from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import (
     SIGNAL,
     Span,

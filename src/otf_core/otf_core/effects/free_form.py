@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Free form of an effect: a smooth function of few inputs times what it acts with.
+
+delta = sum over j, k of c_jk P_k(u) A_j, A_j the columns of an effect's formula or of a way to
+act, P_k products of Legendre polynomials of the inputs u scaled to [-1, 1] (of a phase: harmonics,
+``inputs.functions_of``). Smoothness is the prior: a coefficient of the total order |k| has a
+standard deviation in proportion to (1 + |k|)^-r, with r and the size estimated from the data by
+their marginal likelihood (restricted maximum likelihood, e.g. Rasmussen and Williams, Gaussian
+Processes for Machine Learning, 2006, sections 2.7 and 5.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from otf_core.effects.acting import Acting
+from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.found_inputs import TURNS, head_of
+from otf_core.effects.free import AXIS, TERM, Free, follower
+from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
+
+_TAKEN_OVER = (
+    'name', 'cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs',
+    'own_per_run', 'belongs_to', 'stays_in_place', 'material_um',
+)  # fmt: skip
+_OF_FORMULA = ('shape_names', 'shape_units', 'shape_defaults', 'refine', 'refine_width', 'wave')
+
+
+class FreeForm(Effect):
+    """Free form with the ranges of its inputs: an effect like any other.
+
+    Attributes
+    ----------
+    free : Free
+    parent : Effect
+        Whose name it has.
+    spans : mapping of input to (float, float)
+    """
+
+    def __init__(self, parent: Effect, free: Free, spans: Mapping[str, Span]) -> None:
+        self.form, self.parent, self.spans = free, parent, dict(spans)
+        names = _TAKEN_OVER + (_OF_FORMULA if free.shaped else ())
+        vars(self).update({name: getattr(parent, name) for name in names})
+        own = {'own_per_run': free.own_per_run, 'belongs_to': free.belongs_to}
+        vars(self).update({name: value for name, value in own.items() if value is not None})
+
+    def __eq__(self, other: object) -> bool:
+        """Two are the same with the same declaration and ranges."""
+        return isinstance(other, FreeForm) and self._key == other._key
+
+    def __reduce__(self) -> tuple[type[FreeForm], tuple[Effect, Free, dict[str, Span]]]:
+        """Sent to other processes as what it is made of."""
+        return FreeForm, (self.parent, self.form, self.spans)
+
+    def __hash__(self) -> int:
+        """By name and inputs."""
+        return hash((self.name, self.form.inputs))
+
+    @property
+    def changes_within_pieces(self) -> bool:
+        """As of the formula, or where it depends on a cycle along an axis."""
+        return self.wave is not None or any(head_of(n) in TURNS for n in self.form.inputs)
+
+    @property
+    def _key(self) -> tuple[str, Free, dict[str, Span]]:
+        return self.name, self.form, self.spans
+
+    @classmethod
+    def bound(cls, parent: Effect, free: Free, states: Sequence[State]) -> FreeForm:
+        """Bind a declaration to the ranges that its inputs have in some runs."""
+        wave, shape = parent.wave, {}
+        if free.shaped:
+            first = {wave.parameter: wave.probe} if wave else parent.shapes(states[0])[0]
+            shape = parent.complete_shape(first)
+        terms = acting(parent, free)(states[0].part(slice(0, 1)), shape)
+        return cls(parent, free, {name: span_of(states, name) for name in free.names(terms)})
+
+    def loose(self, shape: Shape) -> dict[str, float]:
+        """As of the formula, where it acts with that."""
+        return self.parent.loose(shape) if self.form.shaped else {}
+
+    def orders_of(self, names: Sequence[str]) -> Array:
+        """Sum of the orders of the polynomials that a name ends with."""
+        count = len(self.form.orders)
+        numbers = [[float(n) for n in name.rsplit('_', count)[1:]] for name in names]
+        return np.asarray(np.maximum(np.sum(numbers, axis=1) - sum(self.form.least), 0.0))
+
+    def shapes(self, state: State) -> Sequence[Shape]:
+        """Those of the formula, where it acts with that."""
+        return self.parent.shapes(state) if self.form.shaped else ({},)
+
+    def complete_shape(self, parameters: Shape) -> dict[str, float]:
+        """As of the formula, where it acts with that; else there is none."""
+        return self.parent.complete_shape(parameters) if self.form.shaped else {}
+
+    def units(self, state: State, parameters: Shape) -> dict[str, str]:
+        """Unit of every given parameter; signals need not be known for that."""
+        lacking = {n for n in self.spans if n.startswith(SIGNAL) and n not in state.more}
+        if lacking:
+            none = {n: np.zeros(len(state)) for n in lacking}
+            state = replace(state, more={**state.more, **none})
+        return super().units(state, parameters)
+
+    def terms(self, state: State, shape: Shape) -> Terms:
+        """Return A_k: term of what it acts with, and the orders of the polynomials."""
+        base, functions = self.factors(state, shape)
+        names, axes, units, columns = [], [], [], []
+        numbers = self.form.numbers
+        for j, (term, axis) in enumerate(zip(base.names, base.axes, strict=True)):
+            columns.append(base.columns[:, :, j, None] * functions[j][:, None, :])
+            names += [coefficient_name(term, number) for number in numbers]
+            axes += [axis] * len(numbers)
+            units += [base.units[j]] * len(numbers)
+        least = sum(self.form.least)
+        orders = tuple(float(sum(n) - least) for n in numbers) * len(base.names)
+        whole = np.concatenate(columns, axis=2)
+        return Terms(tuple(names), tuple(units), tuple(axes), whole, orders)
+
+    def factors(self, state: State, shape: Shape) -> tuple[Terms, list[Array]]:
+        """What it acts with, and the functions (n, k) that each term of that is times."""
+        base = acting(self.parent, self.form)(state, shape)
+        made: dict[tuple[str, ...], Array] = {}
+        found = []
+        for term, axis in zip(base.names, base.axes, strict=True):
+            own = self.inputs_of(term, axis)
+            if own not in made:
+                made[own] = self.functions([
+                    scaled_input(n, input_values(state, n), self.spans[n]) for n in own
+                ])  # fmt: skip
+            found.append(made[own])
+        return base, found
+
+    def inputs_of(self, term: str, axis: str) -> tuple[str, ...]:
+        """Inputs of one term of what it acts with."""
+        return tuple(n.replace(AXIS, axis.lower()).replace(TERM, term) for n in self.form.inputs)
+
+    def functions(self, places: Sequence[Array]) -> Array:
+        """Products of polynomials at scaled inputs, each (n,), shape (n, k)."""
+        tables = []
+        parts = zip(self.form.inputs, places, self.form.orders, strict=True)
+        for number, (name, place, order) in enumerate(parts):
+            table = functions_of(name, place, order, self.spans.get(name, (-1.0, 1.0)))
+            if number == 0 and self.form.zero_at:
+                table = table - self.form.zero_at ** np.arange(order + 1)
+            tables.append(table)
+        found = [
+            np.prod([t[:, k] for t, k in zip(tables, number, strict=True)], axis=0)
+            for number in self.form.numbers
+        ]
+        return np.stack(found, axis=1)
+
+
+def acting(parent: Effect, free: Free) -> Acting:
+    """What the function of a free form is multiplied with."""
+    return parent.terms if free.acts is None else free.acts
+
+
+def coefficient_name(term: str, number: Sequence[int]) -> str:
+    """Name of the coefficient of a term and the orders of its polynomials."""
+    return '_'.join([term, *map(str, number)])
+
+
+def free_forms(effect: Effect, states: Sequence[State]) -> list[FreeForm]:
+    """Free forms of an effect, bound to runs, those that follow their signals among them."""
+    forms = (*effect.free, *signal_forms(effect, states))
+    return [FreeForm.bound(effect, free, states) for free in forms]
+
+
+def signal_forms(effect: Effect, states: Sequence[State]) -> list[Free]:
+    """In proportion to each signal that all runs have, that changes and may drive the effect."""
+    others = {s.name for s in states[0].machine.signals if effect.name not in s.acts_on}
+    names = [n for n in states[0].more if n.startswith(SIGNAL)]
+    names = [n for n in names if n.partition('@')[0] not in others]
+    names = [n for n in names if all(n in s.more and np.ptp(s.more[n]) > 0.0 for s in states)]
+    return [follower(acts, name) for name in names for acts in effect.follows]

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an effect may depend on, and its linear terms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.courses import Part
+from otf_core.model.machine import Machine
+from otf_core.model.tables import ErrorTables
+
+Array = NDArray[np.float64]
+Shape = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class State:
+    """What an effect may depend on, one row per measured point.
+
+    Attributes
+    ----------
+    machine : Machine
+    q : ndarray, shape (n, 3), m
+        Programmed axis positions.
+    direction : ndarray, shape (n, 3)
+        Unit travel direction of the leg, also while standing.
+    speed : ndarray, shape (n,), m/s
+        Along the path.
+    time : ndarray, shape (n,), s
+        Since the start of the recording.
+    from_corner, to_corner : ndarray, shape (n,), m
+        Path length since the last corner and to the next one.
+    side : ndarray, shape (n, 3)
+        Sign of the travel of each axis, of its last travel where it stands; 0 before its first.
+    before, after : ndarray, shape (n, 3)
+        Unit directions of the legs before and after; the own direction at the ends of the path.
+    beam : ndarray, shape (n, 3), m
+        From the tracker to the target, machine frame.
+    R_machine_tracker : ndarray, shape (3, 3)
+        Rotates tracker coordinates to machine coordinates; its third column is the tracker's
+        standing axis.
+    nodes : mapping of axis to ndarray, m
+        Table nodes.
+    tables : ErrorTables, optional
+        Error tables of the machine, where they are known.
+    duration : float, s
+        Length of the recording; 0 stands for the time of the last point.
+    more : mapping of str to ndarray, shape (n,)
+        Further inputs of free forms by their names, see ``inputs``: what happened before on the
+        path, signals recorded beside the samples.
+    """
+
+    machine: Machine
+    q: Array
+    direction: Array
+    speed: Array
+    time: Array
+    from_corner: Array
+    to_corner: Array
+    side: Array
+    before: Array
+    after: Array
+    beam: Array
+    R_machine_tracker: Array
+    nodes: Mapping[str, Array]
+    tables: ErrorTables | None = None
+    duration: float = 0.0
+    more: Mapping[str, Array] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.q)
+
+    @property
+    def end(self) -> float:
+        """Time of the end of the recording, s."""
+        return self.duration or float(self.time.max(initial=0.0))
+
+    def part(self, rows: slice) -> State:
+        """Return some of the points of the same recording."""
+        per_point = ('q', 'direction', 'speed', 'time', 'from_corner', 'to_corner', 'side')
+        chosen = {n: getattr(self, n)[rows] for n in (*per_point, 'before', 'after', 'beam')}
+        return replace(self, duration=self.end, more=Part(self.more, rows), **chosen)
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Linear terms of an effect for one shape.
+
+    Attributes
+    ----------
+    names : tuple of str
+        One name per coefficient, e.g. 'B_X'.
+    units : tuple of str
+        Unit of each coefficient.
+    axes : tuple of str
+        Machine axis each coefficient belongs to; '' for none.
+    columns : ndarray, shape (n, 3, k)
+        Displacement of the measured point per unit of each coefficient, machine frame.
+    orders : tuple of float
+        Order of each as a function, where the higher ones are expected to be smaller; empty if
+        all are alike.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    axes: tuple[str, ...]
+    columns: Array
+    orders: tuple[float, ...] = ()
+
+
+class BelongsTo(Enum):
+    """The part of a calibration that takes an effect up."""
+
+    EFFECTS = 'taken off as an effect'
+    TABLES = 'the tables follow it finer; nothing is taken off'
+    REVERSAL = 'the calibration chooses its own tables for both senses of travel'
+    NOISE = 'no displacement: it changes the noise, which every calibration judges anyway'
