@@ -42,6 +42,7 @@ from otf_core.diagnosis.engine.shaken import calmed
 from otf_core.diagnosis.explanation import Explanation, explain
 from otf_core.diagnosis.fitted import FittedCause, fitted_causes
 from otf_core.diagnosis.judged import Judged, judge, run_views
+from otf_core.diagnosis.moves import told_otherwise
 from otf_core.diagnosis.place.where import Where, where_and_shape
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
@@ -319,7 +320,7 @@ def _diagnosis(
         smallest_found_um={
             n: 1e6 * v.smallest for n, v in visible.items() if np.isfinite(v.smallest)
         },
-        contradictions=examined.runs[0].remarks,
+        contradictions=told_otherwise(examined.runs[0].remarks, said),
         table_change_um=_table_change_um(calibration),
         unnamed=said,
         applied=nameless.applied if nameless else applied,
