@@ -26,6 +26,8 @@ Index = NDArray[np.int64]
 NO_UNITS: Mapping[str, str] = MappingProxyType({})
 POINTS = 41
 """Points of a curve; fewer where the input has few values."""
+SEEN = 0.5
+"""Share of the variance before the data from which they do not see a combination."""
 LEAST_SHARE = 0.1
 """Curves smaller than this share of the largest one are left out."""
 SCALES = {'m': (1e6, 'um'), 'rad': (1e6, 'urad'), 'm/m': (1e6, 'um/m'), 's': (1e3, 'ms')}
@@ -46,7 +48,8 @@ class Curve:
     at : tuple of float
         Values of the input, SI.
     value, u : tuple of float
-        Value and its standard uncertainty, in ``unit``.
+        Value and its standard uncertainty, in ``unit``, but for what the data do not see, such as
+        the mean of a shift, which the place of the tracker holds as well.
     unit : str
     held : mapping of str to float
         Values of the other inputs.
@@ -81,13 +84,14 @@ def curves_of(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> tuple[C
     count = option.terms.columns.shape[2]
     per_term = len(effect.form.numbers)
     found: list[tuple[float, Curve]] = []
+    covariance = _seen_covariance(part)
     for first in range(0, count, per_term):
         place = np.flatnonzero((option.take >= first) & (option.take < first + per_term))
         if place.size != per_term:
             continue
         term = option.terms.names[first].rsplit('_', len(effect.form.orders))[0]
         assert option.terms.names[first] == coefficient_name(term, effect.form.numbers[0])
-        for curve in _curves(part, effect, place, term, units):
+        for curve in _curves(part, covariance, effect, place, term, units):
             size = float(np.sqrt(np.mean(np.square(curve.value)))) * float(option.size[place[0]])
             found.append((size, curve))
     largest = max((size for size, _ in found), default=0.0)
@@ -95,13 +99,31 @@ def curves_of(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> tuple[C
     return tuple(c for _, c in sorted(kept, key=lambda pair: -pair[0]))
 
 
+def _seen_covariance(part: FittedCause) -> Array:
+    """Covariance of the combinations of coefficients that the data see, shape (k, k)."""
+    option = part.cause.option
+    if not len(option.width):
+        return part.covariance
+    prior = option.width / np.maximum(option.size, 1e-300)
+    share, ways = np.linalg.eigh(part.covariance / prior / prior[:, None])
+    seen = share < SEEN
+    own = ways[:, seen] * prior[:, None]
+    return np.asarray((own * share[seen]) @ own.T)
+
+
 def _curves(
-    part: FittedCause, effect: FreeForm, place: Index, term: str, units: Mapping[str, str]
+    part: FittedCause,
+    whole: Array,
+    effect: FreeForm,
+    place: Index,
+    term: str,
+    units: Mapping[str, str],
 ) -> list[Curve]:
+    """Curves of one term; ``whole`` is the covariance of all coefficients."""
     option = part.cause.option
     axis = option.terms.axes[option.take[place[0]]]
     inputs = effect.inputs_of(term, axis)
-    value, covariance = part.value[place], part.covariance[np.ix_(place, place)]
+    value, covariance = part.value[place], whole[np.ix_(place, place)]
     along = shown_places(inputs[0], POINTS)
     levels = (0.0,) if len(inputs) == 1 else (-1.0, 0.0, 1.0)
     curves = []

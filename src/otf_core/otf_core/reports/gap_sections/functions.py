@@ -39,7 +39,10 @@ def section(diagnosis: Diagnosis) -> Section:
 
 
 def _picture(name: str, curves: Sequence[Curve]) -> Picture:
-    caption = f'{name}: the function that the data show; the band is that of k = 2.'
+    caption = (
+        f'{name}: the function that the data show; the band is that of k = 2, without what tables '
+        f'and the place of the tracker hold as well.'
+    )
     return Picture(tuple(_panel(c) for c in curves[:MOST]), caption, columns=2, title=name)
 
 
