@@ -19,6 +19,7 @@ from bag_cells import (
 from cli_cells import run, write_points
 
 from otf_core.errors import ConfigError, InputError
+from otf_core.inputs.moments import clock_ns, clocks_ns
 from otf_core.inputs.path_file import read_path
 from otf_core.inputs.points_file import read_points
 from otf_core.inputs.recordings import Given, read_content, read_samples
@@ -76,6 +77,17 @@ TEXTS = {
         lambda s, t, *p: f'2026-11-22T10:11:12.{t + 5:09d}Z,' + ','.join(map(repr, p)),
         'timestamp,x,y,z\n',
     ),
+    'dates as tables write them, a name with a space': lines(
+        lambda s, t, *p: f'Point {t},2026-11-22 10:11:12.{t + 5:09d},' + ','.join(map(repr, p)),
+        'Name,time,x_m,y_m,z_m\n',
+    ),
+    'dates as in America': lines(
+        lambda s, t, *p: f'"11/22/2026 12:11:12.{t + 5:09d} AM","' + '","'.join(mm(*p)) + '"',
+        '"Time","X [mm]","Y [mm]","Z [mm]"\n',
+    ),
+    'decimal commas between white space': lines(
+        lambda s, t, *p: comma(f'{t / 1e9:.9f}  ' + ' '.join(mm(*p))), 'Zeit X Y Z\n'
+    ),
 }  # fmt: skip
 
 
@@ -112,6 +124,26 @@ def test_a_unit_of_time_that_is_not_stated_follows_from_the_speed(tmp_path, unit
     got = reading(tmp_path, '\n'.join(['t,x,y,z', *rows]))
     assert f'time from t in {unit} (not stated' in got.said[0]
     assert np.ptp(got.received().stamp_ns) == pytest.approx(1e9)
+
+
+@pytest.mark.parametrize(
+    ('text', 'same'),
+    [
+        ('2026-11-22T12:00:00.5+02:00', '2026-11-22T10:00:00.5Z'),
+        ('2026-11-22 05:30:00.5-04:30', '2026-11-22T10:00:00.5Z'),
+        ('11/22/2026 10:00:00.5 AM', '2026-11-22T10:00:00.5Z'),
+        ('11/22/2026 1:00:00 pm', '2026-11-22T13:00:00Z'),
+        ('12:00:01 AM', '00:00:01'),
+        ('12:00:01 PM', '12:00:01'),
+    ],
+)
+def test_moments_in_other_words(text, same):
+    assert clock_ns(text) == clock_ns(same)
+
+
+def test_only_times_without_a_date_go_on_after_midnight():
+    assert np.diff(clocks_ns(['23:59:59-05:00', '00:00:01-05:00'])) == [2_000_000_000]
+    assert np.diff(clocks_ns(['22.11.2026 23:00:00', '22.11.2026 01:00:00'])) < 0
 
 
 def test_columns_and_rate_on_request(tmp_path):

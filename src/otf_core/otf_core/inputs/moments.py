@@ -15,7 +15,9 @@ Stamps = NDArray[np.int64]
 
 CLOCK = re.compile(
     r'^(?:(?P<date>\d{1,4}[-./]\d{1,2}[-./]\d{1,4})[T\s]+)?'
-    r'(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d)(?:[.,](?P<part>\d+))?(?:Z|[-+]\d\d:?\d\d)?$'
+    r'(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d)(?:[.,](?P<part>\d+))?'
+    r'(?:\s?(?P<half>[AP])M|Z|(?P<sign>[-+])(?P<zone_h>\d\d):?(?P<zone_m>\d\d))?$',
+    re.IGNORECASE,
 )
 DAY_NS = 86_400_000_000_000
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
@@ -27,16 +29,28 @@ def is_clock(text: str) -> bool:
 
 
 def clock_ns(text: str) -> int:
-    """Nanoseconds since 1970, or since midnight without a date; ValueError if it is no time.
+    """Nanoseconds since 1970 (UTC), or since midnight without a date; ValueError if it is no time.
 
-    Dates are year first, or day first with points, or month first with strokes.
+    Dates are year first, or day first with points, or month first with strokes. An offset from
+    UTC, as in ``+02:00``, is taken off.
     """
     match = CLOCK.match(text.strip())
     if match is None:
         raise ValueError(f'{text!r} is no time')
     part = (match['part'] or '')[:9].ljust(9, '0')
-    seconds = 3600 * int(match['h']) + 60 * int(match['m']) + int(match['s'])
+    hours = int(match['h'])
+    if match['half']:
+        hours = hours % 12 + (12 if match['half'] in 'Pp' else 0)
+    seconds = 3600 * hours + 60 * int(match['m']) + int(match['s']) - _ahead_of_utc(match)
     return _midnight_ns(match['date']) + seconds * 1_000_000_000 + int(part)
+
+
+def _ahead_of_utc(match: re.Match[str]) -> int:
+    """Seconds by which a clock says more than UTC."""
+    if match['sign'] is None:
+        return 0
+    seconds = 3600 * int(match['zone_h']) + 60 * int(match['zone_m'])
+    return -seconds if match['sign'] == '-' else seconds
 
 
 def _midnight_ns(date: str | None) -> int:
@@ -57,7 +71,8 @@ def _midnight_ns(date: str | None) -> int:
 def clocks_ns(texts: Sequence[str]) -> Stamps:
     """The same for many; those without a date go on after midnight."""
     found = np.array([clock_ns(text) for text in texts], dtype=np.int64)
-    if texts and CLOCK.match(texts[0].strip()) and '-' not in texts[0] and len(found) > 1:
+    first = CLOCK.match(texts[0].strip()) if texts else None
+    if first and first['date'] is None and len(found) > 1:
         back = np.diff(found) < -DAY_NS // 2
         found[1:] += DAY_NS * np.cumsum(back)
     return found

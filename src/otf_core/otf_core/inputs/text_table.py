@@ -20,8 +20,10 @@ COMMENT = re.compile(r'^\s*(#|//|!|%|"""|\*)+\s?')
 DELIMITERS = ('\t', ';', ',', None)
 """In the order in which they are tried; None: any white space."""
 NUMBER = re.compile(r'[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?$')
-MOMENT = re.compile(r'.*\d:\d\d:\d\d([.,]\d+)?(Z|[-+]\d\d:?\d\d)?$')
+MOMENT = re.compile(r'.*\d:\d\d:\d\d([.,]\d+)?(\s?[AP]M|Z|[-+]\d\d:?\d\d)?$', re.I)
 """A time of day, with or without a date before it."""
+APART = re.compile(r'\d\s+[-+.]?\d')
+"""Two numbers in a field: commas between are those of decimals."""
 LOOKED_AT = 200
 """Lines from which the form is found out."""
 FEWEST = 3
@@ -100,7 +102,7 @@ def _form(lines: list[str]) -> tuple[str | None, int, tuple[bool, ...]] | None:
         for line in lines:
             fields = split(line, delimiter)
             values = tuple(map(is_value, fields))
-            if delimiter == ',' and any(' ' in f for f in fields):
+            if delimiter == ',' and any(APART.search(f) and not is_value(f) for f in fields):
                 continue
             if sum(values) >= FEWEST:
                 forms[len(fields), values] += 1
