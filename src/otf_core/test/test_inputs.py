@@ -2,6 +2,7 @@
 """Recordings as people have them: texts of many forms, other topics and types, paths beside."""
 
 import json
+from decimal import Decimal
 
 import numpy as np
 import pytest
@@ -116,14 +117,16 @@ def test_nanoseconds_since_1970_are_kept(tmp_path):
     np.testing.assert_array_equal(raw.stamp_ns, STAMPS)
 
 
-@pytest.mark.parametrize(('unit', 'factor'), [('s', 1e-9), ('ms', 1e-6), ('us', 1e-3), ('ns', 1)])
-def test_a_unit_of_time_that_is_not_stated_follows_from_the_speed(tmp_path, unit, factor):
+@pytest.mark.parametrize('start', [0, START])
+@pytest.mark.parametrize(('unit', 'digits'), [('s', 9), ('ms', 6), ('us', 3), ('ns', 0)])
+def test_a_unit_of_time_that_is_not_stated_follows_from_the_speed(tmp_path, unit, digits, start):
     path = np.linspace([1.0, 0.0, 0.0], [1.0, 0.15, 0.0], 501)  # 0.15 m/s at 500 Hz
-    rows = [f'{t * factor:.9g},{p[0]},{p[1]},{p[2]}' for t, p in
-            zip((2_000_000 * np.arange(501)).tolist(), path.tolist(), strict=True)]  # fmt: skip
+    stamps = (start + 2_000_000 * np.arange(501)).tolist()
+    rows = [f'{Decimal(t).scaleb(-digits)},{p[0]},{p[1]},{p[2]}' for t, p in
+            zip(stamps, path.tolist(), strict=True)]  # fmt: skip
     got = reading(tmp_path, '\n'.join(['t,x,y,z', *rows]))
     assert f'time from t in {unit} (not stated' in got.said[0]
-    assert np.ptp(got.received().stamp_ns) == pytest.approx(1e9)
+    assert np.ptp(got.received().stamp_ns) == 1_000_000_000
 
 
 @pytest.mark.parametrize(

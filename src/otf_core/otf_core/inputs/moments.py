@@ -11,6 +11,7 @@ from decimal import Decimal, InvalidOperation
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 CLOCK = re.compile(
@@ -95,5 +96,14 @@ def decimals_ns(texts: Sequence[str], power: int) -> Stamps:
     shift = power + 9
     try:
         return np.array([int(Decimal(text).scaleb(shift)) for text in texts], dtype=np.int64)
+    except (InvalidOperation, OverflowError) as error:
+        raise ValueError(f'a time is no number ({type(error).__name__})') from None
+
+
+def since_first(texts: Sequence[str]) -> Array:
+    """Decimal numbers less the first of them, in their own unit; ValueError if one is none."""
+    try:
+        numbers = [Decimal(text) for text in texts]
+        return np.array([float(number - numbers[0]) for number in numbers])
     except (InvalidOperation, OverflowError) as error:
         raise ValueError(f'a time is no number ({type(error).__name__})') from None

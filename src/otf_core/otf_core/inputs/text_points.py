@@ -19,7 +19,7 @@ from otf_core.bags.bag_reading import Received
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import InputError
 from otf_core.inputs.columns import LENGTHS, TIMES, Column, Columns, find_columns
-from otf_core.inputs.moments import clocks_ns, decimals_ns, is_clock
+from otf_core.inputs.moments import clocks_ns, decimals_ns, is_clock, since_first
 from otf_core.inputs.text_table import TextTable, read_text_table
 
 Array = NDArray[np.float64]
@@ -174,7 +174,7 @@ def _stamps_of(table: TextTable, column: Column, xyz: Array, *, alone: bool) -> 
         numbers = [table.number(text) for text in texts]
         if column.unit in TIMES:
             return decimals_ns(numbers, TIMES[column.unit]), column.unit or ''
-        unit = _guessed(decimals_ns(numbers, 0), xyz) if alone else 's'
+        unit = _guessed(since_first(numbers), xyz) if alone else 's'
         return decimals_ns(numbers, TIMES[unit]), f'{unit} (not stated, by the speed)'
     except ValueError as error:
         pairs = zip(table.lines, texts, strict=True)
@@ -190,9 +190,9 @@ def _is_time(text: str) -> bool:
     return True
 
 
-def _guessed(as_seconds: Stamps, xyz: Array) -> str:
-    """Unit of times that makes the machine as fast as machines are."""
-    step = np.diff(as_seconds) * 1e-9
+def _guessed(times: Array, xyz: Array) -> str:
+    """Unit of times, less the first, that makes the machine as fast as machines are."""
+    step = np.diff(times)
     usual = float(np.median(step)) if len(step) else 0.0
     if usual <= 0:
         return 's'
