@@ -86,6 +86,10 @@ TEXTS = {
         lambda s, t, *p: f'"11/22/2026 12:11:12.{t + 5:09d} AM","' + '","'.join(mm(*p)) + '"',
         '"Time","X [mm]","Y [mm]","Z [mm]"\n',
     ),
+    'units in a line of their own': lines(
+        lambda s, t, *p: '\t'.join([f'{t / 1e6:.6f}', *mm(*p)]),
+        'Time\tX Coordinate\tY Coordinate\tZ Coordinate\n[ms]\t[mm]\t[mm]\t[mm]\n',
+    ),
     'decimal commas between white space': lines(
         lambda s, t, *p: comma(f'{t / 1e9:.9f}  ' + ' '.join(mm(*p))), 'Zeit X Y Z\n'
     ),
@@ -177,6 +181,9 @@ def test_columns_and_rate_on_request(tmp_path):
         (TEXTS['plain'].replace(SECONDS[3], 'n/a'), ''),
         (lines(lambda s, t, *p: f'{s},1,2,3', 'time,a,b,c\n'), r'the head names no x'),
         (lines(lambda s, t, *p: f'{s},1,2,3', 't [s],x [mm],y [m],z [m]\n'), 'different units'),
+        (lines(lambda s, t, *p: f'{s},1,2,3', 't,x [in],y [in],z [in]\n'), "'in' is no unit of l"),
+        (lines(lambda s, t, *p: f'{s} 1 2 3', '# X Y Z (inches)\n# t X Y Z\n'), "'inches' is no"),
+        (lines(lambda s, t, *p: f'{s},1,2,3', 't (min),x,y,z\n'), r"t \(min\): 'min' is no unit"),
         (TEXTS['plain'] + 'a,b\n' * 20, 'line 52 is no line of 4 fields'),
     ],
 )
@@ -235,6 +242,7 @@ def test_paths_are_plans_or_corner_points_in_m_or_mm(tmp_path):
         'X;Y;Z\n0,1;-0,2;0\n0,3;0,2;-0,1\n',
         'No\tX (mm)\tY (mm)\tZ (mm)\n1\t100\t-200\t0\n2\t300\t200\t-100\n',
         '0.1 -0.2 0\n0.3 0.2 -0.1\n',
+        'x;y;z\nmm;mm;mm\n100;-200;0\n300;200;-100\n',
         '\ufeffx_mm,y_mm,z_mm\r\n100,-200,0\r\n300,200,-100\r\n',
         'y,remark,x,z\n-0.2,a,0.1,0\n0.2,b,0.3,-0.1\n',
     ],
@@ -251,6 +259,7 @@ def test_points_are_read_as_people_have_them(tmp_path, text):
     [
         ('X;Y;Z\n1;2;3\n1;2;a\n4;5;6\n' + '1;1;1\n' * 20, 'line 3: expected numbers'),
         ('X [mm];Y [m];Z [mm]\n1;2;3\n', 'x, y, z are in'),
+        ('x [inch],y [inch],z [inch]\n1,2,3\n', "x, y, z are in 'inch'; expected m or mm"),
         ('X;Y;Z\n1;nan;3\n', 'line 2: not finite'),
         ('X;Y;Z\n1;10:11:12;3\n', 'line 2: not finite'),
         ('G1 X0 Y0\n', 'expected the header x,y,z'),

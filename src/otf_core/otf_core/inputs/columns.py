@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.text_table import TextTable, is_value, split
@@ -16,17 +16,24 @@ TIMES = {
     'us': -6, 'usec': -6, 'µs': -6, 'ns': -9, 'nsec': -9, 'nsecs': -9, 'nanosec': -9,
 }  # fmt: skip
 """Units and the power of ten that takes them to m and s."""
+OTHER_LENGTHS = ('in', 'inch', 'inches', 'mil', 'mils', 'ft', 'foot', 'feet', 'nm', 'km')
+OTHERS = (*OTHER_LENGTHS, 'deg', 'gon', 'rad', 'min', 'minute', 'minutes', 'h', 'hour', 'hours')
+"""Units that a head may state and nothing is read in: refused, never taken for another."""
 UNIT = re.compile(r'^(?P<name>.*?)\s*[\[({<]\s*(?P<unit>[^\])}>]*)\s*[\])}>]\s*$')
 SUFFIX = re.compile(r'^(?P<name>.+)_(?P<unit>m|mm|cm|um|s|sec|ms|us|ns)$')
 NO_POINT = re.compile(r'rot|quat|orient|cov|std|dif|dev|err|sigma|^u[-_ ]|^r[xyz]$|nominal')
-POINT = re.compile(r'^(?:.*[._:/\s-])?(?P<axis>[xyz])(?:[_ ]?t|coord(?:inate)?|pos(?:ition)?)?$')
+POINT = re.compile(
+    r'^(?:.*[._:/\s-])?(?P<axis>[xyz])(?:[_ ]?(?:t|coord(?:inate)?|pos(?:ition)?))?$'
+)
 TIME = re.compile(
     r'^(?:.*[._:/\s])?(?:t|time|zeit|timestamp|time ?stamp|stamp|datetime|date ?time|utc|uhrzeit|'
     r'secs?|nsecs?|nanosec|seconds|sekunden)$'
 )
 FIXED = {'dval1': 'x', 'dval2': 'y', 'dval3': 'z'}
 """Names in results of a tracker controller (emScon: Cartesian, right-handed)."""
-AXES_WITH_UNIT = re.compile(r'\bx\b.*\by\b.*\bz\b.*[\[(]\s*(m|mm|um|cm)\s*[\])]', re.I)
+AXES_WITH_UNIT = re.compile(
+    rf'\bx\b.*\by\b.*\bz\b.*[\[(]\s*({"|".join((*LENGTHS, *OTHER_LENGTHS))})\s*[\])]', re.I
+)
 
 
 @dataclass(frozen=True)
@@ -73,8 +80,11 @@ def _parted(text: str) -> tuple[str, str | None]:
     unit = match['unit'].strip()
     if not match['name'].strip():
         return unit.lower(), None
-    known = unit.lower() in LENGTHS or unit.lower() in TIMES
-    return match['name'].strip().lower(), unit.lower() if known else None
+    return match['name'].strip().lower(), unit.lower() if _is_unit(unit) else None
+
+
+def _is_unit(text: str) -> bool:
+    return text.lower() in (*LENGTHS, *TIMES, *OTHERS)
 
 
 def _what(name: str) -> str | None:
@@ -154,16 +164,31 @@ def named_columns(table: TextTable) -> Columns | None:
     if labels is not None:
         return labels
     count = len(table.rows[0])
-    for line in reversed(table.head):
+    for k in reversed(range(len(table.head))):
         for delimiter in (table.delimiter, '\t', ';', ',', None):
-            headings = split(line, delimiter)
+            headings = split(table.head[k], delimiter)
             found = columns_of(headings) if len(headings) >= FEWEST_NAMED else None
             if found is not None and all(c.place < count for c in (*found.point, *found.time)):
-                return _with_unit_of_head(found, table)
+                below = [split(line, delimiter) for line in table.head[k + 1 :]]
+                return _with_unit_of_head(_with_units_below(found, below), table)
     return _unnamed(table)
 
 
 FEWEST_NAMED = 3
+
+
+def _with_units_below(found: Columns, below: Sequence[Sequence[str]]) -> Columns:
+    """Take units from a line of their own under the names: 's;mm;mm;mm'."""
+    columns = (*found.point, *found.time)
+    for fields in below:
+        texts = [fields[c.place].strip('[]() ') if c.place < len(fields) else '' for c in columns]
+        if all(map(_is_unit, texts[:3])) and not any(c.unit for c in found.point):
+            given = [
+                replace(c, unit=text.lower()) if c.unit is None and _is_unit(text) else c
+                for c, text in zip(columns, texts, strict=True)
+            ]
+            return Columns((given[0], given[1], given[2]), tuple(given[3:]))
+    return found
 
 
 def _with_unit_of_head(found: Columns, table: TextTable) -> Columns:

@@ -45,7 +45,8 @@ def read_points(name: str | Path) -> tuple[Array, str]:
     rows = [[_number(table.number(row[c.place])) for c in found.point] for row in table.rows]
     stated = {c.unit for c in found.point} - {None}
     if len(stated) > 1 or not stated <= set(LENGTHS):
-        raise ConfigError(f'{name}: x, y, z are in {stated}; expected m or mm')
+        given = ' and '.join(sorted(map(repr, stated)))
+        raise ConfigError(f'{name}: x, y, z are in {given}; expected m or mm')
     unit = stated.pop() or 'm' if stated else 'm'
     names = ', '.join(c.name for c in found.point)
     points = _finite(np.array(rows), table)

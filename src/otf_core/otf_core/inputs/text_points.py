@@ -130,7 +130,9 @@ def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
         raise InputError(f'{table.where}: x, y, z are in different units: {units}')
     stated = units.pop()
     if stated is not None and stated not in LENGTHS:
-        raise InputError(f'{table.where}: {stated!r} is no unit of length; possible: {_known()}')
+        raise InputError(
+            f'{table.where}: {stated!r} is no unit of length that is read; possible: {_known()}'
+        )
     unit = stated or ('mm' if np.nanmax(np.abs(xyz), initial=0.0) > LARGE else 'm')
     xyz *= 10.0 ** LENGTHS[unit]
     return xyz, unit if stated else f'{unit} (not stated, by their size)'
@@ -174,6 +176,11 @@ def _stamps_of(table: TextTable, column: Column, xyz: Array, *, alone: bool) -> 
         numbers = [table.number(text) for text in texts]
         if column.unit in TIMES:
             return decimals_ns(numbers, TIMES[column.unit]), column.unit or ''
+        if column.unit is not None:
+            raise InputError(
+                f'{table.where}: {column.name}: {column.unit!r} is no unit of time that is read; '
+                f'possible: {", ".join(GUESSED)}'
+            )
         unit = _guessed(since_first(numbers), xyz) if alone else 's'
         return decimals_ns(numbers, TIMES[unit]), f'{unit} (not stated, by the speed)'
     except ValueError as error:
