@@ -171,6 +171,10 @@ def test_columns_and_rate_on_request(tmp_path):
     ):
         with pytest.raises(ConfigError, match=words):
             reading(tmp_path, text, columns=columns, rate=1.0)
+    with pytest.raises(ConfigError, match=r'--rate: .* holds times \(time_s\)'):
+        reading(tmp_path, TEXTS['plain'], rate=500.0)
+    raw = reading(tmp_path, TEXTS['plain'], columns='-,x,y,z', rate=500.0).received()
+    np.testing.assert_array_equal(raw.stamp_ns, SINCE)
 
 
 @pytest.mark.parametrize(

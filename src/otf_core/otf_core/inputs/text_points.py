@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from otf_core.bags.bag_reading import Received
 from otf_core.bags.topics import PATH, POINT, Topic
-from otf_core.errors import InputError
+from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.columns import LENGTHS, TIMES, Column, Columns, find_columns
 from otf_core.inputs.moments import clocks_ns, decimals_ns, is_clock, since_first
 from otf_core.inputs.text_table import TextTable, read_text_table
@@ -68,6 +68,8 @@ class TextReading:
 
     Raises
     ------
+    ConfigError
+        If it cannot be read, or what is given does not suit it.
     InputError
         If it is no table of samples; names the line.
     """
@@ -154,6 +156,11 @@ def _stamps(
             )
         step = 1e9 / rate
         return np.rint(step * np.arange(len(xyz))).astype(np.int64), f'{rate:g} Hz as stated'
+    if rate is not None:
+        raise ConfigError(
+            f'--rate: {table.where} holds times ({columns.time[0].name}); leave --rate out, or '
+            f'the column of times (--columns, a - in its place)'
+        )
     total = np.zeros(len(xyz), np.int64)
     words = []
     for column in columns.time:
