@@ -2,6 +2,7 @@
 """Recordings as people have them: texts of many forms, other topics and types, paths beside."""
 
 import json
+import os
 from decimal import Decimal
 
 import numpy as np
@@ -274,6 +275,14 @@ def test_points_that_are_none_are_refused_with_their_line(tmp_path, text, what):
     (tmp_path / 'points.csv').write_text(text, encoding='utf-8')
     with pytest.raises(ConfigError, match=what):
         read_points(tmp_path / 'points.csv')
+
+
+@pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no named pipes')
+@pytest.mark.parametrize('reader', [read_points, read_path])
+def test_points_in_a_pipe_are_refused_before_any_is_lost(tmp_path, reader):
+    os.mkfifo(tmp_path / 'points.csv')
+    with pytest.raises(ConfigError, match=r'points\.csv: is a pipe.*give a file'):
+        reader(tmp_path / 'points.csv')
 
 
 def stamped(kind, stamp, xyz, frame, child='target'):

@@ -24,6 +24,12 @@ def unreadable(path: str | Path, error: OSError) -> ConfigError:
     return ConfigError(f'{path}: cannot be read ({error.strerror}){hint}')
 
 
+def refuse_pipe(path: str | Path) -> None:
+    """Refuse, as a ConfigError, a pipe: what is looked at before it is read would be lost."""
+    if Path(path).is_fifo():
+        raise ConfigError(f'{path}: is a pipe, which can be read only once; give a file')
+
+
 def ensure_folder(folder: str | Path) -> Path:
     """Make a folder with its parents; ConfigError if that is not possible."""
     folder = Path(folder)

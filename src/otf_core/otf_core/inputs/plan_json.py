@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.json_file import read_json
+from otf_core.files.writing import refuse_pipe
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 
@@ -37,7 +38,14 @@ class PlanFile:
 
 
 def looks_like_json(path: str | Path) -> bool:
-    """Tell whether a file starts as a JSON object; False if it cannot be read."""
+    """Tell whether a file starts as a JSON object; False if it cannot be read.
+
+    Raises
+    ------
+    ConfigError
+        If it is a pipe.
+    """
+    refuse_pipe(path)
     try:
         with open(path, 'rb') as file:
             return file.read(64).lstrip(b'\xef\xbb\xbf \t\r\n').startswith(b'{')

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.csv_points import read_points_csv
+from otf_core.files.writing import refuse_pipe
 from otf_core.inputs.columns import LENGTHS, named_columns, unnamed_words
 from otf_core.inputs.text_table import TextTable, read_text_table
 
@@ -27,6 +28,7 @@ def read_points(name: str | Path) -> tuple[Array, str]:
     ConfigError
         If the file cannot be read, names no points, or a line is none.
     """
+    refuse_pipe(name)
     if _is_plain(name):
         return read_points_csv(name), ''
     try:
