@@ -27,6 +27,11 @@ QUANTILES = (5.0, 85.0)
 TWO_LEVELS = 30.0
 """Their ratio from which on there are two kinds of samples; normal noise gives 4, Student's t of
 three degrees of freedom 10."""
+EVEN, FEWEST = 0.25, 100
+"""Share by which intervals of stamps may differ from the usual one for differences from sample to
+sample to be taken; fewest of these, else all are."""
+RASTERS = (1e-3, 1e-4, 1e-5, 1e-6)
+"""m; to what recordings are rounded."""
 MANY, TOO_MANY = 0.1, 0.3
 """Share of outliers from which on they are named; from which on the result is not relied on."""
 
@@ -43,14 +48,36 @@ def measured_noise(samples: Samples, speed: float) -> tuple[Array, str]:
     seen = standstill_noise(samples, find_standstills(samples, speed))
     if seen is not None:
         return seen.noise.level, 'at standstill'
-    third = np.diff(samples.xyz, 3, axis=0)
-    middle = samples.xyz[1:-2]
+    third, middle = _third(samples)
     distance = np.linalg.norm(middle, axis=1)
     along = np.einsum('ij,ij->i', third, middle) / distance
     across = np.linalg.norm(np.cross(middle / distance[:, None], third), axis=1) / distance
     u_range = float(np.median(np.abs(along))) / NORMAL_MEDIAN / THIRD
     u_angle = float(np.median(across)) / 1.1774 / THIRD
     return np.array([u_range, u_angle, u_angle]), 'from sample to sample'
+
+
+def _third(samples: Samples) -> tuple[Array, Array]:
+    """Third differences (m, 3) of samples that follow each other evenly, and their samples, m."""
+    third, middle = np.diff(samples.xyz, 3, axis=0), samples.xyz[1:-2]
+    step = np.diff(samples.stamp_ns)
+    usual = float(np.median(step))
+    even = np.abs(step - usual) <= EVEN * usual
+    even = even[:-2] & even[1:-1] & even[2:]
+    return (third[even], middle[even]) if even.sum() >= FEWEST else (third, middle)
+
+
+def rounded_to(samples: Samples) -> float:
+    """Coarsest of ``RASTERS`` that all coordinates are multiples of, m; 0 if there is none."""
+    for step in RASTERS:
+        if all(_multiples(part, step) for part in (samples.xyz[:FEWEST], samples.xyz)):
+            return step
+    return 0.0
+
+
+def _multiples(values: Array, step: float) -> bool:
+    count = values / step
+    return bool(np.all(np.abs(count - np.rint(count)) < 0.02))  # 0.01: single precision
 
 
 def outlying(samples: Samples) -> tuple[float, float]:
@@ -65,13 +92,19 @@ def outlying(samples: Samples) -> tuple[float, float]:
     size : float
         m; median length of what stands out.
     """
-    third = np.linalg.norm(np.diff(samples.xyz, 3, axis=0), axis=1) / THIRD
+    third = np.linalg.norm(_third(samples)[0], axis=1) / THIRD
     low, high = np.percentile(third, QUANTILES)
     if high < TWO_LEVELS * low:
         return 0.0, 0.0
     far = third > np.sqrt(low * high)
     share = 1.0 - (1.0 - float(np.mean(far))) ** 0.25
     return share, float(np.median(third[far]) * THIRD / 3.0)
+
+
+def _lever(samples: Samples) -> Array:
+    """What takes range and two angles to lengths, shape (3,)."""
+    distance = float(np.median(np.linalg.norm(samples.xyz, axis=1)))
+    return np.array([1.0, distance, distance])
 
 
 def check_noise_level(model: Model, config: CalibrationConfig) -> list[Finding]:
@@ -86,6 +119,12 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
     ratios = level / np.array([spec.u_range, spec.u_angle, spec.u_angle])
     name = f'{run.recording.name}: ' if run.recording.name else ''
     above = max(ratios) > ABOVE
+    raster = rounded_to(run.recording.samples) if above else 0.0
+    if max(level * _lever(run.recording.samples)) < raster:
+        return Finding('rounded', WARNING, (
+            f'{name}coordinates are rounded to {1e6 * raster:g} um, more than the noise of the '
+            f'tracker; record or export more digits'
+        ))  # fmt: skip
     share, size = outlying(run.recording.samples) if above else (0.0, 0.0)
     if share > MANY:
         return Finding('outliers', GATE if share > TOO_MANY else WARNING, (

@@ -125,6 +125,20 @@ def test_outliers_are_told_from_noise(share, severity):
     assert said == pytest.approx(100 * share, abs=5)
 
 
+def test_rounded_coordinates_are_named_and_no_outliers():
+    a = recorded()
+    (found,) = asked(again(a, xyz=a.samples.xyz.round(4)))
+    assert (found.check, found.severity) == ('rounded', 'warning')
+    assert 'rounded to 100 um' in found.words
+
+
+def test_lost_samples_make_no_outliers_of_the_others():
+    a = recorded()
+    kept = np.random.default_rng(3).random(len(a.samples)) > 0.4
+    samples = Samples(a.samples.stamp_ns[kept], a.samples.xyz[kept])
+    assert 'outliers' not in [f.check for f in asked(replace(a, samples=samples))]
+
+
 @pytest.mark.parametrize('factor', [0.01, 100.0])
 def test_a_specification_far_from_the_noise_is_said(factor):
     a = recorded()
