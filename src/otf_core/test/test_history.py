@@ -108,6 +108,42 @@ def test_runs_without_a_date_ask_for_one(found, tmp_path):
     assert read_store(tmp_path / 'store').runs[0].at.month == 3
 
 
+def with_more_known(data, name, slope):
+    """The same tables, of which a rotation that was not seen is known: a slope, rad/m."""
+    data = json.loads(json.dumps(data))
+    table = data['motions'][name]
+    assert not table['identifiable']
+    table['identifiable'], table['value'] = True, [slope * p for p in table['position']]
+    return data
+
+
+def with_less_driven(data, axis):
+    """The same tables but for the first node of an axis."""
+    data = json.loads(json.dumps(data))
+    for table in data['motions'].values():
+        if table['axis'] == axis:
+            for key in ('position', 'value', 'u', 'node_identifiable', 'U'):
+                table[key] = (table[key] or [])[1:]
+    del data['covariance']
+    return data
+
+
+@pytest.mark.parametrize('other', [
+    lambda data: with_more_known(data, 'EAZ', 2e-4),
+    lambda data: with_less_driven(data, 'X'),
+    lambda data: with_less_driven(data, 'Z'),
+])  # fmt: skip
+def test_what_the_convention_takes_out_of_motions_lies_in_squareness(found, tmp_path, other):
+    for k, data in enumerate([found.data, other(found.data)]):
+        (tmp_path / f'{k}.json').write_text(json.dumps(data))
+        add_run(tmp_path / 'store', tmp_path / f'{k}.json', f'2026-03-0{k + 1}')
+    series = series_of(read_store(tmp_path / 'store').runs)
+    q = series.grid
+    for run_of, vector in zip(series.runs, series.values, strict=True):
+        field = without_rigid_motion(error_of(run_of.content.tables, q), q)
+        np.testing.assert_allclose(series.field_rows @ vector, field.ravel(), atol=1e-12)
+
+
 def test_a_steady_machine_shows_no_drift(found, tmp_path):
     judged = [history(tmp_path / f'{s}', found, [0.0] * 5, s) for s in range(11, 17)]
     # each test errs in 5 % of all stores; three false alarms of six have p = 0.002

@@ -2,7 +2,8 @@
 """Calibrations of one machine in one convention: vectors over time with their covariances.
 
 A vector holds the motions that all runs know, at their common positions (see
-``comparison.convention``), then C0Y, B0Z, A0Z.
+``comparison.convention``), then C0Y, B0Z, A0Z: with the slopes that the convention takes out of
+the motions of a run, so that the vector is the errors that the run knows but for a rigid motion.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.comparison.compare import GRID, source_of_tables
-from otf_core.comparison.convention import Common, common_ground, operator
+from otf_core.comparison.convention import Common, Source, common_ground, operator
 from otf_core.history.store import StoredRun
 from otf_core.model.evaluation import free_rows
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -66,14 +67,7 @@ class Series:
     @cached_property
     def grid(self) -> Array:
         """Lattice over the common range, shape (n, 3), m."""
-        ends = [np.linspace(*self._ends(a), GRID) for a in self.common.machine.axis_names]
-        return np.stack([g.ravel() for g in np.meshgrid(*ends, indexing='ij')], axis=1)
-
-    def _ends(self, axis: str) -> tuple[float, float]:
-        position, limits = self.common.position[axis], self.common.machine.axes[axis]
-        if len(position):
-            return float(position[0]), float(position[-1])
-        return limits.min, limits.max
+        return _grid(self.common)
 
     @cached_property
     def field_rows(self) -> Array:
@@ -82,17 +76,7 @@ class Series:
 
     def rows(self, q: Array) -> Array:
         """From a vector to the errors at positions (n, 3), m; shape (n, 3, m)."""
-        nodes = {m: self.common.position[m.axis] for m in self.common.motions}
-        padded: dict[str, Array] = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
-        rows = prediction_rows(self.common.machine, padded, q)
-        keep: list[int] = []
-        start = len(SQUARENESS)
-        for motion in MOTIONS:
-            if motion in nodes:
-                keep += range(start, start + len(padded[motion]))
-            start += len(padded[motion])
-        keep += range(len(SQUARENESS))
-        return np.asarray(rows[:, :, np.array(keep)])
+        return _rows(self.common, q)
 
     def lengths(self, vector: Array) -> Array:
         """Lengths of the error vectors on the grid, shape (n,), m."""
@@ -103,6 +87,56 @@ class Series:
         return Series(
             self.runs[first:], self.common, self.values[first:], self.covariances[first:]
         )
+
+
+def _grid(common: Common) -> Array:
+    ends = [np.linspace(*_ends(common, a), GRID) for a in common.machine.axis_names]
+    return np.stack([g.ravel() for g in np.meshgrid(*ends, indexing='ij')], axis=1)
+
+
+def _ends(common: Common, axis: str) -> tuple[float, float]:
+    position, limits = common.position[axis], common.machine.axes[axis]
+    if len(position):
+        return float(position[0]), float(position[-1])
+    return limits.min, limits.max
+
+
+def _rows(common: Common, q: Array) -> Array:
+    nodes = {m: common.position[m.axis] for m in common.motions}
+    padded: dict[str, Array] = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
+    rows = prediction_rows(common.machine, padded, q)
+    keep: list[int] = []
+    start = len(SQUARENESS)
+    for motion in MOTIONS:
+        if motion in nodes:
+            keep += range(start, start + len(padded[motion]))
+        start += len(padded[motion])
+    keep += range(len(SQUARENESS))
+    return np.asarray(rows[:, :, np.array(keep)])
+
+
+def _to_common(source: Source, common: Common) -> Array:
+    """From squareness and nodes of a source to the vector of a series, shape (m, 3 + nodes).
+
+    The squareness errors of the vector are those that leave nothing, but a rigid motion, of what
+    the source knows less the motions of the vector.
+    """
+    first = len(SQUARENESS)
+    motions = operator(source, common)
+    matrix = np.hstack([np.zeros((len(motions), first)), motions])
+    q = _grid(common)
+    nodes: dict[str, Array] = {m: source.tables.motions[m].position for m in MOTIONS}
+    own = prediction_rows(common.machine, nodes, q).reshape(3 * len(q), -1)
+    start = first
+    for motion in MOTIONS:
+        stop = start + len(nodes[motion])
+        if motion not in (*common.motions, *common.folded):
+            own[:, start:stop] = 0.0
+        start = stop
+    parts = _rows(common, q).reshape(3 * len(q), -1)
+    left = own - parts[:, :-first] @ matrix
+    angles = free_rows(parts[:, -first:], q)
+    return np.vstack([matrix, np.linalg.lstsq(angles, free_rows(left, q), rcond=None)[0]])
 
 
 def series_of(runs: Sequence[StoredRun]) -> Series:
@@ -126,9 +160,7 @@ def series_of(runs: Sequence[StoredRun]) -> Series:
     values, covariances = [], []
     for run, source, known in zip(runs, sources, packed, strict=True):
         square = run.content.tables.squareness
-        matrix = operator(source, common)
-        full = np.zeros((matrix.shape[0] + 3, matrix.shape[1] + 3))
-        full[:-3, 3:], full[-3:, :3] = matrix, np.eye(3)
+        full = _to_common(source, common)
         if known is None:
             known = np.zeros((full.shape[1], full.shape[1]))
             known[:3, :3] = np.diag([square[k].u ** 2 for k in SQUARENESS])
