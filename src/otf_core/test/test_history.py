@@ -25,6 +25,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import load_tables, tables_from_dict
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import result_to_dict
+from otf_core.reports.history import format_history
 
 START = datetime(2026, 1, 1, tzinfo=timezone.utc)
 
@@ -142,6 +143,23 @@ def test_what_the_convention_takes_out_of_motions_lies_in_squareness(found, tmp_
     for run_of, vector in zip(series.runs, series.values, strict=True):
         field = without_rigid_motion(error_of(run_of.content.tables, q), q)
         np.testing.assert_allclose(series.field_rows @ vector, field.ravel(), atol=1e-12)
+
+
+def test_runs_with_other_targets_are_compared_at_the_latest_or_it_is_said(found, tmp_path):
+    known = found.data
+    for name in (m for m in MOTIONS if not found.data['motions'][m]['identifiable']):
+        known = with_more_known(known, name, 2e-4)
+    other = json.loads(json.dumps(known))
+    other['machine']['target_offset'][2] -= 0.1
+    for data, warns in ((found.data, True), (known, False)):
+        store = tmp_path / f'{warns}'
+        for k, one in enumerate([data, other]):
+            (tmp_path / f'{k}.json').write_text(json.dumps(one))
+            add_run(store, tmp_path / f'{k}.json', f'2026-03-0{k + 1}')
+        series = series_of(read_store(store).runs)
+        assert series.common.machine.target_offset[2] == other['machine']['target_offset'][2]
+        assert bool(series.warnings) == warns
+        assert ('WARNING' in format_history(history_of(read_store(store), 'small'))) == warns
 
 
 def test_a_steady_machine_shows_no_drift(found, tmp_path):

@@ -26,6 +26,8 @@ from otf_core.prediction.uncertainty import prediction_rows
 Array = NDArray[np.float64]
 
 DAY = 86400.0
+NEAR = 1e-3
+"""m; target offsets that differ by less count as one: of 100 urad that is 0.1 um."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,23 @@ class Series:
             parts[name] = slice(start + k, start + k + 1)
         return parts
 
+    @property
+    def warnings(self) -> list[str]:
+        """Runs that cannot be brought to the target offset of the latest, in words."""
+        offset = self.common.machine.target_offset
+        words = []
+        for run in self.runs:
+            tables = run.content.tables
+            unseen = [m for m in self.common.folded if not tables.motions[m].identifiable]
+            if unseen and not np.allclose(tables.machine.target_offset, offset, atol=NEAR):
+                words.append(
+                    f'{run.name} was measured with the target offset '
+                    f'{_metres(tables.machine.target_offset)}, the latest run with '
+                    f'{_metres(offset)}: {", ".join(unseen)}, which it did not see, act there as '
+                    f'other translations; what seems to have changed may be the target alone'
+                )
+        return words
+
     @cached_property
     def grid(self) -> Array:
         """Lattice over the common range, shape (n, 3), m."""
@@ -87,6 +106,10 @@ class Series:
         return Series(
             self.runs[first:], self.common, self.values[first:], self.covariances[first:]
         )
+
+
+def _metres(offset: Array) -> str:
+    return f'({", ".join(f"{v:.3f}" for v in offset)}) m'
 
 
 def _grid(common: Common) -> Array:
@@ -156,7 +179,7 @@ def series_of(runs: Sequence[StoredRun]) -> Series:
         source_of_tables(run.name, run.content.tables, known)
         for run, known in zip(runs, packed, strict=True)
     ]
-    common = common_ground(sources)
+    common = common_ground(sources[::-1])  # at the target offset of the latest
     values, covariances = [], []
     for run, source, known in zip(runs, sources, packed, strict=True):
         square = run.content.tables.squareness

@@ -67,6 +67,7 @@ def history_to_dict(history: History) -> dict[str, Any]:
             for step in history.steps
         ],
         'reference': runs[history.reference].name,
+        'warnings': history.series.warnings,
         'drift': None
         if drift is None
         else {
@@ -164,6 +165,7 @@ def format_history(history: History) -> str:
     lines = [
         f'{history.machine}: {len(series.runs)} runs, {_day(series.runs[0].at)} to '
         f'{_day(series.runs[-1].at)}; reference {series.runs[history.reference].name}',
+        *(f'WARNING {words}' for words in history.series.warnings),
         *(_step_words(history, step) for step in history.steps),
         *drift_words(history),
     ]
@@ -194,7 +196,7 @@ def _chart(history: History, name: str, changes: Sequence[Change]) -> str:
 
 def _sections(history: History) -> list[Section]:
     names = list(history.series.parts)
-    words = tuple(drift_words(history))
+    words = (*history.series.warnings, *drift_words(history))
     head = ('run', 'measured', 'volume (um)', 'expected (um)', 'what happened', 'changed')
     rows = tuple(
         (
