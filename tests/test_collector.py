@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from cells import write_machine
 
-from otf_calibrator.collector import LATE, SILENT, Collector
+from otf_calibrator.collector import SILENT, Collector
 from otf_calibrator.losses import SequenceWatch
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.session import LAST_SAMPLES, Session
+from otf_calibrator.stream import LATE
 from otf_core.config import CalibrationConfig
 from otf_core.errors import Cancelled
 from otf_core.model.path import NominalPath

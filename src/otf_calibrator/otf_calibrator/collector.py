@@ -14,10 +14,10 @@ and a second tracker do not.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
+from otf_calibrator.stream import LATE, Stream
 from otf_core.bags.clock import Clock
 from otf_core.bags.screening import Screening
 from otf_core.config import CalibrationConfig
@@ -29,8 +29,6 @@ SILENT = 0.5
 """s; trackers that stream at once take turns faster: a clock so long unheard has stopped."""
 SAME_RUN_NS = 600_000_000_000
 """ns; a driver that was started again so much later does not go on with the run."""
-LATE = 2.0
-"""s; samples that have not arrived so long after the end of their stream are lost."""
 UNDER_WAY = 0.1
 """s; what was published before a request has arrived so long after it."""
 MOTION = 0.01
@@ -43,35 +41,6 @@ BEGUN = 0.05
 """The same before the state speaks of the next run instead of the last result."""
 SAME_PATH = 1e-6
 """m; paths that differ by less are the same."""
-
-
-@dataclass
-class Stream:
-    """What is known of one stream of the driver; all zero without any status.
-
-    One that was taken over from another has not shown yet whether it goes on with the run; of one
-    that is heard of again it is unknown how many of the samples before have arrived.
-    """
-
-    name: str = ''
-    received: int = 0
-    announced: int = 0
-    finished: bool = False
-    ended: bool = False
-    ended_at: float = 0.0
-    heard: float = 0.0
-    taken_over: bool = False
-    unknown: int = 0
-
-    @property
-    def lost(self) -> int:
-        """Samples that were announced and have not arrived."""
-        return max(0, self.announced - self.unknown - self.received)
-
-    def over(self, now: float) -> bool:
-        """Tell whether no further sample of this stream will come."""
-        silent = now - max(self.ended_at, self.heard)
-        return self.ended and (self.received >= self.announced or silent > LATE)
 
 
 class Collector:
