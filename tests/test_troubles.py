@@ -3,11 +3,13 @@
 
 import numpy as np
 from cells import write_machine
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from rclpy.qos import qos_profile_sensor_data
 
 from otf_core.model.observation import Samples
+from otf_msgs.msg import TrackerStatus
 from otf_ros import convert, qos
 
 
@@ -39,3 +41,27 @@ def test_foreign_frames_second_publishers_and_quality_of_service_are_said(graph,
     log = node.log.read_text()
     for part in ('quality of service does not fit', '2 publishers on', "frame_id is 'lab'"):
         assert part in log
+
+
+def test_samples_on_their_way_are_not_told_as_lost(graph, machine_file):
+    graph.start('calibrator', machine_file=machine_file)
+    points = graph.ear().create_publisher(PointStamped, 'tracker/point', qos.MEASUREMENT)
+    status = graph.ear().create_publisher(TrackerStatus, 'tracker/status', qos.STATUS)
+    found = graph.listen(DiagnosticArray, '/diagnostics', qos.DIAGNOSTICS)
+    graph.wait(lambda: points.get_subscription_count(), 'the calibrator')
+    announced = {'stream_id': 'one', 'samples_published': 30}
+    status.publish(TrackerStatus(state=TrackerStatus.STREAMING, **announced))
+    samples = Samples(np.arange(10) * 10**6, np.full((10, 3), 0.5))
+    for message in convert.points_to_messages(samples):
+        points.publish(message)
+
+    def losses():
+        told = [s for s in found[-1].status if s.name.endswith('losses')] if found else []
+        return {v.key: v.value for s in told for v in s.values}
+
+    graph.wait(lambda: losses().get('on their way') == '20', 'the rest')
+    assert losses()['lost'] == '0' and graph.state().samples == 10
+    assert {state.samples_lost for state in graph.heard['calibrator/state']} == {0}
+    status.publish(TrackerStatus(state=TrackerStatus.FINISHED, **announced))
+    graph.wait(lambda: graph.state().samples_lost == 20, 'the loss')
+    graph.wait(lambda: losses() == {'lost': '20', 'on their way': '0'}, 'the same')

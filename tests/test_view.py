@@ -215,8 +215,7 @@ def check_numbers(numbers, result):
     assert 0 < np.median(numbers['distance_from_path']) < 3 * ERROR_SIZE
     assert max(numbers['samples']) == result.samples
     assert numbers['residual'][-1] == result.path_mae_after
-    # those on their way count until they arrive; how many that are, the load of the computer tells
-    assert numbers['samples_lost'][-1] == result.samples_lost
+    assert max(numbers['samples_lost']) == result.samples_lost
     assert 400 < np.median([r for r in numbers['sample_rate'] if r]) < 12_000
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from rclpy.node import Node
@@ -31,11 +32,11 @@ def tell(node: Node, session: Session, folder: Callable[[], str]) -> Diagnostics
         return Finding(Level.OK, f'{count} samples of the present run', values)
 
     def losses() -> Finding:
-        lost = session.collector.lost
+        lost = session.collector.lost_for_sure(time.monotonic())
+        values = {'lost': lost, 'on their way': session.collector.lost - lost}
         if not lost:
-            return Finding(Level.OK, 'all that the driver has announced has arrived')
-        text = f'{lost} samples that the driver has announced have not arrived (yet)'
-        return Finding(Level.WARN, text, {'lost': lost})
+            return Finding(Level.OK, 'nothing is lost', values)
+        return Finding(Level.WARN, f'{lost} samples were lost on the way', values)
 
     def work() -> Finding:
         if session.busy:

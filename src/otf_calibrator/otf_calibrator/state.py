@@ -114,7 +114,7 @@ class StatePublisher:
             progress=progress,
             time_left=time_left,
             samples=len(collector.buffer),
-            samples_lost=collector.lost,
+            samples_lost=collector.lost_for_sure(now),
             path_length=collector.path.length if collector.path else 0.0,
             travelled=collector.travelled,
             message=text,

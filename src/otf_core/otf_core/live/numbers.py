@@ -9,7 +9,7 @@ NUMBERS = {
     'distance_from_path': 'm; of the newest sample, once the place of the tracker is known',
     'sample_rate': 'Hz; as samples arrive at the calibrator',
     'samples': 'so far',
-    'samples_lost': 'announced by the driver and not arrived',
+    'samples_lost': 'published and not arrived, those that may be on their way not counted',
     'progress': '0 to 1; of driving, or of the calibration under way',
     'time_left': 's; estimated',
     'residual': 'm; mean distance from the path that compensation leaves, as solved so far',
