@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The action beside the service refuses, tells how far it is, and can be cancelled."""
 
+from types import SimpleNamespace
+
 import pytest
 from action_msgs.msg import GoalStatus
 from caller import Caller
 from cells import FAST, SHORT
+from rclpy.action import CancelResponse
+
+from otf_calibrator import action
 
 
 @pytest.fixture
@@ -40,3 +45,17 @@ def test_action_refuses_with_a_reason_and_can_be_cancelled(graph, machine_file, 
     graph.wait(lambda: 'was cancelled' in graph.state().message, 'the state')
     assert graph.state().name == 'BUFFERING' and graph.state().samples == count
     assert not graph.heard['calibrator/result']  # nothing is wrong, and no result came
+
+
+def test_cancel_of_a_goal_that_is_refused_leaves_the_one_under_way_alone(graph, monkeypatch):
+    cancelled, answers = [], iter([(True, 'started'), (False, 'under way')])
+    session = SimpleNamespace(calibrate=lambda: next(answers), cancel=lambda: cancelled.append(1))
+    offered, executed = {}, []
+    monkeypatch.setattr(action, 'ActionServer', lambda *given, **calls: offered.update(calls))
+    action.CalibrateAction(graph.ear(), session, lambda: None)
+    first, second = (SimpleNamespace(execute=executed.append) for _ in range(2))
+    offered['handle_accepted_callback'](first)
+    offered['handle_accepted_callback'](second)
+    assert len(executed) == 1  # in the next turn of the executor
+    assert offered['cancel_callback'](second) == CancelResponse.REJECT and not cancelled
+    assert offered['cancel_callback'](first) == CancelResponse.ACCEPT and cancelled

@@ -86,6 +86,8 @@ class CalibrateAction:
             goal.execute(lambda goal: self._refuse(goal, text))
 
     def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        if goal is not self._goal:  # refused, or it has just ended
+            return CancelResponse.REJECT
         self._session.cancel()
         return CancelResponse.ACCEPT
 
