@@ -260,11 +260,16 @@ class Collector:
         return self.buffer.snapshot(), lap
 
     def end_to_judge(self) -> Samples | None:
-        """Return all samples if they should be looked at now, once a standstill."""
+        """Return the samples of a run that may be over if they should be looked at; once."""
         if self.taken or not self.watcher or not self.watcher.worth_judging:
             return None
         self.watcher.judge()
-        return self.buffer.snapshot()
+        return self.buffer.snapshot(stop=self.watcher.end)
+
+    def end_here(self) -> None:
+        """The run is over with the samples that were looked at; those after are in none."""
+        assert self.watcher is not None and self.watcher.end is not None, 'looked at'
+        self.buffer.cut(self.watcher.end)
 
     def complete(self, now: float, at_stream_end: bool, idle_timeout: float) -> str:
         """Say why the run is complete; empty if it is not."""

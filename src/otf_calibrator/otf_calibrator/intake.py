@@ -73,6 +73,7 @@ class Intake:
         self.beside = Beside()
         self._sequence = SequenceWatch()
         self._stamp_ns, self._xyz = np.zeros(0, np.int64), np.zeros((0, 3))  # in no run yet
+        self._size = np.zeros(0, np.int64)  # of the run with each of them
         self._at = self._held_at = 0
 
     def path(self, path: NominalPath, message: bytes) -> bool:
@@ -97,8 +98,15 @@ class Intake:
         if self.journal:
             self.journal.message(topic_of(spec), message)
 
-    def samples(self, batch: Batch) -> None:
-        """Take samples; those of other frames are only counted."""
+    def samples(self, batch: Batch, may_end: bool = True) -> None:
+        """Take samples; those of other frames are only counted.
+
+        Parameters
+        ----------
+        batch : Batch
+        may_end : bool
+            A standstill is looked at soon: what comes after it is not of the run until then.
+        """
         collector = self._collector
         if collector.publishers > 1:  # their numbers are mixed
             self._sequence = SequenceWatch()
@@ -107,6 +115,7 @@ class Intake:
         for frame, (stamp_ns, xyz) in batch.points.items():
             if frame == POINT.frame:
                 self._take(stamp_ns, xyz)
+                self._write_known(may_end)
             elif not collector.taken:
                 collector.screening.foreign(Counter({frame: len(stamp_ns)}))
                 if self.journal:
@@ -130,10 +139,17 @@ class Intake:
             if self.journal:
                 self.journal.points(rest.stamp_ns, rest.xyz, POINT.frame)
 
-    def decide(self) -> None:
+    def decide(self, may_end: bool = True) -> None:
         """Look whether it is known by now to which run the latest samples belong."""
         self._collector.decide(time.monotonic())
-        self._write_known()
+        self._write_known(may_end)
+
+    def end_here(self) -> None:
+        """The run is over at the standstill that was looked at; what came after is in none."""
+        self._write_known(may_end=True)
+        self._collector.end_here()
+        self._stamp_ns, self._xyz, self._size = self._stamp_ns[:0], self._xyz[:0], self._size[:0]
+        self._at = self._held_at = 0
 
     def forget(self) -> str:
         """Begin a run anew; say where the samples so far are kept."""
@@ -188,6 +204,7 @@ class Intake:
                     if content.foreign:
                         self._collector.screening.foreign(content.foreign)
                     self._take(content.stamp_ns, content.xyz)
+                    self._write_known()
                 elif topic == PATH:
                     self._collector.set_path(NominalPath(decode_path(content, PATH.frame)))
                     journal.message(PATH, content)
@@ -211,22 +228,28 @@ class Intake:
         rows = zip(stamp_ns.tolist(), xyz.tolist(), wrong, strict=True)
         self._stamp_ns = np.concatenate([self._stamp_ns, stamp_ns])
         self._xyz = np.concatenate([self._xyz, xyz])
+        self._size = np.concatenate([self._size, np.zeros(len(stamp_ns), np.int64)])
         for stamp, (x, y, z), bad in rows:
             if not bad:
                 collector.add(stamp, x, y, z, now)
                 if collector.held == 1:
                     self._held_at = self._at
+            self._size[self._at] = len(collector.buffer)
             self._at += 1
-        self._write_known()
 
-    def _write_known(self) -> None:
+    def _write_known(self, may_end: bool = False) -> None:
         """Count and journal the samples of which it is known that they are of the present run."""
-        self._write(self._held_at if self._collector.held else self._at)
+        watcher = self._collector.watcher
+        known = self._held_at if self._collector.held else self._at
+        if may_end and watcher is not None and watcher.end is not None:
+            known = min(known, int(np.searchsorted(self._size[: self._at], watcher.end, 'right')))
+        self._write(known)
 
     def _write(self, count: int) -> None:
         """Count and journal so many samples as of the present run."""
         stamp_ns, xyz = self._stamp_ns[:count], self._xyz[:count]
         self._stamp_ns, self._xyz = self._stamp_ns[count:], self._xyz[count:]
+        self._size = self._size[count:]
         self._at, self._held_at = self._at - count, self._held_at - count
         if self._collector.taken or not count:
             return

@@ -21,6 +21,7 @@ from otf_calibrator.params import CalibratorConfig
 from otf_core.calibration.first_sight import FirstSight, first_sight
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
+from otf_core.tracking.path_watch import PathWatcher
 
 Ahead = CalibrationResult | FirstSight
 LAST_SAMPLES = 'waiting for the last samples'
@@ -61,7 +62,7 @@ class Session:
         self._ahead: Future[Ahead] | None = None
         self._glances = Glances()
         self._verdict: Future[bool] | None = None
-        self._judged_run = 0
+        self._judged: tuple[PathWatcher | None, int | None] = None, None
         self.diagnosis: DiagnosisJob | None = None
         self._last: Calibrated | None = None
         self._asked = (-1, 0)
@@ -91,7 +92,7 @@ class Session:
 
     def take(self, batch: Batch) -> bool:
         """Take samples; tell whether they may have ended the run, or show that it may end."""
-        self.intake.samples(batch)
+        self.intake.samples(batch, not self.busy)
         collector, watcher = self.collector, self.collector.watcher
         if watcher is None or collector.taken:
             return False
@@ -116,7 +117,7 @@ class Session:
 
     def due(self) -> str:
         """Start what was asked for, or a run that is complete; say what, empty if nothing."""
-        self.intake.decide()
+        self.intake.decide(not self.busy)
         since = self._waits_since
         if since is None:
             reason = self.complete()
@@ -138,6 +139,7 @@ class Session:
 
     def start(self, reason: str) -> str:
         """Calibrate the samples of a complete run; return what was started."""
+        self.intake.decide(may_end=False)  # it has all that is here
         started = self._start(reason, final=True)
         self.collector.taken = True
         return started
@@ -263,14 +265,18 @@ class Session:
         """Say why the run is complete and can be calibrated; empty if it is not."""
         if self.busy or self.answered or self.collector.undecided(time.monotonic()):
             return ''
-        files, collector = self._settings()[0], self.collector
+        files, collector, watcher = self._settings()[0], self.collector, self.collector.watcher
         if self._at_the_end():
+            self.intake.end_here()
             return 'standstill at the end point'
-        if files.finish_at_standstill and not self._verdict:
-            samples = collector.end_to_judge()
-            if samples is not None and collector.watcher is not None:
-                self._verdict = self.worker.follow(collector.watcher.look, samples)
-                self._judged_run = collector.run
+        if not self._verdict and watcher and (samples := collector.end_to_judge()):
+            if files.finish_at_standstill:
+                self._verdict = self.worker.follow(watcher.look, samples)
+                self._judged = watcher, watcher.end
+            else:
+                watcher.dismiss()
+        if self._verdict and watcher and watcher.stood:
+            return ''  # whatever else ends it, it may end there
         now = time.monotonic()
         return collector.complete(now, files.finish_at_stream_end, files.idle_timeout)
 
@@ -278,13 +284,16 @@ class Session:
         """Tell whether the target has stood at the end point for long enough, once."""
         if not self._verdict or not self._verdict.done():
             return False
-        collector, watcher = self.collector, self.collector.watcher
-        same = not collector.taken and self._judged_run == collector.run
-        end = same and not self._verdict.exception() and self._verdict.result()
-        if not end or watcher is None:
+        watcher = self.collector.watcher
+        same = not self.collector.taken and self._judged == (watcher, watcher and watcher.end)
+        if not same or watcher is None:
             self._verdict = None
             return False
-        if watcher.judged and not watcher.stood:
+        if self._verdict.exception() or not self._verdict.result():
+            self._verdict = None
+            watcher.dismiss()
+            return False
+        if not watcher.stood:
             return False  # it may move on
         self._verdict = None
-        return watcher.stood
+        return True

@@ -44,22 +44,41 @@ def test_what_was_seen_of_a_run_before_its_last_samples_changes_nothing():
 
 
 def watched(samples):
-    """Standstills, s, in which a watcher of the run wants it looked at, and ends it."""
-    watcher, asked, ended = PathWatcher(RECORDING.path, CONFIG), [], []
+    """Standstills, s, after which a watcher wants a run looked at, and ends it."""
+    watcher, asked, ended = PathWatcher(RECORDING.path, CONFIG), [], {}
     for stamp, point in zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True):
         watcher.add(stamp, *point)
         if watcher.worth_judging:
             asked.append(watcher.standstill)
             watcher.judge()
-        if watcher.stood and len(ended) < len(asked):
-            ended.append(watcher.standstill)
-    return asked, ended
+        if watcher.stood:
+            ended.setdefault(watcher.end, watcher.standstill)
+    return asked, list(ended.values())
 
 
 def test_standstill_after_the_whole_path_is_looked_at_soon_and_ends_a_run_soon():
     asked, ended = watched(standing(RECORDING.measured(seed=3), 1.5))
-    assert len(asked) == len(ended) == 1
-    assert 0.15 <= asked[0] < 0.2 and 0.25 <= ended[0] < 0.35
+    assert len(ended) == 1 and 0.05 <= asked[-1] < 0.1 and 0.25 <= ended[0] < 0.35
+
+
+def test_samples_of_a_run_do_not_depend_on_when_it_is_looked_at():
+    samples = standing(RECORDING.measured(seed=3), 1.5)
+    late = [PathWatcher(RECORDING.path, CONFIG) for _ in range(2)]
+    soon, ends = PathWatcher(RECORDING.path, CONFIG), []
+    for stamp, (x, y, z) in zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True):
+        for watcher in (soon, *late):
+            watcher.add(stamp, x, y, z)
+        if soon.worth_judging:
+            soon.judge()
+            ends.append(soon.end)
+    assert ends[-1] < len(samples) - 1.0 / samples.step
+    assert np.linalg.norm(samples.xyz[ends[-1] - 1] - samples.xyz[-1]) < 1e-3
+    for k in range(1, 200):  # it moves on before anybody looks
+        late[1].add(stamp + k * int(samples.step_ns), x + 0.01 * k, y, z)
+    for watcher in late:
+        assert watcher.worth_judging and watcher.stood and watcher.end == ends[-1]
+        watcher.dismiss()
+        assert watcher.end is None and not watcher.worth_judging and not watcher.stood
 
 
 def test_standstill_on_the_way_is_looked_at_later():
@@ -81,7 +100,7 @@ def test_who_moves_on_has_stood_if_it_was_for_long_enough(seconds):
     assert watcher.worth_judging
     watcher.judge()
     watcher.add(stamp + int(samples.step_ns), x + 0.01, y, z)
-    assert not watcher.judged and watcher.stood == (seconds > 0.25)
+    assert watcher.stood == (seconds > 0.25) and (watcher.end is None) == (seconds < 0.25)
 
 
 def test_samples_out_of_order_are_looked_at_by_stamp_and_no_travel_to_and_fro():

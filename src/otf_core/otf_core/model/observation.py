@@ -109,8 +109,11 @@ class SampleBuffer:
         """Forget all samples."""
         self._size = 0
 
-    def snapshot(self, start: int = 0) -> Samples:
-        """Return a copy of the samples from index start on."""
-        return Samples(
-            self._stamp_ns[start : self._size].copy(), self._xyz[start : self._size].copy()
-        )
+    def cut(self, size: int) -> None:
+        """Forget the samples after the first ``size``."""
+        self._size = min(self._size, size)
+
+    def snapshot(self, start: int = 0, stop: int | None = None) -> Samples:
+        """Return a copy of the samples from index start on, up to stop."""
+        stop = self._size if stop is None else min(stop, self._size)
+        return Samples(self._stamp_ns[start:stop].copy(), self._xyz[start:stop].copy())

@@ -16,8 +16,9 @@ MIN_TRAVEL = 0.5
 """Share of the path length before which no end is looked for (gaps shorten the travel)."""
 NEARLY, SOON = 0.98, 0.25
 """After nearly the whole path so short a standstill, s, ends the run, if at the end point."""
-AHEAD = 0.15
-"""s; such a standstill is looked at so soon, to know by then; corners take less."""
+AT_REST = 0.05
+"""s; so long into such a standstill the run is over, if the standstill ends it: what comes later
+belongs to none, and the samples until then can be looked at before the standstill is long."""
 
 STRAY, AT_ONCE_NS = 0.05, 50_000_000
 """m, ns; no target travels so far at once: a stray point, or the way back from one."""
@@ -30,6 +31,8 @@ class PathWatcher:
     compared with the path (by ``look``, which aligns and takes a fraction of a second). Samples
     that arrive after later ones are left out of both: they would count as ways there and back.
 
+    Which samples a run has follows from stamps and points alone, not from when somebody looks.
+
     Parameters
     ----------
     path : NominalPath
@@ -39,8 +42,9 @@ class PathWatcher:
     ----------
     travelled : float
         m
-    judged : bool
-        The target stands, and the samples were looked at in this standstill.
+    end : int or None
+        Samples of the run if the standstill that is to be looked at ends it; None if there is no
+        such standstill.
     """
 
     def __init__(self, path: NominalPath, config: CalibrationConfig) -> None:
@@ -48,11 +52,14 @@ class PathWatcher:
         self.travelled = 0.0
         self._last: tuple[float, float, float] | None = None
         self._still_since_ns: int | None = None
-        self._newest_ns = 0
-        self.judged = self._stood = False
+        self._newest_ns = self._count = 0
+        self.end: int | None = None
+        self._here: int | None = None  # the same for the present standstill
+        self._looked_at = self._stood = False
 
     def add(self, stamp_ns: int, x: float, y: float, z: float) -> None:
         """Take one sample: stamp in ns, tracker frame, m."""
+        self._count += 1
         if self._last is not None:
             if stamp_ns < self._newest_ns:
                 return
@@ -62,13 +69,32 @@ class PathWatcher:
                 if self._still_since_ns is None:
                     self._still_since_ns = stamp_ns
                 self._newest_ns = stamp_ns
+                if self._here is None:
+                    self._rest()
                 return
-            self._stood = self.stood
+            self._move_on()
             stray = square > STRAY * STRAY and stamp_ns - self._newest_ns < AT_ONCE_NS
             self.travelled += 0.0 if stray else square**0.5
         self._last = (x, y, z)
         self._still_since_ns = self._newest_ns = stamp_ns
-        self.judged = False
+
+    def _rest(self) -> None:
+        """The target stands: it may be the end."""
+        if self._share >= MIN_TRAVEL and self.standstill >= self._long(AT_REST):
+            self._here = self._count
+            if self.end is None:
+                self.end = self._here
+
+    def _move_on(self) -> None:
+        """The target moves: that was the end if it has stood for long enough, and only then."""
+        if self._here is not None and self.end == self._here:
+            self._stood = self.stood
+            if not self._stood:
+                self._next_end(None)
+        self._here = None
+
+    def _next_end(self, end: int | None) -> None:
+        self.end, self._looked_at, self._stood = end, False, False
 
     @property
     def standstill(self) -> float:
@@ -80,17 +106,21 @@ class PathWatcher:
     @property
     def worth_judging(self) -> bool:
         """True if the samples should be looked at, which is so until ``judge`` is called."""
-        enough = self._share >= MIN_TRAVEL and self.standstill >= self._long(AHEAD)
-        return enough and not self.judged
+        return self.end is not None and not self._looked_at
 
     def judge(self) -> None:
         """Take note that the samples are looked at; once a standstill is enough."""
-        self.judged, self._stood = True, False
+        self._looked_at = True
+
+    def dismiss(self) -> None:
+        """Take note that the standstill that was looked at is not at the end of the path."""
+        self._next_end(None if self.end == self._here else self._here)
 
     @property
     def stood(self) -> bool:
-        """True if the standstill that was looked at last is, or was, long enough to end a run."""
-        return self._stood or (self.judged and self.standstill >= self._long(SOON))
+        """True if the standstill that is to be looked at is, or was, long enough to end a run."""
+        here = self.end is not None and self.end == self._here
+        return self._stood or (here and self.standstill >= self._long(SOON))
 
     @property
     def _share(self) -> float:

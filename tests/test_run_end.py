@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which samples a run has that ends at standstill: never a matter of when somebody looks."""
+
+from concurrent.futures import Future
+
+import numpy as np
+import pytest
+
+from otf_calibrator.intake import Batch
+from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.session import Session
+from otf_core.bags.bag import read_bag
+from otf_core.bags.cdr import encode_path
+from otf_core.bags.journal import Journal
+from otf_core.config import CalibrationConfig
+from otf_core.model.path import NominalPath
+
+SETTINGS = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
+PATH = NominalPath(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0]]))
+STEP = 2_000_000
+"""ns"""
+AT_REST = 25
+"""Samples of standstill that belong to the run: 0.05 s."""
+
+
+def driven(*standstills):
+    """Stamps and points of the path driven at a millimetre a sample, with stops at 99 % and 100 %.
+
+    Then the target drives back.
+    """
+    y = np.arange(1, 101)
+    for at, count in zip((99, 100), standstills, strict=True):
+        y = np.insert(y, int(np.searchsorted(y, at)) + 1, [at] * count)
+    y = np.concatenate([y, 100 - np.arange(1, 60)])
+    xyz = np.zeros((101 + len(y), 3))
+    xyz[:101, 0] = np.arange(101)
+    xyz[101:] = np.stack([np.full(len(y), 100), y, 0 * y], axis=1)
+    return STEP * np.arange(1, len(xyz) + 1), 1.00001e-3 * xyz + 0.5
+
+
+def ended(folder, samples, batch, late, ends):
+    """Samples of the run and of its journal; it is looked at so many batches later."""
+    session = Session(lambda: SETTINGS, lambda text: None)
+    asked = []
+
+    def follow(look, samples):
+        asked.append((Future(), len(samples)))
+        return asked[-1][0]
+
+    session.worker.follow = follow
+    session.intake.journal = Journal(folder, {})
+    session.intake.path(PATH, encode_path(PATH.points, 0, 'machine'))
+    stamps, xyz = samples
+    due = {}
+    for number, at in enumerate(range(0, len(stamps) + batch * (late + 2), batch)):
+        rows = slice(at, at + batch)
+        session.take(Batch({'tracker': (stamps[rows], xyz[rows])}, []))
+        for verdict, count in asked:
+            if due.setdefault(count, number + late) == number:
+                verdict.set_result(count in ends)
+        session.intake.decide()
+        if session.complete():
+            break
+    else:
+        raise AssertionError('it did not end')
+    found = session.request().samples
+    session.collector.taken = True
+    session.close()
+    (journal,) = (p for p in session.intake.journal.directory.iterdir() if p.is_dir())
+    return found, read_bag(journal).samples
+
+
+@pytest.mark.parametrize('late', [0, 1, 4])
+@pytest.mark.parametrize('batch', [1, 10, 40, 1000])
+def test_end_of_a_run_is_the_same_whenever_it_is_looked_at(tmp_path, batch, late):
+    stamps, xyz = samples = driven(0, 160)
+    end = 201 + AT_REST
+    found, journal = ended(tmp_path, samples, batch, late, [end])
+    for side in (found, journal):
+        assert side.stamp_ns.tolist() == stamps[:end].tolist()
+        assert np.array_equal(side.xyz, xyz[:end])
+
+
+@pytest.mark.parametrize('late', [0, 1])
+@pytest.mark.parametrize('batch', [10, 25, 90])
+def test_stop_shortly_before_the_end_is_part_of_the_run(tmp_path, batch, late):
+    stamps, _ = samples = driven(140, 300)
+    end = 201 + 140 + AT_REST
+    found, journal = ended(tmp_path, samples, batch, late, [end])
+    assert found.stamp_ns.tolist() == journal.stamp_ns.tolist() == stamps[:end].tolist()
