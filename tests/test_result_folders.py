@@ -12,8 +12,9 @@ import yaml
 from cells import MACHINE
 
 from otf_calibrator.diagnosis_job import DiagnosisJob
-from otf_calibrator.job import Calibrated, Request, Worker, free_folder
+from otf_calibrator.job import Calibrated, Worker, free_folder
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.request import Request
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.errors import ConfigError
 from otf_core.history.store import read_store

@@ -43,8 +43,8 @@ def ended(folder, samples, batch, late, ends):
     session = Session(lambda: SETTINGS, lambda text: None)
     asked = []
 
-    def follow(look, samples):
-        asked.append((Future(), len(samples)))
+    def follow(look, request):
+        asked.append((Future(), len(request.samples)))
         return asked[-1][0]
 
     session.worker.follow = follow

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from otf_calibrator.beside import Beside
 from otf_calibrator.collector import Collector
-from otf_calibrator.job import Request
 from otf_calibrator.losses import SequenceWatch
+from otf_calibrator.request import Request
 from otf_core.bags.cdr import DecodedPoints, decode_path
 from otf_core.bags.journal import Journal
 from otf_core.bags.screening import judged

@@ -9,31 +9,28 @@ from __future__ import annotations
 import functools
 import os
 import threading
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TypeVar
 
+from otf_calibrator.early import Early
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.solver import Solver
-from otf_calibrator.solver_task import Task
+from otf_calibrator.request import Request
+from otf_calibrator.solver import Progress, Solver
+from otf_calibrator.solver_task import Solved, Task
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.sample_order import in_time_order
-from otf_core.bags.screening import Screening
 from otf_core.calibration.result import CalibrationResult
-from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.calibrate_with_effects import AUTO, NONE
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output import OutputFolder
 from otf_core.history.store import add_run
-from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
-from otf_core.model.path import NominalPath
-from otf_core.model.signals import Signal
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import facts_of, write_calibration, write_report
 from otf_core.reports.with_effects import write_reports, write_with_effects
@@ -47,26 +44,6 @@ Wake = Callable[[], None]
 BAG = 'samples'
 """Name of the bag beside the results, and so of the run in them."""
 TOPIC = 'tracker/point'
-
-
-@dataclass(frozen=True)
-class Request:
-    """What is to be calibrated.
-
-    ``remarks`` and ``screening`` say what happened to the samples, ``journal`` where they are
-    written; the run has ended if the request is ``final``.
-    """
-
-    samples: Samples
-    path: NominalPath
-    files: CalibratorConfig
-    config: CalibrationConfig
-    lost: int
-    remarks: tuple[str, ...] = ()
-    screening: Screening = field(default_factory=Screening)
-    journal: Path | None = None
-    final: bool = True
-    signals: Mapping[SignalSpec, Signal] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -107,14 +84,18 @@ class Worker:
         self._cancelled = threading.Event()
         self._solver = Solver()
         self._seen: Followed | None = None
+        self._early: Early | None = None
         self.stage, self.fraction = '', 0.0
 
     def start(self, request: Request) -> Future[Calibrated]:
         """Start a calibration; the future raises what went wrong."""
-        self.stage, self.fraction = 'aligning', 0.0
+        if self._early is None or not self._early.is_of(request):
+            self.give_up()
+            self.stage, self.fraction = 'aligning', 0.0
+        early, self._early = self._early, None
         self._ahead.set()
         self._cancelled.clear()
-        return self._begin(self._calibrate, request)
+        return self._begin(self._calibrate, request, early)
 
     def cancel(self) -> None:
         """End the calibration under way at its next step."""
@@ -152,14 +133,46 @@ class Worker:
                 self._warn(problems[-1])
         return replace(outcome, problem='; '.join(problems))
 
-    def follow(self, look: Look, samples: Samples) -> Future[bool]:
-        """Find out whether samples follow the path to its end; a calibration begins with that."""
+    def follow(self, look: Look, request: Request) -> Future[bool]:
+        """Find out whether samples follow the path to its end; go on to calibrate them if so.
 
-        def looked() -> bool:
-            self._seen = look(samples)
-            return self._seen is not None and self._seen.to_the_end
+        Nobody hears of that calibration unless exactly it is started.
+        """
+        self.give_up()
+        self._cancelled.clear()
+        early = self._early = Early(request)
+        self._begin(self._begin_early, early, look)
+        return early.at_the_end
 
-        return self._begin(looked)
+    def give_up(self) -> None:
+        """End a calibration that was begun early: its samples are not the run."""
+        if self._early is not None:
+            self._early.given_up.set()
+            self._early = None
+
+    def _begin_early(self, early: Early, look: Look) -> None:
+        try:
+            self._seen = look(early.request.samples)
+            early.at_the_end.set_result(self._seen is not None and self._seen.to_the_end)
+        except Exception as error:  # for who waits
+            early.at_the_end.set_exception(error)
+            raise
+        self._wake()
+        if not early.at_the_end.result():
+            return
+
+        def progress(stage: str, fraction: float) -> None:
+            if early.given_up.is_set():
+                raise Cancelled('the run goes on')
+            self._progress(stage, fraction)
+
+        try:
+            recording = replace(recording_of(early.request), seen=self._seen)
+            early.solved = self._solve(recording, early.request, progress)
+        except Cancelled:
+            if not self._stop.is_set():
+                self._solver.warm_up()  # for the calibration that comes instead
+            raise
 
     def ask(self, question: Callable[[Samples], A], samples: Samples) -> Future[A]:
         """Answer a question about samples that takes a while."""
@@ -196,9 +209,14 @@ class Worker:
         assert isinstance(found, CalibrationResult), 'no effects are taken off'
         return found
 
-    def _calibrate(self, request: Request) -> Calibrated:
+    def _calibrate(self, request: Request, early: Early | None) -> Calibrated:
+        solved = None if early is None else early.solved
+        if early is not None and solved is not None:
+            request = replace(request, signals=early.request.signals)
         recording = replace(recording_of(request), seen=self._seen)
-        result, write, report = self._solved(recording, request)
+        if solved is None:
+            solved = self._solve(recording, request, self._progress)
+        result, write, report = _written(solved)
         base = _base(request.files)
         folder = free_folder(base, result.run_id)
         try:
@@ -210,18 +228,19 @@ class Worker:
             return Calibrated(request, recording, result, None, report, problem)
         return Calibrated(request, recording, result, folder, report, _kept(request.files, folder))
 
-    def _solved(
-        self, recording: Recording, request: Request
-    ) -> tuple[CalibrationResult, Writer, Writer]:
-        """The result, what writes its files, and what adds the report to them."""
+    def _solve(self, recording: Recording, request: Request, progress: Progress) -> Solved:
         files = request.files
         task = Task(recording, request.config, files.method, files.effects)
-        found = self._solver.solve(task, self._progress)
-        if isinstance(found, CalibrationResult):
-            write = functools.partial(write_calibration, found, report=False)
-            return found, write, lambda folder: write_report(folder, facts_of(found))
-        write = functools.partial(write_with_effects, found, report=False)
-        return found.result, write, functools.partial(write_reports, found)
+        return self._solver.solve(task, progress)
+
+
+def _written(found: Solved) -> tuple[CalibrationResult, Writer, Writer]:
+    """The result, what writes its files, and what adds the report to them."""
+    if isinstance(found, CalibrationResult):
+        write = functools.partial(write_calibration, found, report=False)
+        return found, write, lambda folder: write_report(folder, facts_of(found))
+    write = functools.partial(write_with_effects, found, report=False)
+    return found.result, write, functools.partial(write_reports, found)
 
 
 def _write_samples(outcome: Calibrated, folder: Path) -> None:

@@ -16,11 +16,13 @@ from otf_calibrator.collector import Collector
 from otf_calibrator.diagnosis_job import Answer, DiagnosisJob
 from otf_calibrator.glances import Glances
 from otf_calibrator.intake import Batch, Intake
-from otf_calibrator.job import Calibrated, Request, Wake, Worker
+from otf_calibrator.job import Calibrated, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.request import Request
 from otf_core.calibration.first_sight import FirstSight, first_sight
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
+from otf_core.model.observation import Samples
 from otf_core.tracking.path_watch import PathWatcher
 
 Ahead = CalibrationResult | FirstSight
@@ -150,11 +152,16 @@ class Session:
         self._job = self.worker.start(request)
         return f'calibration of {len(request.samples)} samples started: {reason}'
 
-    def request(self, final: bool = True, remarks: tuple[str, ...] = ()) -> Request:
-        """Return the samples so far, and all that is known of them."""
+    def request(
+        self,
+        final: bool = True,
+        remarks: tuple[str, ...] = (),
+        samples: Samples | None = None,
+    ) -> Request:
+        """Return the samples so far, or some of them, and all that is known of them."""
         collector = self.collector
         assert collector.path is not None, 'asked before'
-        samples = collector.buffer.snapshot()
+        samples = collector.buffer.snapshot() if samples is None else samples
         return Request(
             samples,
             collector.path,
@@ -271,7 +278,7 @@ class Session:
             return 'standstill at the end point'
         if not self._verdict and watcher and (samples := collector.end_to_judge()):
             if files.finish_at_standstill:
-                self._verdict = self.worker.follow(watcher.look, samples)
+                self._verdict = self.worker.follow(watcher.look, self.request(samples=samples))
                 self._judged = watcher, watcher.end
             else:
                 watcher.dismiss()
@@ -288,6 +295,7 @@ class Session:
         same = not self.collector.taken and self._judged == (watcher, watcher and watcher.end)
         if not same or watcher is None:
             self._verdict = None
+            self.worker.give_up()
             return False
         if self._verdict.exception() or not self._verdict.result():
             self._verdict = None

@@ -7,6 +7,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.threads import in_one_thread
 from otf_core.tracking.alignment import Followed, followed
 from otf_core.tracking.track import HOP
 
@@ -130,6 +131,7 @@ class PathWatcher:
         """Standstill, s, that counts here."""
         return at_the_end if self._share >= NEARLY else END_STANDSTILL
 
+    @in_one_thread  # as what it begins is calibrated, to the last bit
     def look(self, samples: Samples) -> Followed | None:
         """Tell how the samples follow the path, and whether to its end; None if they do not.
 
