@@ -34,16 +34,22 @@ def bursts(driven, rng):
     return moved
 
 
+def stray(driven, rng):
+    """0.3 mm on single samples here and there, 8 % of all."""
+    bad = rng.random(len(driven.q)) < 0.08
+    return 3e-4 * bad[:, None] * rng.standard_normal((len(driven.q), 3))
+
+
 def waves(driven, rng):
     """A wave of 60 um, 13 mm long along X, across it."""
     return 6e-5 * np.sin(2 * np.pi * driven.q[:, :1] / 0.013) * [0.0, 0.7, 1.0]
 
 
-def recording(spoil):
+def recording(spoil, rate=40.0):
     """Two passes with something added; one with waves, which lie at the same places each time."""
     machine = some_machine(pitch=0.1)
     passes = 1 if spoil is waves else 2
-    driven = record(machine, small_plan(machine, passes=passes), rate=40.0)
+    driven = record(machine, small_plan(machine, passes=passes), rate=rate)
     rng = np.random.default_rng([71, 3])
     pose = some_pose(machine, rng)
     samples = driven.measured(seed=5, pose=pose)
@@ -72,3 +78,11 @@ def test_what_the_machine_does_is_told_from_bad_samples(spoil, again, at_corners
     if spoil is chip_under_the_slide:
         assert np.allclose([p[0] for p in left.places], DENT, atol=0.04)
         assert 'all near X 0.1' in said[0] and 'same places in every pass' in said[0]
+
+
+def test_stray_samples_that_meet_by_chance_are_not_what_the_machine_does():
+    run, coarse = recording(stray, rate=200.0), {'reversal': 'none', 'piece_length': 0.024}
+    (left,) = solve_recordings([run], CalibrationConfig(**coarse)).left
+    assert left.samples > 0.05 * left.of
+    assert left.repeated < 0.3 and not left.by_machine
+    assert 'probably something that the machine does' not in left.words()
