@@ -76,6 +76,11 @@ def test_places_on_legs():
     np.testing.assert_allclose(legs.at(along, leg), [[0.6, 0.8, 0], [0.3, 0.4, 0.1]], atol=1e-15)
 
 
+def test_a_point_where_the_machine_waits_has_no_direction():
+    legs = Legs(np.array(L_SHAPE, float))
+    np.testing.assert_allclose(legs.unit, path(L_SHAPE).directions, atol=1e-15)
+
+
 def test_a_leg_that_comes_again_is_another_part():
     assert leg_bounds(np.array([4, 4, 4, 0, 4])) == [(0, 3), (3, 4), (4, 5)]
 

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planned path: sees all that can be seen, stays inside, runs forward and reverse."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from core_cells import fit_pieces, pieces_of, some_machine, transform_pose, zero_tables
 
-from otf_core.config import PlannerConfig
+from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError, InputError
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import check_inside, plan_for_path
+from otf_core.planning import after
 from otf_core.planning.creator import plan_path
 from otf_core.solving.solution import determined_by_data
 
@@ -127,3 +130,13 @@ def test_path_to_the_very_ends_is_inside():
     machine = some_machine()
     path = NominalPath(np.array([machine.lower, machine.upper]))
     assert check_inside(path, machine) is None
+
+
+@pytest.mark.parametrize('acceleration', [0.5, 1.0, 2.0, 3.0])
+def test_the_shortest_time_that_is_said_after_a_diagnosis_suffices(acceleration):
+    config = ForecastConfig(acceleration=acceleration)
+    setup = SimpleNamespace(machine=some_machine(), config=config)
+    with pytest.raises(ConfigError, match='no path takes 1 s or less') as raised:
+        after._candidates(setup, PlannerConfig(), 1.0)
+    enough = float(str(raised.value).split()[-2])
+    assert after._candidates(setup, PlannerConfig(), enough)

@@ -126,7 +126,7 @@ class Legs:
     Attributes
     ----------
     corners : ndarray, shape (m + 1, 3), m
-        Leg j runs from corner j to corner j + 1; none repeated.
+        Leg j runs from corner j to corner j + 1; repeated in plans alone, where the machine waits.
     """
 
     corners: Array
@@ -143,8 +143,8 @@ class Legs:
 
     @cached_property
     def unit(self) -> Array:
-        """Direction of every leg, shape (m, 3)."""
-        return np.asarray(self.step / self.length[:, None])
+        """Direction of every leg, shape (m, 3); zero for a repeated point."""
+        return np.asarray(self.step / np.where(self.length > 0.0, self.length, np.inf)[:, None])
 
     @cached_property
     def reach(self) -> Array:

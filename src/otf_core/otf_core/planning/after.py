@@ -10,6 +10,7 @@ was not visible: whether the path shows it, and from which size on.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -215,7 +216,8 @@ def _candidates(setup: Setup, config: PlannerConfig, budget: float | None) -> li
     kept = [plans[k] for time, k in sorted(timed) if budget is None or time <= budget]
     if not kept:
         raise ConfigError(
-            f'time_budget: no path takes {budget:g} s or less; the shortest takes {shortest:.0f} s'
+            f'time_budget: no path takes {budget:g} s or less; the shortest takes '
+            f'{math.ceil(shortest)} s'
         )
     return kept[:MOST]
 

@@ -8,6 +8,7 @@ lines in this volume can show is determined at every node.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -148,7 +149,7 @@ class PathOptimiser:
             if self._attempt(enough) is not None:
                 raise ConfigError(
                     f'time_budget: {budget:g} s is too short to show every error motion at every '
-                    f'node; {enough:.0f} s suffice at this feed'
+                    f'node; {math.ceil(enough)} s suffice at this feed'
                 )
         raise ConfigError(
             f'time_budget: {budget:g} s is too short, and {LONGEST:g} s would be, to show every '
