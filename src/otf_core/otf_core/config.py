@@ -56,8 +56,9 @@ class ParameterInfo:
         if (self.low is not None and value < self.low) or (
             self.high is not None and value > self.high
         ):
+            unit = f' {self.unit}' if self.unit else ''
             raise ConfigError(
-                f'{self.name}: {value:g} is out of range [{self.low}, {self.high}] {self.unit}'
+                f'{self.name}: {value:g} is out of range [{self.low}, {self.high}]{unit}'
             )
         if self.choices and value not in self.choices:
             raise ConfigError(f'{self.name}: {value!r}; possible: {", ".join(self.choices)}')

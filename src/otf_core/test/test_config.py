@@ -45,7 +45,7 @@ def test_bounds_are_closed_and_what_lies_beyond_is_refused_by_name(kind, info):
     for bound, beyond in ((info.low, info.low - 1), (info.high, info.high + 1)):
         value = type(info.default)(bound)
         assert getattr(kind(**{info.name: value}), info.name) == bound
-        with pytest.raises(ConfigError, match=f'^{info.name}: .*out of range'):
+        with pytest.raises(ConfigError, match=rf'^{info.name}: .*out of range \S.*\S$'):
             kind(**{info.name: type(info.default)(beyond)})
 
 

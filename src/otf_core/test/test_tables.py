@@ -29,6 +29,14 @@ def test_names_are_those_of_iso_230():
     assert ' '.join(MOTIONS) == names
 
 
+def test_tables_stay_with_their_chain():
+    tables = random_tables(some_machine(), 2e-5, np.random.default_rng(0))
+    longer = some_machine(offset=(0.0, 0.0, -0.25))
+    assert tables.on(longer).machine is longer
+    with pytest.raises(ConfigError, match='chain w-b-X-Y-Z-t, small has w-Y-b-X-Z-t'):
+        tables.on(some_machine('w-Y-b-X-Z-t'))
+
+
 def test_layout_is_that_of_the_contract(data):
     assert data['schema'] == 'otf-error-tables/1'
     assert set(data['motions']) == set(MOTIONS)

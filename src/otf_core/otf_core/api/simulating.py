@@ -146,7 +146,8 @@ def simulate(
     Raises
     ------
     ConfigError
-        If an effect or a file is wrong, or the run is too long to be simulated.
+        If an effect or a file is wrong, the tables are of another chain, or the run is too long
+        to be simulated.
     InputError
         If the plan leaves the axis ranges.
 
@@ -173,7 +174,7 @@ def simulate(
     if isinstance(tables, (str, Path)):
         truth = load_tables(tables).tables
     if truth is not None:
-        truth = replace(truth, machine=machine)
+        truth = truth.on(machine)
     run = cell.simulate(machine, driven, config, truth, _effects(effects, machine), place)
     name = f'simulation of seed {config.seed}'
     return Simulation(

@@ -81,7 +81,7 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     effects = read_effects(arguments.effects, machine) if arguments.effects else ()
     tables = load_tables(arguments.tables).tables if arguments.tables else None
     if tables is not None:
-        tables = dataclasses.replace(tables, machine=machine)
+        tables = tables.on(machine)
     file = _plan_of(arguments, planning, machine)
     with progress_of(arguments, 'simulating', SIMULATE) as progress:
         run = simulate(machine, file.plan, config, tables, effects, file.tracker_place)

@@ -99,6 +99,21 @@ class ErrorTables:
             squareness={k: Squareness(s.value * factor, s.u) for k, s in self.squareness.items()},
         )
 
+    def on(self, machine: Machine) -> ErrorTables:
+        """Return the same errors of a machine that is described anew: target, ranges, tracker.
+
+        Raises
+        ------
+        ConfigError
+            If its chain is another: the errors would mean something else.
+        """
+        if machine.chain != self.machine.chain:
+            raise ConfigError(
+                f'tables are of a machine with the chain {self.machine.chain}, '
+                f'{machine.name} has {machine.chain}: not one machine'
+            )
+        return replace(self, machine=machine)
+
 
 def with_uncertainty(tables: ErrorTables, covariance: NDArray[np.float64]) -> ErrorTables:
     """Return the tables with the standard uncertainties of a covariance.

@@ -7,7 +7,7 @@ What simulates is imported when it is used: a driver of a real tracker starts in
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from otf_core.config import SimulationConfig, parameter
@@ -60,7 +60,7 @@ class SimulatedTracker(PacedBackend):
         self._machine = load_machine(self.common.machine_file)
         if self.own.truth_tables:
             tables = load_tables(self.own.truth_tables).tables
-            self._truth = replace(tables, machine=self._machine)
+            self._truth = tables.on(self._machine)
         if self.own.effects:
             self._effects = read_effects(self.own.effects, self._machine)
         errors = self.own.truth_tables or f'seed {self.own.seed}'

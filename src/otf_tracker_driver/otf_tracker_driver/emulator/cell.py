@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,7 +45,7 @@ class Cell:
         rate = (1 + drift) / TICK
         config = SimulationConfig(seed=seed, rate=rate, clock_drift=0.0)
         if truth is not None:
-            truth = replace(truth, machine=machine)
+            truth = truth.on(machine)
         run = simulate(machine, plan_path(machine, planning), config, truth)
         self._xyz = run.samples.xyz
         self.truth = run.truth
