@@ -189,6 +189,10 @@ def test_columns_and_rate_on_request(tmp_path):
         (lines(lambda s, t, *p: f'{s},1,2,3', 't,x [in],y [in],z [in]\n'), "'in' is no unit of l"),
         (lines(lambda s, t, *p: f'{s} 1 2 3', '# X Y Z (inches)\n# t X Y Z\n'), "'inches' is no"),
         (lines(lambda s, t, *p: f'{s},1,2,3', 't (min),x,y,z\n'), r"t \(min\): 'min' is no unit"),
+        (TEXTS['plain'] + 'nan,1,2,3\n', "line 52: time_s: 'nan' is no time"),
+        ('time_s,x,y,z\n' + '1e300,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
+        ('time_s,x,y,z\n' + '1e999999,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
+        ('time,x,y,z\n' + '1e400,1,2,3\n-1e400,1,2,3\n' * 3, 'a time does not fit into 64 bits'),
         (TEXTS['plain'] + 'a,b\n' * 20, 'line 52 is no line of 4 fields'),
     ],
 )

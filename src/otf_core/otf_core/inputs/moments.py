@@ -21,6 +21,7 @@ CLOCK = re.compile(
     re.IGNORECASE,
 )
 DAY_NS = 86_400_000_000_000
+TOO_LARGE = 'a time does not fit into 64 bits of nanoseconds'
 EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
@@ -95,15 +96,30 @@ def decimals_ns(texts: Sequence[str], power: int) -> Stamps:
     """
     shift = power + 9
     try:
-        return np.array([int(Decimal(text).scaleb(shift)) for text in texts], dtype=np.int64)
-    except (InvalidOperation, OverflowError) as error:
-        raise ValueError(f'a time is no number ({type(error).__name__})') from None
+        return np.array([int(d.scaleb(shift)) for d in _decimals(texts)], dtype=np.int64)
+    except ArithmeticError:
+        raise ValueError(TOO_LARGE) from None
 
 
 def since_first(texts: Sequence[str]) -> Array:
     """Decimal numbers less the first of them, in their own unit; ValueError if one is none."""
+    numbers = _decimals(texts)
     try:
-        numbers = [Decimal(text) for text in texts]
-        return np.array([float(number - numbers[0]) for number in numbers])
-    except (InvalidOperation, OverflowError) as error:
-        raise ValueError(f'a time is no number ({type(error).__name__})') from None
+        since = np.array([float(number - numbers[0]) for number in numbers])
+    except ArithmeticError:
+        raise ValueError(TOO_LARGE) from None
+    if not np.isfinite(since).all():
+        raise ValueError(TOO_LARGE)
+    return since
+
+
+def _decimals(texts: Sequence[str]) -> list[Decimal]:
+    found = []
+    for text in texts:
+        try:
+            found.append(Decimal(text))
+        except InvalidOperation:
+            raise ValueError(f'{text!r} is no time') from None
+        if not found[-1].is_finite():
+            raise ValueError(f'{text!r} is no time')
+    return found
