@@ -241,6 +241,12 @@ def test_without_standstill_it_says_so():
         noise_report(moving, SPEED)
 
 
+def test_standstills_without_noise_are_called_that():
+    samples = stops(3, 2.0)
+    with pytest.raises(InputError, match='repeat without any noise'):
+        noise_report(Samples(samples.stamp_ns, samples.xyz.round(3)), SPEED)
+
+
 def test_little_standstill_and_rounding_are_warned_of():
     samples = stops(1, 2.0)
     text = format_noise(noise_report(Samples(samples.stamp_ns, samples.xyz.round(5)), SPEED))

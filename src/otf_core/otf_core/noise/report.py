@@ -16,6 +16,7 @@ from otf_core.noise.jackknife import jackknife_u, left_out_fits
 from otf_core.noise.rest import at_rest
 from otf_core.noise.spectrum import Peak, Spectrum, expected_density, find_peaks, spectrum
 from otf_core.noise.standstill import (
+    HELD,
     MIN_DURATION,
     MeasuredNoise,
     find_standstills,
@@ -178,6 +179,11 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
     windows, left_out = quiet_windows(samples, runs) if len(runs) else ([], 0)
     duration = sum(len(w) for w in windows) * step
     if duration < MIN_TOTAL:
+        if len(runs) and all(np.ptp(samples.xyz[a:b], axis=0).max() <= HELD for a, b in runs):
+            raise InputError(
+                'the points of the standstills repeat without any noise: they are held or '
+                'rounded; record what the tracker measures, unfiltered and with all digits'
+            )
         raise InputError(
             f'{duration:.1f} s of standstill in stops of {MIN_DURATION:g} s or more; at least '
             f'{MIN_TOTAL:g} s are needed: record while the target stands still for some seconds'
