@@ -21,9 +21,27 @@ def _terminate(*_: Any) -> None:
     raise _Terminated
 
 
+def _heard(unraisable: sys.UnraisableHookArgs) -> None:
+    """Raise again, a moment later, an end that came where Python passes exceptions over.
+
+    That is in finalizers, and in what is called around a fork.
+    """
+    ends = unraisable.exc_type in (_Terminated, KeyboardInterrupt)
+    if not ends or not hasattr(signal, 'setitimer'):
+        sys.__unraisablehook__(unraisable)
+        return
+
+    def again(*_: Any) -> None:
+        raise unraisable.exc_type
+
+    signal.signal(signal.SIGALRM, again)
+    signal.setitimer(signal.ITIMER_REAL, 0.01)
+
+
 def run() -> NoReturn:
     """Run the verb of the command line and leave with its exit code."""
     signal.signal(signal.SIGTERM, _terminate)
+    sys.unraisablehook = _heard
     seldom_look_for_cycles()
     # read when NumPy is loaded; idle threads of its library take processor time (otf_core.threads)
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
