@@ -12,13 +12,28 @@ from typing import Any, NoReturn
 
 from otf_core.memory import seldom_look_for_cycles
 
+UNHEARD = 2.0
+"""s after which SIGTERM counts as unheard: code in C may clear what a handler raises."""
+
 
 class _Terminated(BaseException):
     """SIGTERM, so that what lies aside is removed before the end."""
 
 
 def _terminate(*_: Any) -> None:
+    _end_in(UNHEARD, _Terminated)
     raise _Terminated
+
+
+def _end_in(seconds: float, kind: type[BaseException]) -> None:
+    """Raise what ends the command after so many seconds, if it is still there."""
+
+    def again(*_: Any) -> None:
+        raise kind
+
+    if hasattr(signal, 'setitimer'):  # not on Windows
+        signal.signal(signal.SIGALRM, again)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 def _heard(unraisable: sys.UnraisableHookArgs) -> None:
@@ -26,16 +41,10 @@ def _heard(unraisable: sys.UnraisableHookArgs) -> None:
 
     That is in finalizers, and in what is called around a fork.
     """
-    ends = unraisable.exc_type in (_Terminated, KeyboardInterrupt)
-    if not ends or not hasattr(signal, 'setitimer'):
+    if unraisable.exc_type in (_Terminated, KeyboardInterrupt):
+        _end_in(0.01, unraisable.exc_type)
+    else:
         sys.__unraisablehook__(unraisable)
-        return
-
-    def again(*_: Any) -> None:
-        raise unraisable.exc_type
-
-    signal.signal(signal.SIGALRM, again)
-    signal.setitimer(signal.ITIMER_REAL, 0.01)
 
 
 def run() -> NoReturn:

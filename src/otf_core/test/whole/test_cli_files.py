@@ -174,18 +174,28 @@ def test_command_ended_by_a_signal_leaves_nothing(bags, place):
     assert os.listdir() == ['machine.yaml']
 
 
-DEAF = """
-import os, signal, time
-from otf_core import cli
-from otf_core.cli import __main__ as command
-
+FINALIZER = """
 class Deaf:
     def __del__(self):
         os.kill(os.getpid(), signal.{name})
         time.sleep(0.01)
 
+Deaf()
+"""
+CLEARED = """
+try:
+    os.kill(os.getpid(), signal.{name})
+    time.sleep(0.01)
+except BaseException:
+    pass
+"""
+DEAF = """
+import os, signal, time
+from otf_core import cli
+from otf_core.cli import __main__ as command
+
 def main():
-    Deaf()
+    exec({signalled!r})
     time.sleep(20)
     return 0
 
@@ -195,11 +205,18 @@ command.run()
 """A command that is ended by a signal while Python passes exceptions over."""
 
 
-@pytest.mark.parametrize(('name', 'code'), [('SIGTERM', -signal.SIGTERM), ('SIGINT', 130)])
-def test_signal_that_comes_in_a_finalizer_ends_a_command_too(name, code):
+@pytest.mark.parametrize(
+    ('name', 'signalled', 'code'),
+    [
+        ('SIGTERM', FINALIZER, -signal.SIGTERM),
+        ('SIGTERM', CLEARED, -signal.SIGTERM),
+        ('SIGINT', FINALIZER, 130),
+    ],
+)
+def test_signal_that_is_passed_over_ends_a_command_too(name, signalled, code):
     source = Path(next(iter(otf_core.__path__))).parent
     ended = subprocess.run(
-        [sys.executable, '-c', DEAF.format(name=name)],
+        [sys.executable, '-c', DEAF.format(signalled=signalled.format(name=name))],
         env={**os.environ, 'PYTHONPATH': str(source)}, capture_output=True, timeout=15,
     )  # fmt: skip
     assert (ended.returncode, ended.stdout, ended.stderr) == (code, b'', b'')
