@@ -53,6 +53,21 @@ def test_every_way_to_write_a_small_number_is_a_number(read, number):
     assert read(GOOD.replace('0.5e-6', number)).tracker.u_range == float(number)
 
 
+@pytest.mark.parametrize(
+    ('old', 'new', 'words'),
+    [
+        ('w-b-X-Y-Z-t', '[w, b]', r"^\S*machine.yaml: chain: expected a text, got \['w', 'b'\]$"),
+        ('name:', 'feed: 3\nname:', 'feed: unknown key; known here: name, .*, limits, .*signals$'),
+        ('name:', 'Name:', r'name: missing; is Name meant\?$'),
+        ('target_offset', 'target_ofset', r'target_offset: missing; is target_ofset meant\?$'),
+        ('  u_range: 0.5e-6\n', '', 'tracker: u_range: missing$'),
+    ],
+)
+def test_messages_name_the_file_once_and_all_keys_that_are_possible(read, old, new, words):
+    with pytest.raises(ConfigError, match=words):
+        read(GOOD.replace(old, new))
+
+
 def test_whole_numbers_are_numbers(read):
     machine = read(GOOD.replace('max: 0.6', 'max: 1'))
     assert machine.axes['X'].max == 1.0

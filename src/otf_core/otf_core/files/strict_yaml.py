@@ -8,6 +8,7 @@ import re
 import reprlib
 import unicodedata
 from collections.abc import Hashable, Iterable, Mapping
+from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn
@@ -17,6 +18,8 @@ from otf_core.files.writing import unreadable
 
 DEEPEST = 100
 """Levels of nesting; each costs the parser more than the one before."""
+NEAR = 0.9
+"""Likeness from which a key may be another one misspelt; u_range and u_angle have 0.86."""
 
 
 @cache
@@ -174,7 +177,8 @@ class Fields:
         """Return the value of a key that must be there."""
         self._taken.append(key)
         if key not in self._data:
-            self.fail(key, 'missing')
+            near = [k for k in self._data if get_close_matches(key, [k.lower()], cutoff=NEAR)]
+            self.fail(key, f'missing; is {near[0][:60]} meant?' if near else 'missing')
         return self._data.pop(key)
 
     def text(self, key: str) -> str:

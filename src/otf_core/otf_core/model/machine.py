@@ -32,6 +32,12 @@ For this room alone: all others ask the machine for its own (``axis_names``); th
 space are ``frames.XYZ``.
 """
 
+KEYS = (
+    'name', 'chain', 'axes', 'target_offset', 'tracker', 'uncertainty', 'limits', 'instrument',
+    'conditions', 'signals',
+)  # fmt: skip
+"""Of machine.yaml; all from ``uncertainty`` on are optional."""
+
 
 @dataclass(frozen=True)
 class Axis:
@@ -198,8 +204,9 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
     """
     top = Fields(data, where)
     name = top.line('name')
+    stated = top.text('chain')
     try:
-        chain = Chain.parse(top.text('chain'))
+        chain = Chain.parse(stated)
     except ConfigError as error:
         raise ConfigError(f'{where}: {error}') from None
     axes_fields = top.mapping('axes')
@@ -223,13 +230,13 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         top.mapping(key) if top.has(key) else Fields({}, where)
         for key in ('instrument', 'conditions')
     )
-    stated = circumstances_from_fields(instrument, conditions)
+    circumstances = circumstances_from_fields(instrument, conditions)
     signals: tuple[SignalSpec, ...] = ()
     if top.has('signals'):
         section = top.mapping('signals')
         signals = signals_from_fields(section, section.keys)
-    top.done()
-    return Machine(name, chain, axes, offset, spec, declared, limits, stated, signals)
+    top.done(known=KEYS)
+    return Machine(name, chain, axes, offset, spec, declared, limits, circumstances, signals)
 
 
 def _tracker(fields: Fields) -> TrackerSpec:
