@@ -57,7 +57,10 @@ def plain(request):
 
 
 def test_calibration_begun_early_is_that_of_the_run_bit_by_bit(worker, request_made, look):
-    assert worker.follow(look, request_made).result()
+    worker.stage = ''
+    following = worker.follow(look, request_made)
+    assert worker.stage == 'aligning'  # said of what is wanted from now on
+    assert following.result()
     found = worker.start(replace(request_made, lost=3)).result()
     assert len(worker.given) == 1 and found.request.lost == 3 and found.folder.exists()
     expected = plain(request_made)

@@ -140,6 +140,7 @@ class Worker:
         """
         self.give_up()
         self._cancelled.clear()
+        self.stage, self.fraction = 'aligning', 0.0  # of what is wanted as soon as the run is over
         early = self._early = Early(request)
         self._begin(self._begin_early, early, look)
         return early.at_the_end
