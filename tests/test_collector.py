@@ -105,6 +105,20 @@ def test_calibration_that_is_asked_for_has_the_last_samples():
     session.close()
 
 
+def test_run_that_is_forgotten_while_its_last_samples_are_waited_for_is_not_calibrated():
+    config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
+    session = Session(lambda: config, lambda text: None)
+    session.collector.set_path(PATH)
+    now = time.monotonic()
+    announce(session.collector, 'a', 0, 'STREAMING', now)
+    add(session.collector, 90, now=now)
+    announce(session.collector, 'a', 100, 'FINISHED', now)
+    assert session.calibrate()[0] and session.forget()[0]
+    session.collector.announce('a', 90, False, True, now)
+    assert 'was set aside' in session.due() and not session.busy
+    session.close()
+
+
 def test_cancel_while_the_last_samples_are_waited_for_ends_the_calibration(tmp_path):
     files = CalibratorConfig(machine_file=str(write_machine(tmp_path)))
     session = Session(lambda: (files, CalibrationConfig()), lambda text: None)

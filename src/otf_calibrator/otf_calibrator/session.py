@@ -127,6 +127,8 @@ class Session:
         if self.collector.on_the_way(time.monotonic(), since):
             return ''
         self._waits_since = None
+        if not len(self.collector.buffer):
+            return 'no calibration: the run was set aside while its last samples were waited for'
         started = self._start_asked()
         if self._withdrawn:
             self.worker.cancel()
