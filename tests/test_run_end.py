@@ -38,10 +38,9 @@ def driven(*standstills):
     return STEP * np.arange(1, len(xyz) + 1), 1.00001e-3 * xyz + 0.5
 
 
-def ended(folder, samples, batch, late, ends):
-    """Samples of the run and of its journal; it is looked at so many batches later."""
-    session = Session(lambda: SETTINGS, lambda text: None)
-    asked = []
+def begun(folder):
+    """A session with a journal, and what it asks about its samples."""
+    session, asked = Session(lambda: SETTINGS, lambda text: None), []
 
     def follow(look, request):
         asked.append((Future(), len(request.samples)))
@@ -49,6 +48,12 @@ def ended(folder, samples, batch, late, ends):
 
     session.worker.follow = follow
     session.intake.journal = Journal(folder, {})
+    return session, asked
+
+
+def ended(folder, samples, batch, late, ends):
+    """Samples of the run and of its journal; it is looked at so many batches later."""
+    session, asked = begun(folder)
     session.intake.path(PATH, encode_path(PATH.points, 0, 'machine'))
     stamps, xyz = samples
     due = {}
@@ -88,3 +93,16 @@ def test_stop_shortly_before_the_end_is_part_of_the_run(tmp_path, batch, late):
     end = 201 + 140 + AT_REST
     found, journal = ended(tmp_path, samples, batch, late, [end])
     assert found.stamp_ns.tolist() == journal.stamp_ns.tolist() == stamps[:end].tolist()
+
+
+def test_run_that_was_over_when_the_calibrator_was_killed_is_over_when_it_comes_back(tmp_path):
+    samples, end = driven(0, 160), 201 + AT_REST
+    found, _ = ended(tmp_path, samples, 10, 0, [end])
+    session, asked = begun(tmp_path)
+    assert f'goes on with {end} samples' in session.intake.take_up(None)
+    assert not session.complete()
+    ((verdict, count),) = asked
+    verdict.set_result(True)
+    assert session.complete() == 'standstill at the end point' and count == end
+    assert session.request().samples.stamp_ns.tolist() == found.stamp_ns.tolist()
+    session.close()

@@ -211,10 +211,12 @@ class Intake:
                 else:
                     self.status(status(content), content)
             self.journal = journal
+            watcher, count = self._collector.watcher, len(self._collector.buffer)
+            if watcher is not None and watcher.end == count:
+                watcher.stays()  # the journal of a run that was over holds no more
             for spec, signal in self._signals_in(recorded.run.folder).items():
                 for stamp, value in zip(signal.stamp_ns, signal.value, strict=True):
                     self.beside.add(spec, int(stamp), float(value))
-            count = len(self._collector.buffer)
             said.append(f'{recorded.run.folder}: goes on with {count} samples of it')
         return '; '.join(said)
 

@@ -117,6 +117,10 @@ class PathWatcher:
         """Take note that the standstill that was looked at is not at the end of the path."""
         self._next_end(None if self.end == self._here else self._here)
 
+    def stays(self) -> None:
+        """Take note that the target has stood since the last sample, for long enough."""
+        self._stood = self.end is not None and self.end == self._here
+
     @property
     def stood(self) -> bool:
         """True if the standstill that is to be looked at is, or was, long enough to end a run."""
