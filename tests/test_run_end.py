@@ -51,9 +51,11 @@ def begun(folder):
     return session, asked
 
 
-def ended(folder, samples, batch, late, ends):
+def ended(folder, samples, batch, late, ends, given_up=None):
     """Samples of the run and of its journal; it is looked at so many batches later."""
     session, asked = begun(folder)
+    if given_up is not None:
+        session.worker.give_up = lambda: given_up.append(len(asked))
     session.intake.path(PATH, encode_path(PATH.points, 0, 'machine'))
     stamps, xyz = samples
     due = {}
@@ -92,6 +94,14 @@ def test_stop_shortly_before_the_end_is_part_of_the_run(tmp_path, batch, late):
     stamps, _ = samples = driven(140, 300)
     end = 201 + 140 + AT_REST
     found, journal = ended(tmp_path, samples, batch, late, [end])
+    assert found.stamp_ns.tolist() == journal.stamp_ns.tolist() == stamps[:end].tolist()
+
+
+def test_calibration_begun_at_a_stop_is_given_up_when_the_target_moves_on_too_soon(tmp_path):
+    stamps, _ = samples = driven(100, 160)
+    stop, end, given_up = 200 + AT_REST, 201 + 100 + AT_REST, []
+    found, journal = ended(tmp_path, samples, 10, 0, [stop, end], given_up)
+    assert given_up == [1]  # before the end was asked about
     assert found.stamp_ns.tolist() == journal.stamp_ns.tolist() == stamps[:end].tolist()
 
 
