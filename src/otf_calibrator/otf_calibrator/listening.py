@@ -48,14 +48,16 @@ def listen(node: Node, intake: Intake, files: CalibratorConfig) -> None:
     for spec in specs:
         module, _, kind = spec.type.replace('/msg/', '.msg/').partition('/')
         message = getattr(import_module(module), kind)
-        node.create_subscription(message, spec.topic, partial(_take, intake, spec), qos.SIGNAL)
+        node.create_subscription(
+            message, spec.topic, partial(_take, node, intake, spec), qos.SIGNAL
+        )
     _keep_journal(node, intake, files)
 
 
-def _take(intake: Intake, spec: SignalSpec, message: Any) -> None:
+def _take(node: Node, intake: Intake, spec: SignalSpec, message: Any) -> None:
     """Take a value at its stamp; one without a stamp at its time of reception."""
     header = getattr(message, 'header', None)
-    now = time.time_ns()
+    now = node.get_clock().now().nanoseconds or time.time_ns()  # a bag that is played has a clock
     stamp = now if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
     value = float(getattr(message, PLAIN[spec.type]))
     intake.signal(spec, stamp, value, serialize_message(message))
