@@ -101,10 +101,19 @@ def test_tails_are_heavy_below_five_degrees_of_freedom_of_differences(freedom, h
         assert 'heavy tails' in finding.words
 
 
-@pytest.mark.parametrize(('stops', 'judged'), [(29, False), (30, True)])
-def test_thirty_standstills_are_needed(stops, judged):
-    for case in ({'level': (3.0, 3.0)}, {'freedom': 3.0, 'level': (2.5, 2.5)}):
-        assert (found(stops=stops, **case) is not None) is judged
+@pytest.mark.parametrize(
+    ('stops', 'seconds', 'judged'), [(2, 2.0, False), (2, 3.0, True), (29, 0.5, True)]
+)
+def test_five_seconds_of_standstill_are_needed_however_many_stops(stops, seconds, judged):
+    for case in ({'level': (4.0, 4.0)}, {'freedom': 3.0, 'level': (4.0, 4.0)}):
+        finding = found(stops=stops, seconds=seconds, **case)
+        assert (finding is not None) is judged
+        assert not judged or 'level_range' in finding.parameters
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_noise_as_specified_is_no_finding_in_two_stops(seed):
+    assert found(stops=2, seconds=3.0, seed=seed, tau=0.3) is None
 
 
 def test_effect_that_is_excluded_is_not_found():

@@ -57,7 +57,8 @@ def test_more_standstill_makes_it_surer():
     level = 1.75 * AS_SPECIFIED
     few, many = (departure(n, 1.0, 100.0, 5, level) for n in (32, 250))
     assert 0.5 < few.of_level.min() < many.of_level.min()
-    assert departure(20, 1.0, 100.0, 5, level) is None
+    assert departure(20, 1.0, 100.0, 5, level).of_level.min() > 0.5
+    assert departure(4, 1.0, 100.0, 5, level) is None
 
 
 def test_the_probability_is_the_share_of_drawn_cases():

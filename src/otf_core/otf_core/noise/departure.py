@@ -21,7 +21,12 @@ from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
 from otf_core.noise.jackknife import jackknife_u, left_out_fits
 from otf_core.noise.model import TYPICAL_CORRELATION_TIME, NoiseModel
-from otf_core.noise.standstill import find_standstills, noise_of_windows, quiet_windows
+from otf_core.noise.standstill import (
+    MIN_TOTAL,
+    find_standstills,
+    noise_of_windows,
+    quiet_windows,
+)
 from otf_core.noise.tails import FREEDOMS, fast_part, student_likelihood
 
 Array = NDArray[np.float64]
@@ -34,8 +39,6 @@ HEAVY = 5.0
 """Degrees of freedom of Student's t below which tails count as heavy."""
 WIDEST = 10.0
 """Factor on a limit beyond which nothing is expected."""
-ENOUGH = 30
-"""Windows of standstill needed for a judgement."""
 BEST = 0.01
 """Standard uncertainty of a logarithm at best."""
 
@@ -135,15 +138,17 @@ def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Depart
     Returns
     -------
     Departure or None
-        None with fewer than ``ENOUGH`` windows of standstill.
+        None with less than ``MIN_TOTAL`` of standstill: what is long enough to measure the noise
+        is long enough to judge it, since the jackknife tells how surely. Machines that do not
+        stop at corners stand still at the two ends of a run alone.
     """
     runs = find_standstills(samples, speed)
     if len(runs) == 0:
         return None
     windows, _ = quiet_windows(samples, runs)
-    if len(windows) < ENOUGH:
-        return None
     step = float(np.median(np.diff(samples.stamp_ns))) * 1e-9
+    if sum(len(w) for w in windows) * step < MIN_TOTAL:
+        return None
     seen, parts = noise_of_windows(windows, step).noise, left_out_fits(windows, step)
     *level, time = _over_specified(seen, spec)
     freedom, limits = len(parts) - 1.0, [LEVEL] * 3 + [SLOW / TYPICAL_CORRELATION_TIME]
