@@ -15,6 +15,7 @@ from otf_core.aside import Aside
 from otf_core.budget.budget import EFFECTS, Budget, make_budget, whole_check, with_source
 from otf_core.budget.noise import noise_parts
 from otf_core.budget.typical import TypicalSystematic, typical_pulls, typical_systematic
+from otf_core.calibration.passes import Unfollowed, unfollowed
 from otf_core.calibration.result import Fit, RunResult
 from otf_core.config import CalibrationConfig
 from otf_core.effects.stated import TakenOff
@@ -48,6 +49,10 @@ class Assessed:
     tables : ErrorTables
         With their uncertainties.
     typical : TypicalSystematic, optional
+    grid_u : float
+        m; mean uncertainty of the error vector in the driven volume.
+    unfollowed : Unfollowed, optional
+        What the tables leave in every pass over a line.
     """
 
     done: JointSolution
@@ -58,6 +63,8 @@ class Assessed:
     table: Tabulation
     tables: ErrorTables
     typical: TypicalSystematic | None
+    grid_u: float
+    unfollowed: Unfollowed | None
 
 
 def assess(
@@ -96,7 +103,8 @@ def _assessed(
     give_back()
     pulls = pulling.result()
     typical = typical_systematic(runs, done, tables, table.rows, budget.covariance, pulls)
-    return Assessed(done, results, budget, whole, fit, table, tables, typical)
+    again = unfollowed(runs, done)
+    return Assessed(done, results, budget, whole, fit, table, tables, typical, grid_u, again)
 
 
 def _run_result(run: Run, solved: SolvedRun, config: CalibrationConfig) -> RunResult:

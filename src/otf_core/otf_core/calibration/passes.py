@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the tables leave alike in every pass over a line: lack of fit, told from noise.
+
+Noise of the tracker, drift and vibration come anew in every pass; what a machine does at a place
+comes again. So with residual vectors v and w of two passes over the same piece of a line
+
+    E[ v . w ] = | b |^2  -  tr( B_v V B_w^T )
+
+b being what the model lacks there, B the derivatives of the piece by all unknowns (across the
+line) and V their covariance: residuals of generalised least squares have the covariance
+S - A V A^T, and between passes S is zero. The mean of | b |^2 needs no knowledge of the noise,
+which may hide a lack as large as itself. It is the sum of squares for lack of fit of repeated
+observations; how sure it is tells the scatter between lines.
+
+References
+----------
+N. Draper, H. Smith, Applied Regression Analysis, 3rd ed., 1998, section 2.1: lack of fit and pure
+error from repeat runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.pieces.observed import Observed
+from otf_core.solving.joint import JointSolution, SolvedRun
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+CELL = 0.008
+"""m; pieces whose middles lie in the same stretch of a line are the same place."""
+SAME_LINE, SAME_DIRECTION = 2e-3, 1e-3
+"""m, and change of a unit vector, by which lines are told apart."""
+BENT = 1e-9
+"""m/s^2; pieces on curves are left out: their chords are no lines of their own."""
+ENOUGH = 400
+"""Pairs of pieces of which the share of the unknowns is worked out."""
+FEWEST = 12
+"""Lines that were driven more than once below which nothing is told."""
+SURE = 3.0
+"""Standard deviations, by the scatter between lines, from which on it is told. Of runs that lack
+nothing this was 2.6 at most in 48."""
+SHARE = 0.5
+"""Of the uncertainty of the grid, below which it changes that by less than an eighth."""
+
+
+@dataclass(frozen=True)
+class Unfollowed:
+    """What tables leave in every pass.
+
+    Attributes
+    ----------
+    square, u : float
+        m^2; mean square of the length across the path, which may come out negative, and its
+        standard uncertainty.
+    lines : int
+        Lines that were driven more than once.
+    """
+
+    square: float
+    u: float
+    lines: int
+
+    @property
+    def size(self) -> float:
+        """Root mean square of the length across the path, m; zero where noise hides it."""
+        return float(np.sqrt(max(self.square, 0.0)))
+
+    def warning(self, grid_u: float) -> str | None:
+        """Words where it is sure, and matters beside the uncertainty of the grid (m)."""
+        if self.lines < FEWEST or self.square < SURE * self.u or self.size < SHARE * grid_u:
+            return None
+        return (
+            f'in every pass over a line the tables leave {1e6 * self.size:.2g} um alike, beside '
+            f'{1e6 * grid_u:.2g} um of mean uncertainty of the grid: the machine does what tables '
+            f'of single axes cannot follow (waves of a screw, steps, sag, the second order of '
+            f'large errors), the errors that they state are wrong by as much and more, and u '
+            f'holds nothing of it; ./otf diagnose looks for it'
+        )
+
+
+def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | None:
+    """What a solution leaves in every pass; None where no line was driven twice.
+
+    Parameters
+    ----------
+    runs : sequence of Observed
+        With the pieces of the solution.
+    done : JointSolution
+    """
+    if any(run.pieces.standstill for run in runs):
+        return None
+    across = [np.einsum('cp,cpi->pi', s.residual, s.system.axes) for s in done.runs]
+    first = np.cumsum([0, *(len(v) for v in across)])
+    residual = np.concatenate(across)
+    line, one, other = _pairs(runs, done)
+    if not len(one):
+        return None
+    product = np.einsum('pi,pi->p', residual[one], residual[other])
+    some = np.unique(np.linspace(0, len(one) - 1, ENOUGH).astype(np.int64))
+    rows = [_rows(done.runs, first, of[some]) for of in (one, other)]
+    taken = np.einsum('pik,kl,pil->p', rows[0], done.solution.covariance, rows[1], optimize=True)
+    total, count = np.bincount(line, product), np.bincount(line)
+    total, count = total[count > 0], count[count > 0]
+    mean = float(total.sum() / count.sum())
+    scatter = float(np.sqrt(np.sum((total - mean * count) ** 2)) / count.sum())
+    return Unfollowed(mean + float(taken.mean()), scatter, len(count))
+
+
+def _rows(runs: Sequence[SolvedRun], first: Index, places: Index) -> Array:
+    """Derivatives (m, 3, full) across the path of pieces, counted through all runs."""
+    found: Array | None = None
+    for k, run in enumerate(runs):
+        own = (places >= first[k]) & (places < first[k + 1])
+        piece = places[own] - first[k]
+        rows = np.einsum('cpi,cpk->pik', run.system.axes[:, piece], run.system.rows.dense(piece))
+        if found is None:
+            found = np.zeros((len(places), *rows.shape[1:]))
+        found[own] = rows
+    assert found is not None
+    return found
+
+
+def _pairs(runs: Sequence[Observed], done: JointSolution) -> tuple[Index, Index, Index]:
+    """Line and both pieces of every two passes that follow each other over the same place."""
+    keys = []
+    for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
+        direction, q = _without_sense(run.pieces.direction), solved.system.q
+        along = np.einsum('pi,pi->p', q, direction)
+        foot = q - along[:, None] * direction
+        straight = np.full((len(q), 1), len(run.pieces.bend) == 0)
+        if len(run.pieces.bend):
+            straight = np.linalg.norm(run.pieces.bend, axis=1, keepdims=True) < BENT
+        cell = np.floor(along / CELL)[:, None]
+        leg = np.column_stack([np.full(len(q), k), run.pieces.leg])
+        line = np.hstack([direction / SAME_DIRECTION, foot / SAME_LINE])
+        keys.append(np.hstack([straight, np.rint(line), cell, leg]))
+    every = np.concatenate(keys)
+    straight_ones = np.flatnonzero(every[:, 0])
+    every = every[straight_ones]
+    line = np.unique(every[:, 1:7], axis=0, return_inverse=True)[1].reshape(-1)
+    passes, piece = np.unique(np.column_stack([line, every[:, 7:]]), axis=0, return_index=True)
+    again = np.all(passes[1:, :2] == passes[:-1, :2], axis=1)
+    one, other = straight_ones[piece[:-1][again]], straight_ones[piece[1:][again]]
+    return passes[1:, 0][again].astype(np.int64), one, other
+
+
+def _without_sense(direction: Array) -> Array:
+    """Directions (p, 3) of which the largest component is positive."""
+    largest = np.argmax(np.round(np.abs(direction), 6), axis=1)
+    sign = np.sign(direction[np.arange(len(direction)), largest])
+    return np.asarray(direction * sign[:, None])

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tables leave in every pass: told from noise, drift and vibration, and said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from core_cells import record, small_plan, some_machine, some_pose
+
+from otf_core.calibration.calibrate import calibrate_runs
+from otf_core.calibration.passes import FEWEST, Unfollowed, unfollowed
+from otf_core.calibration.solved import solve_recordings
+from otf_core.config import CalibrationConfig
+from otf_core.model.observation import Samples
+from otf_core.pieces.runs import Recording
+
+COARSE = CalibrationConfig(reversal='none', piece_length=0.024)
+
+
+def nothing(driven):
+    return np.zeros_like(driven.q)
+
+
+def sag(driven):
+    """Up to 8 um down where X and Y both are far from where they rest: no axis alone does it."""
+    low, high = driven.machine.lower, driven.machine.upper
+    x, y, _ = ((driven.q - low) / (high - low)).T
+    return -8e-6 * np.stack([0 * x, 0 * x, np.sin(np.pi * x) * np.sin(np.pi * y)], axis=1)
+
+
+def drift(driven):
+    """The same to begin with, and less and less of it: no pass is as the other."""
+    return sag(driven) * np.cos(np.pi * driven.time / driven.time[-1])[:, None]
+
+
+def recording(spoil, passes=2):
+    machine = some_machine(pitch=0.1)
+    driven = record(machine, small_plan(machine, passes=passes), rate=60.0)
+    pose = some_pose(machine, np.random.default_rng(17))
+    samples = driven.measured(seed=8, pose=pose)
+    xyz = samples.xyz + spoil(driven) @ pose[0].T
+    return Recording(Samples(samples.stamp_ns, xyz), driven.path, machine)
+
+
+def found(spoil, passes=2):
+    solution = solve_recordings([recording(spoil, passes)], COARSE, mend=False).solution
+    return unfollowed(solution.runs, solution.done)
+
+
+def test_what_repeats_is_measured_and_what_does_not_is_not():
+    clean, changing, sagging = found(nothing), found(drift), found(sag)
+    assert clean.lines == changing.lines == sagging.lines >= FEWEST
+    assert abs(clean.square) < 3.0 * clean.u
+    assert changing.square < 3.0 * changing.u
+    assert sagging.square > 5.0 * sagging.u
+    assert 0.5e-6 < sagging.size < 4e-6
+
+
+def test_a_calibration_says_what_it_leaves_in_every_pass():
+    said = [
+        [w for w in calibrate_runs([recording(s)], COARSE).warnings if 'in every pass over' in w]
+        for s in (nothing, sag)
+    ]
+    assert [len(one) for one in said] == [0, 1]
+    assert 'u holds nothing of it' in said[1][0]
+
+
+def test_one_pass_tells_nothing():
+    alone = found(sag, passes=1)
+    assert alone is None or alone.warning(1e-9) is None
+
+
+@pytest.mark.parametrize(
+    ('change', 'told'),
+    [
+        ({}, True),
+        ({'lines': FEWEST - 1}, False),
+        ({'u': 0.5e-12}, False),
+        ({'square': -1e-12}, False),
+        ({'square': 0.01e-12, 'u': 0.0}, False),
+    ],
+)
+def test_only_what_is_sure_and_matters_is_told(change, told):
+    one = replace(Unfollowed(square=1e-12, u=0.1e-12, lines=60), **change)
+    words = one.warning(0.5e-6)
+    assert (words is not None) == told
+    assert not told or 'leave 1 um alike, beside 0.5 um' in words
