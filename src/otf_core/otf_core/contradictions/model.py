@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quick model of runs that the checks ask: pose, tables, reversal and slow drift."""
+"""The quick model of runs that the checks ask: pose, tables, reversal, lag and slow drift."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from otf_core.contradictions.rows import (
     Rows,
     build_rows,
     drift_columns,
+    lag_columns,
     poses_by_run,
     reversal_columns,
     squareness_columns,
@@ -40,8 +41,8 @@ class Model:
     runs : tuple of Run
     rows : Rows
     fit : Fit
-        Pose of every run, tables, a constant reversal of every motion and a slow drift of every
-        pose: what these explain is no contradiction.
+        Pose of every run, tables, a constant reversal of every axis, a lag of every axis behind
+        its speed and a slow drift of every pose: what these explain is no contradiction.
     """
 
     runs: tuple[Run, ...]
@@ -104,5 +105,10 @@ def _thinned(rows: Rows, enough: int) -> Rows:
 
 def usual_columns(rows: Rows) -> Array:
     """Columns of what is usual and no matter here, and of squareness, shape (c p, k)."""
-    usual = (poses_by_run(rows), reversal_columns(rows), drift_columns(rows))
+    usual = (
+        poses_by_run(rows),
+        reversal_columns(rows),
+        lag_columns(rows),
+        drift_columns(rows),
+    )
     return np.concatenate([*usual, squareness_columns(rows)], axis=1)

@@ -47,6 +47,7 @@ class Rows:
         Unit vectors from the tracker, machine frame.
     direction, side : ndarray, shape (p, 3)
         See ``pieces.Pieces``.
+    speed : ndarray, shape (p,), m/s
     offset : ndarray, shape (p, 3), m
         Target offset.
     axes : ndarray, shape (c, p, 3)
@@ -64,6 +65,7 @@ class Rows:
     beam: Array
     direction: Array
     side: Array
+    speed: Array
     offset: Array
     axes: Array
     deviation: Array
@@ -133,6 +135,7 @@ def _of_run(run: Run, number: int) -> dict[str, Array]:
         'beam': beam,
         'direction': pieces.direction,
         'side': pieces.side,
+        'speed': pieces.speed,
         'offset': np.tile(run.machine.target_offset, (len(pieces), 1)),
         'axes': axes,
         'deviation': np.einsum('cpi,pi->cp', axes, points - q),
@@ -178,6 +181,17 @@ def reversal_columns(rows: Rows) -> Array:
     """Rows per unit of a constant reversal of each axis in each direction, shape (c p, 9)."""
     columns = 0.5 * rows.side[:, :, None] * rows.axes[:, :, None]
     return np.asarray(columns.reshape(-1, 9))
+
+
+def lag_columns(rows: Rows) -> Array:
+    """Rows of every axis lagging behind by a time of its own, shape (c p, 3), 1.
+
+    Per m of lag at the mean speed of all. It flips with the sense of travel like a reversal, but
+    grows with the speed of the axis: where that changes, between laps of two feeds or from long to
+    short lines, it looks like a step.
+    """
+    velocity = rows.speed[:, None] * rows.direction / max(float(rows.speed.mean()), 1e-9)
+    return np.asarray((-velocity * rows.axes).reshape(-1, 3))
 
 
 def drift_columns(rows: Rows, order: int = 3) -> Array:

@@ -219,6 +219,17 @@ def test_a_bed_that_warms_up_is_no_tracker_that_moved():
     assert seconds == pytest.approx(0.6 * a.samples.time[-1], abs=1.0)
 
 
+@pytest.mark.parametrize('chain', ['w-b-X-Y-Z-t', 'w-Y-b-X-Z-t'])
+def test_a_drive_that_lags_is_no_tracker_that_moved(chain):
+    """Long lines come to their feed and short ones do not, so what it leaves comes and goes."""
+    lagging = {'extra': Extra(lag=(0.0, 1e-4, 0.0)), 'path': 'default', 'size': (0.6, 0.5, 0.4)}
+    a = recorded(5, chain=chain, **lagging)
+    assert not [f for f in asked(a) if f.check == 'moved']
+    (found,) = [f for f in asked(stepped(a, (1.2e-5, -1.6e-5, 0.0))) if f.check == 'moved']
+    seconds = float(found.words.split('moved ')[1].split(' s ')[0])
+    assert seconds == pytest.approx(0.5 * a.samples.time[-1], abs=1.0)
+
+
 def test_tables_are_right_though_the_tracker_moved():
     truth = cell(4)
     result = calibrate_runs(
