@@ -2,7 +2,8 @@
 """What the tables leave alike in every pass over a line: lack of fit, told from noise.
 
 Noise of the tracker, drift and vibration come anew in every pass; what a machine does at a place
-comes again. So with residual vectors v and w of two passes over the same piece of a line
+comes again, and so does what a tracker does as it points there. So with residual vectors v and w
+of two passes over the same piece of a line
 
     E[ v . w ] = | b |^2  -  tr( B_v V B_w^T )
 
@@ -11,6 +12,9 @@ line) and V their covariance: residuals of generalised least squares have the co
 S - A V A^T, and between passes S is zero. The mean of | b |^2 needs no knowledge of the noise,
 which may hide a lack as large as itself. It is the sum of squares for lack of fit of repeated
 observations; how sure it is tells the scatter between lines.
+
+Of several runs the passes of one and the same are compared, and those of different ones beside it:
+what comes again within runs alone is the tracker's, from another place, or the machine changed.
 
 References
 ----------
@@ -21,7 +25,7 @@ error from repeat runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +51,8 @@ SURE = 3.0
 nothing this was 2.6 at most in 48."""
 SHARE = 0.5
 """Of the uncertainty of the grid, below which it changes that by less than an eighth."""
+SAME = 0.5
+"""Share of what comes again within runs that comes again between them where it is the same."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +66,14 @@ class Unfollowed:
         standard uncertainty.
     lines : int
         Lines that were driven more than once.
+    between : float, optional
+        m^2; the same mean square between passes of different runs, where there are enough.
     """
 
     square: float
     u: float
     lines: int
+    between: float | None = None
 
     @property
     def size(self) -> float:
@@ -75,12 +84,18 @@ class Unfollowed:
         """Words where it is sure, and matters beside the uncertainty of the grid (m)."""
         if self.lines < FEWEST or self.square < SURE * self.u or self.size < SHARE * grid_u:
             return None
+        cause = (
+            'the tracker errs as it points there, or the machine changed between the runs'
+            if self.between is not None and self.between < SAME * self.square
+            else 'the machine does what tables of single axes cannot follow (waves of a screw, '
+            'steps, sag, the second order of large errors), or the tracker errs as it points there'
+        )
+        where = '' if self.between is None else ' of a run'
         return (
-            f'in every pass over a line the tables leave {1e6 * self.size:.2g} um alike, beside '
-            f'{1e6 * grid_u:.2g} um of mean uncertainty of the grid: the machine does what tables '
-            f'of single axes cannot follow (waves of a screw, steps, sag, the second order of '
-            f'large errors), the errors that they state are wrong by as much and more, and u '
-            f'holds nothing of it; ./otf diagnose looks for it'
+            f'in every pass{where} over a line the tables leave {1e6 * self.size:.2g} um alike, '
+            f'beside {1e6 * grid_u:.2g} um of mean uncertainty of the grid: {cause}; the errors '
+            f'that they state are wrong by as much and more, and u holds nothing of it; '
+            f'./otf diagnose looks for it'
         )
 
 
@@ -99,8 +114,27 @@ def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | No
     first = np.cumsum([0, *(len(v) for v in across)])
     residual = np.concatenate(across)
     line, one, other = _pairs(runs, done)
-    if not len(one):
-        return None
+    alike = np.searchsorted(first, one, side='right') == np.searchsorted(
+        first, other, side='right'
+    )
+
+    def told(which: NDArray[np.bool_]) -> Unfollowed | None:
+        if not which.any():
+            return None
+        return _told(line[which], one[which], other[which], residual, first, done)
+
+    within, between = told(alike), told(~alike)
+    if between is None or between.lines < FEWEST:
+        return within
+    if within is None or within.lines < FEWEST:
+        return between
+    return replace(within, between=between.square)
+
+
+def _told(
+    line: Index, one: Index, other: Index, residual: Array, first: Index, done: JointSolution
+) -> Unfollowed:
+    """Mean product of pairs of pieces, given by their lines and places through all runs."""
     product = np.einsum('pi,pi->p', residual[one], residual[other])
     some = np.unique(np.linspace(0, len(one) - 1, ENOUGH).astype(np.int64))
     rows = [_rows(done.runs, first, of[some]) for of in (one, other)]

@@ -28,16 +28,20 @@ def sag(driven):
     return -8e-6 * np.stack([0 * x, 0 * x, np.sin(np.pi * x) * np.sin(np.pi * y)], axis=1)
 
 
+def risen(driven):
+    return -sag(driven)
+
+
 def drift(driven):
     """The same to begin with, and less and less of it: no pass is as the other."""
     return sag(driven) * np.cos(np.pi * driven.time / driven.time[-1])[:, None]
 
 
-def recording(spoil, passes=2):
+def recording(spoil, passes=2, seed=8):
     machine = some_machine(pitch=0.1)
     driven = record(machine, small_plan(machine, passes=passes), rate=60.0)
     pose = some_pose(machine, np.random.default_rng(17))
-    samples = driven.measured(seed=8, pose=pose)
+    samples = driven.measured(seed=seed, pose=pose)
     xyz = samples.xyz + spoil(driven) @ pose[0].T
     return Recording(Samples(samples.stamp_ns, xyz), driven.path, machine)
 
@@ -85,3 +89,25 @@ def test_only_what_is_sure_and_matters_is_told(change, told):
     words = one.warning(0.5e-6)
     assert (words is not None) == told
     assert not told or 'leave 1 um alike, beside 0.5 um' in words
+
+
+@pytest.mark.parametrize(
+    ('between', 'machine'), [(None, True), (0.9e-12, True), (0.1e-12, False), (-1e-12, False)]
+)
+def test_what_comes_again_within_runs_alone_is_not_laid_on_the_axes(between, machine):
+    words = Unfollowed(1e-12, 0.1e-12, 60, between).warning(0.5e-6)
+    assert ('waves of a screw' in words) == machine
+    assert 'the tracker errs as it points there' in words
+    assert ('changed between the runs' in words) != machine
+    assert ('pass of a run' in words) == (between is not None)
+
+
+def test_between_runs_only_what_is_in_all_of_them_comes_again():
+    def of(*spoils):
+        given = [recording(s, passes=1, seed=k) for k, s in enumerate(spoils)]
+        solution = solve_recordings(given, COARSE, mend=False).solution
+        return unfollowed(solution.runs, solution.done)
+
+    same, turned = of(sag, sag), of(sag, risen)
+    assert same.square > 5.0 * same.u
+    assert turned.square < -5.0 * turned.u
