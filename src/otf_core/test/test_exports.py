@@ -248,6 +248,29 @@ def test_the_tables_of_sinumerik_together_hold_what_functions_of_one_axis_can(ta
     assert together.after_mean < min(remaining_error(tables, m.held).after_mean for m in made)
 
 
+@pytest.mark.parametrize('chain', ['w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-Z-Y-X-b-t'])
+def test_no_functions_of_one_axis_each_fit_the_volume_better(chain):
+    tables = random_tables(some_machine(chain), 5e-5, np.random.default_rng(12))
+    machine, count = tables.machine, 61
+    ends = zip(machine.lower, machine.upper, strict=True)
+    q = np.stack(np.meshgrid(*(np.linspace(a, b, count) for a, b in ends), indexing='ij'), axis=-1)
+    error = error_of(tables, q.reshape(-1, 3)).reshape(q.shape)
+    made = [exported(n, tables, points=61).held for n in ('sinumerik-enc', 'sinumerik-cec')]
+    held = sum(h(q.reshape(-1, 3)) for h in made).reshape(q.shape)
+    weight = np.full(count, 1.0 / (count - 1))  # trapezoids
+    weight[[0, -1]] *= 0.5
+
+    def mean(field, *axes):
+        for axis in axes:
+            field = np.moveaxis(np.tensordot(field, weight, (axis, 0))[None], 0, axis)
+        return field
+
+    # analysis of variance: the fit is the sum of the means over the other axes
+    fit = mean(error, 1, 2) + mean(error, 0, 2) + mean(error, 0, 1) - 2 * mean(error, 0, 1, 2)
+    constant = mean(held - fit, 0, 1, 2)  # a shift of the frame
+    np.testing.assert_allclose(held - constant, fit, atol=5e-9)
+
+
 @every_format
 def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
     for content in exported(name, tables).files.values():

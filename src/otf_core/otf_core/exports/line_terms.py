@@ -1,23 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tables in one variable can hold of the volumetric error: its course along middle lines.
+"""What tables in one variable can hold of the volumetric error: its mean over the other axes.
 
-f_ij(q_j) = e_i along the line of axis j through the middle of the volume, zero at the reference
-position of j. In the rigid-body model of first order e_i depends on q_j through f_ij and through
-products with the levers, which are linear in the other positions and vanish on average over the
-volume: f_ij is the least-squares fit to the whole volume of a function of q_j alone.
+f_ij(q_j) = mean of e_i over the positions of the other two axes, zero at the reference position of
+j. The sum of such functions of one axis each is the least-squares fit to the whole volume. In the
+rigid-body model of first order the motions of another axis k act through their means over its
+range: q_k enters the levers linearly, and products of q_k with motions of k do not depend on q_j.
+So f_ij is the course along the middle line of j with the means in place of the motions of k.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import ErrorTables
+from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.prediction.driven_volume import table_ranges
 
 Array = NDArray[np.float64]
@@ -87,10 +88,30 @@ def middle_line(tables: ErrorTables, axis: int, position: Array) -> Array:
     return q
 
 
+def mean_motion(table: MotionTable, low: float, high: float) -> MotionTable:
+    """Motion that is constant at its mean from one position to another, m."""
+    inner = table.position[(table.position > low) & (table.position < high)]
+    q = np.concatenate([[low], inner, [high]])
+    value = table.at(q)
+    mean = value[:1]
+    if high > low:
+        mean = np.array([0.5 * np.sum((value[1:] + value[:-1]) * np.diff(q)) / (high - low)])
+    return MotionTable(np.array([low]), mean, np.zeros(1))
+
+
+def others_at_their_means(tables: ErrorTables, axis: int) -> ErrorTables:
+    """Tables in which the motions of the other axes are constant: their means over the range."""
+    low, high = (v.tolist() for v in table_ranges(tables))
+    motions = dict(tables.motions)
+    for m in (m for m in MOTIONS if m.place != axis):
+        motions[m] = mean_motion(motions[m], low[m.place], high[m.place])
+    return replace(tables, motions=motions)
+
+
 def line_terms(
     tables: ErrorTables, pairs: Collection[Pair], positions: Mapping[int, Array]
 ) -> dict[Pair, LineTerm]:
-    """Errors along the middle lines.
+    """Errors as functions of one axis each, means over the others.
 
     Parameters
     ----------
@@ -105,9 +126,9 @@ def line_terms(
     """
     terms = {}
     for i, j in pairs:
-        origin = np.array([reference_position(tables, j)])
+        mean, origin = others_at_their_means(tables, j), np.array([reference_position(tables, j)])
         error, zero = (
-            displacement(tables, middle_line(tables, j, p))[:, i] for p in (positions[j], origin)
+            displacement(mean, middle_line(tables, j, p))[:, i] for p in (positions[j], origin)
         )
         terms[i, j] = LineTerm(positions[j], error - zero)
     return terms
@@ -116,7 +137,7 @@ def line_terms(
 def even_terms(
     tables: ErrorTables, pairs: Collection[Pair], points: int | None, most: int, decimals: int
 ) -> dict[Pair, LineTerm]:
-    """Errors along the middle lines at even spacings, rounded as they will be written.
+    """Errors as functions of one axis at even spacings, rounded as they will be written.
 
     Parameters
     ----------
