@@ -18,7 +18,7 @@ from otf_core.exports import HOMES, export_format
 from otf_core.exports.base import Request
 from otf_core.exports.remaining import remaining_error
 from otf_core.model.evaluation import mean_length, without_rigid_motion
-from otf_core.model.tables import TablesFile, load_tables, tables_to_dict
+from otf_core.model.tables import MotionTable, TablesFile, load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
 
 FULL = ('isg', 'heidenhain', 'qif', 'lattice-csv', 'lattice-npz')
@@ -271,6 +271,25 @@ def test_no_functions_of_one_axis_each_fit_the_volume_better(chain):
     np.testing.assert_allclose(held - constant, fit, atol=5e-9)
 
 
+@pytest.mark.parametrize('points', [None, 5])
+@pytest.mark.parametrize('name', ['linuxcnc', 'sinumerik-enc', 'sinumerik-cec', 'lattice-csv'])
+def test_an_axis_that_did_not_move_gets_no_table_without_a_range(name, points, tables):
+    single = MotionTable(np.array([-0.1]), np.zeros(1), np.zeros(1), False)
+    motions = {m: single if m[2] == 'Z' else t for m, t in tables.motions.items()}
+    made = exported(name, replace(tables, motions=motions), points=points)
+    text = b'\n'.join(made.files.values()).decode()
+    assert not re.search(r'STEP\[.*\]=0\.0+$', text, re.M)
+    assert any('Z: did not move' in r for r in made.remarks) == name.startswith('sinumerik')
+    q = np.random.default_rng(3).uniform(tables.machine.lower, tables.machine.upper, (20, 3))
+    assert np.all(np.isfinite(made.held(q)))
+    if name == 'linuxcnc':
+        rows = [line for line in made.files['cell_z.comp'].decode().splitlines() if line[0] != '#']
+        assert rows == ['-100.000000 -100.000000 -100.000000']
+    if name == 'lattice-csv':
+        rows = [line.split(',')[:3] for line in text.splitlines() if line[0] not in '#x']
+        assert len(rows) == len(set(map(tuple, rows)))
+
+
 @every_format
 def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
     for content in exported(name, tables).files.values():
@@ -330,6 +349,8 @@ def test_points_are_taken_or_refused_and_fewer_are_said(name, tables):
         with pytest.raises(ConfigError, match=rf'--points: {name} holds the nodes'):
             exported(name, tables, points=20)
         return
+    with pytest.raises(ConfigError, match='--points: 1'):
+        exported(name, tables, points=1)
     made = exported(name, tables, points=20)
     assert not any('instead of' in remark for remark in made.remarks)
     if name == 'linuxcnc':

@@ -115,7 +115,7 @@ class Format(ABC):
         """Make the files; ConfigError if the format cannot hold these tables."""
 
     def check(self, request: Request) -> None:
-        """Refuse a missing or a needless sign, and points that mean nothing.
+        """Refuse a missing or a needless sign, and points that mean nothing or are too few.
 
         Raises
         ------
@@ -135,6 +135,8 @@ class Format(ABC):
             raise ConfigError(
                 f'--points: {self.name} holds the nodes of the tables themselves; leave it out'
             )
+        if request.points is not None and request.points < 2:
+            raise ConfigError(f'--points: {request.points}; at least 2')
 
 
 def printable(text: str) -> str:

@@ -53,10 +53,11 @@ def axis_positions(tables: ErrorTables, axis: int, points: int | None = None) ->
     tables : ErrorTables
     axis : int
     points : int, optional
-        Spread this many evenly over the range of the tables, instead of taking their nodes.
+        Spread this many evenly over the range of the tables, instead of taking their nodes. The
+        only position of an axis that did not move stands once.
     """
     low, high = (float(v[axis]) for v in table_ranges(tables))
-    if points is not None:
+    if points is not None and high > low:
         return np.linspace(low, high, points).round(12)
     nodes = np.concatenate(
         [tables.motions[m].position for m in MOTIONS if m.place == axis] + [[low, high]]
@@ -139,6 +140,8 @@ def even_terms(
 ) -> dict[Pair, LineTerm]:
     """Errors as functions of one axis at even spacings, rounded as they will be written.
 
+    Those of an axis that did not move are left out: a table needs a range.
+
     Parameters
     ----------
     tables : ErrorTables
@@ -156,7 +159,19 @@ def even_terms(
     return {
         pair: LineTerm(term.position, term.value.round(decimals + 3))
         for pair, term in line_terms(tables, pairs, positions).items()
+        if len(term.position) > 1
     }
+
+
+def without_table(tables: ErrorTables) -> tuple[str, ...]:
+    """Say which axes did not move, so that there is no table over their positions."""
+    low, high = table_ranges(tables)
+    still = [a for a, b, c in zip(tables.machine.axis_names, low, high, strict=True) if b == c]
+    if not still:
+        return ()
+    return (
+        f'{", ".join(still)}: did not move in the calibration, so no table over its positions',
+    )
 
 
 def held_by(terms: Mapping[Pair, LineTerm], q: Array) -> Array:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.errors import ConfigError
 from otf_core.exports.base import Exported, Format, Request, asked_sign_words
 from otf_core.exports.line_terms import (
     CROSS_PAIRS,
@@ -20,6 +19,7 @@ from otf_core.exports.line_terms import (
     even_terms,
     held_by,
     pair_name,
+    without_table,
 )
 
 MOST = 200
@@ -51,8 +51,6 @@ class SinumerikCec(Format):
         self.check(request)
         tables = request.content.tables
         terms = even_terms(tables, CROSS_PAIRS, request.points, MOST, DECIMALS)
-        if min(len(term.position) for term in terms.values()) < 2:
-            raise ConfigError(f'--points: {self.name} needs at least 2')
         lines = ['%_N_NC_CEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
         axes = tables.machine.axis_names
         for number, (pair, term) in enumerate(terms.items()):
@@ -62,9 +60,10 @@ class SinumerikCec(Format):
             {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
             lambda q: held_by(terms, q),
             (
-                f'needs six tables of at least {most} points (MD18342); load with MD32710 = 0, '
-                f'then MD32710 = 1 for the axes and SD41300 = 1 for the tables',
+                f'needs {len(terms)} tables of at least {most} points (MD18342); load with '
+                f'MD32710 = 0, then MD32710 = 1 for the axes and SD41300 = 1 for the tables',
                 *((_MOST_WORDS,) if request.points is None and most == MOST else ()),
+                *without_table(tables),
             ),
         )
 

@@ -9,13 +9,13 @@ reference position, and is loaded while MD32700 is 0.
 
 from __future__ import annotations
 
-from otf_core.errors import ConfigError
 from otf_core.exports.base import Exported, Format, Request
 from otf_core.exports.line_terms import (
     OWN_PAIRS,
     LineTerm,
     even_terms,
     held_by,
+    without_table,
 )
 
 MOST = 5000
@@ -44,19 +44,18 @@ class SinumerikEnc(Format):
         self.check(request)
         tables = request.content.tables
         terms = even_terms(tables, OWN_PAIRS, request.points, MOST, DECIMALS)
-        if min(len(term.position) for term in terms.values()) < 2:
-            raise ConfigError(f'--points: {self.name} needs at least 2')
         lines = ['%_N_AX_EEC_INI', *(f'; {line}' for line in request.header(self)), 'CHANDATA(1)']
         axes = tables.machine.axis_names
-        for k, axis in enumerate(axes):
-            lines += _table(terms[k, k], f'{axis}1')
-        counts = ', '.join(f'{a}1 {len(terms[k, k].position)}' for k, a in enumerate(axes))
+        for (_, k), term in terms.items():
+            lines += _table(term, f'{axes[k]}1')
+        counts = ', '.join(f'{axes[k]}1 {len(term.position)}' for (_, k), term in terms.items())
         return Exported(
             {request.name: ('\n'.join([*lines, 'M17']) + '\n').encode()},
             lambda q: held_by(terms, q),
             (
                 f'needs MD38000 of at least {counts}; load with MD32700 = 0, then set it to 1 '
                 f'and reference; axis names are those of the manual (X1, Y1, Z1)',
+                *without_table(tables),
             ),
         )
 
