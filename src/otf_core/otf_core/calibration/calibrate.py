@@ -181,7 +181,8 @@ def assemble(
     solution, covariance = done.solution, budget.covariance
     remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
     hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
-    verdict = judge(tables, covariance, budget, hidden)
+    prior = prior_of(done, tables, config.unidentifiable_above)
+    verdict = judge(tables, covariance, budget, hidden, prior)
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,
@@ -203,7 +204,7 @@ def assemble(
         ),
         fraction=table.fraction,
         table_costs=table.costs,
-        prior=prior_of(done, tables, config.unidentifiable_above),
+        prior=prior,
         not_identifiable=hidden,
         typical=found.typical,
         warnings=(

@@ -3,7 +3,8 @@
 
 A value y with expanded uncertainty U (95 %) keeps a limit if y + U is at most the limit, breaks
 it if y - U is above; in between lies the zone in which neither is proven. Only kept limits pass.
-``uncertainty`` is itself an expanded uncertainty and is compared as it stands.
+``uncertainty`` is itself an expanded uncertainty and is compared as it stands. Where the volume
+reaches beyond what was driven, U holds what tables say nothing of there, as in ``table_prior``.
 
 References
 ----------
@@ -13,7 +14,7 @@ guard band is U here, the careful choice for two-sided 95 %.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -21,9 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget
+from otf_core.budget.freedom import coverage_factor
 from otf_core.model.limits import KEYS, UNCERTAINTY, VOLUMETRIC
 from otf_core.model.motions import SQUARENESS
 from otf_core.model.tables import ErrorTables
+from otf_core.prediction.table_prior import MotionPrior, beyond_variance
 from otf_core.prediction.volumetric import VolumetricError, table_places
 
 Array = NDArray[np.float64]
@@ -117,7 +120,11 @@ def _with_guard(value: float, wide: float, limit: float) -> str:
 
 
 def judge(
-    tables: ErrorTables, covariance: Array, budget: Budget, hidden: Collection[str]
+    tables: ErrorTables,
+    covariance: Array,
+    budget: Budget,
+    hidden: Collection[str],
+    prior: Mapping[str, MotionPrior],
 ) -> Verdict | None:
     """Compare a calibration with the limits of its machine.
 
@@ -129,6 +136,8 @@ def judge(
         Of the same nodes: coverage factors.
     hidden : collection of str
         Motions and squareness errors that the data cannot see.
+    prior : mapping of motion or squareness error to MotionPrior
+        What is known beyond the tables.
 
     Returns
     -------
@@ -139,6 +148,7 @@ def judge(
     if limits is None:
         return None
     volume = VolumetricError(tables, covariance)
+    beyond = beyond_variance(tables, prior, hidden, volume.grid)
     judged = []
     for name, limit in limits.values.items():
         unit = KEYS[name][0]
@@ -146,9 +156,9 @@ def judge(
             judged.append(Judged(name, unit, limit, 0.0, 0.0, UNKNOWN))
             continue
         if name == VOLUMETRIC:
-            value, wide = _largest(volume, budget, limit)
+            value, wide = _largest(volume, beyond, budget, limit)
         elif name == UNCERTAINTY:
-            value, wide = _uncertainty(volume, budget), 0.0
+            value, wide = _uncertainty(volume, beyond, budget), 0.0
         else:
             value, wide = _span(name, tables, budget)
         judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
@@ -156,22 +166,26 @@ def judge(
 
 
 def _expanded(budget: Budget, rows: Array) -> Array:
-    """Expanded uncertainty of linear combinations (n, m), each with the smallest k of all."""
+    """Expanded uncertainty of linear combinations (n, m), each with the largest k of all."""
     variances = budget.variances(rows)
     return np.asarray(budget.expansion(variances)[0] * np.sqrt(variances.sum(axis=0)))
 
 
-def _largest(volume: VolumetricError, budget: Budget, limit: float) -> tuple[float, float]:
+def _largest(
+    volume: VolumetricError, beyond: Array, budget: Budget, limit: float
+) -> tuple[float, float]:
     """Length and U of the vector that decides: proven to be too long, else longest with U."""
-    wide = _expanded(budget, volume.length_rows)
+    along = volume.error / np.maximum(volume.length, 1e-300)[:, None]
+    added = coverage_factor(np.inf) ** 2 * np.sum(along**2 * beyond, axis=1)
+    wide = np.sqrt(_expanded(budget, volume.length_rows) ** 2 + added)
     sure = volume.length - wide
     at = int(np.argmax(sure if sure.max() > limit else volume.length + wide))
     return float(volume.length[at]), float(wide[at])
 
 
-def _uncertainty(volume: VolumetricError, budget: Budget) -> float:
+def _uncertainty(volume: VolumetricError, beyond: Array, budget: Budget) -> float:
     k, _ = budget.expansion(budget.variances(volume.rows))
-    return k * float(volume.u_size.max())
+    return k * float(np.sqrt(volume.u_size**2 + beyond.sum(axis=1)).max())
 
 
 def _span(name: str, tables: ErrorTables, budget: Budget) -> tuple[float, float]:

@@ -22,6 +22,7 @@ from otf_core.prediction.table_prior import (
     growth_variance,
     prior_from_dict,
     unseen_columns,
+    unseen_variance,
 )
 from otf_core.prediction.uncertainty import prediction_uncertainty
 
@@ -129,8 +130,7 @@ class Predictor:
         nodes: dict[str, Array] = {m: self.tables.motions[m].position for m in MOTIONS}
         u = prediction_uncertainty(self.tables.machine, nodes, self.covariance, q)
         variance = u**2 + growth_variance(self.tables, self.prior, q)
-        for motion, columns in self.unseen(q).items():
-            variance = variance + (self.prior.get(motion, MotionPrior()).sd * columns) ** 2
+        variance += unseen_variance(self.unseen(q), self.prior, q)
         error = displacement(self.tables, q)
         return Evaluated(error, np.sqrt(variance), inside(self.measured, self.driven, q))
 

@@ -39,6 +39,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.kinematics import lever, motion_influence, squareness_influence, turned
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
+from otf_core.prediction.driven_volume import table_ranges
 
 Array = NDArray[np.float64]
 
@@ -184,3 +185,23 @@ def unseen_columns(
         if np.any(np.abs(columns) > NO_LEVER):
             found[name] = columns
     return found
+
+
+def unseen_variance(
+    columns: Mapping[str, Array], prior: Mapping[str, MotionPrior], q: Array
+) -> Array:
+    """Variance (n, 3), m^2, that what was not seen adds at q (n, 3), by ``unseen_columns``."""
+    total = np.zeros_like(q)
+    for name, own in columns.items():
+        total += (prior.get(name, MotionPrior()).sd * own) ** 2
+    return total
+
+
+def beyond_variance(
+    tables: ErrorTables, prior: Mapping[str, MotionPrior], not_seen: Iterable[str], q: Array
+) -> Array:
+    """Variance (n, 3), m^2, at q (n, 3) beyond the tables at the offset that was measured with."""
+    low, high = table_ranges(tables)
+    offset = tables.machine.target_offset
+    columns = unseen_columns(tables, not_seen, q, low, high, offset)
+    return growth_variance(tables, prior, q) + unseen_variance(columns, prior, q)

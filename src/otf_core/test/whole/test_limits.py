@@ -75,7 +75,8 @@ def test_what_is_wrong_is_named(section, content, words):
 def verdict(calibrated, **limits):
     machine = replace(calibrated.tables.machine, limits=Limits(limits))
     tables = replace(calibrated.tables, machine=machine)
-    return judge(tables, calibrated.covariance, calibrated.budget, calibrated.not_identifiable)
+    hidden, prior = calibrated.not_identifiable, calibrated.prior
+    return judge(tables, calibrated.covariance, calibrated.budget, hidden, prior)
 
 
 def state(calibrated, **limits):
@@ -134,6 +135,27 @@ def test_volumetric_error_is_judged_where_it_decides(calibrated):
     u = np.sqrt(np.einsum('ij,ij->i', whole, flat).reshape(-1, 3).sum(axis=1)).max()
     assert state(calibrated, uncertainty=2.05 * u) == 'pass'
     assert state(calibrated, uncertainty=1.9 * u) == 'fail'
+
+
+def test_nothing_is_proven_where_the_machine_was_not_driven(calibrated):
+    tables, reach = calibrated.tables, 0.1
+    machine = tables.machine
+    (inside,) = verdict(calibrated, uncertainty=1e-2).judged
+    (length,) = verdict(calibrated, volumetric_error=1e-2).judged
+    longer = replace(machine.axes['X'], max=machine.axes['X'].max + reach)
+    wide = replace(
+        calibrated,
+        tables=replace(tables, machine=replace(machine, axes={**machine.axes, 'X': longer})),
+    )
+    (found,) = verdict(wide, uncertainty=1e-2).judged
+    known = calibrated.prior['EXX']  # that of the positioning alone, which acts along X
+    variance = known.slope**2 * reach**2 + known.intensity * reach**3 / 3
+    if known.length:
+        variance += 2 * known.sd**2 * (1 - np.exp(-0.5 * (reach / known.length) ** 2))
+    assert found.value > 1.96 * np.sqrt(variance) > 2 * inside.value
+    (found,) = verdict(wide, volumetric_error=1e-2).judged
+    assert found.U > 2 * length.U
+    assert state(wide, volumetric_error=found.value + 0.9 * found.U) != 'pass'
 
 
 def test_what_the_data_do_not_show_does_not_pass(calibrated):
