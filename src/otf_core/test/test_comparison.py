@@ -18,7 +18,7 @@ from otf_core.comparison.compare import (
 )
 from otf_core.comparison.direct_csv import read_direct_csv, write_direct_csv
 from otf_core.errors import ConfigError, InputError
-from otf_core.model.direct_measurement import motion_readings
+from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement, motion_readings
 from otf_core.model.evaluation import mean_length
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
@@ -88,11 +88,12 @@ def test_error_vectors_are_those_of_the_model_without_squareness():
 
 
 @pytest.mark.parametrize('chain', CONTRACT_CHAINS)
-def test_a_rotation_one_side_cannot_see_counts_as_a_translation(chain):
-    machine = some_machine(chain)
+@pytest.mark.parametrize('other', [(0.02, -0.03, -0.15), (0.1, 0.05, -0.3)])
+def test_a_rotation_one_side_cannot_see_counts_as_a_translation(chain, other):
+    machine = some_machine(chain, offset=other)
     blind = [m for m in MOTIONS if m[1] in 'ABC' and _constant(machine, m)]
     assert blind
-    tables = truth_of(machine)
+    tables = truth_of(some_machine(chain))  # that knows them may be of another target offset
     motions = dict(tables.motions)
     for name in blind:  # what a calibration with one target offset gives instead
         own, table = AXES.index(name[2]), motions[name]
@@ -105,9 +106,13 @@ def test_a_rotation_one_side_cannot_see_counts_as_a_translation(chain):
             old = motions[f'E{direction}{name[2]}']
             motions[f'E{direction}{name[2]}'] = replace(old, value=old.value + effect[:, k])
         motions[name] = replace(table, value=0 * table.value, identifiable=False)
-    result = compared(tables, replace(tables, motions=motions))
-    assert set(result.common.folded) == set(blind)
-    assert largest(result) < 1e-15
+    for pair in [
+        (tables, replace(tables, machine=machine, motions=motions)),
+        (replace(tables, machine=machine, motions=motions), tables),
+    ]:
+        result = compared(*pair)
+        assert set(result.common.folded) == set(blind)
+        assert largest(result) < 1e-15
     assert 'counted as such' in format_comparison(result)
 
 
@@ -117,6 +122,21 @@ def _constant(machine, motion):
     q = np.vstack([np.zeros(3), np.diag([0.1, 0.1, -0.1])])
     q[:, AXES.index(motion[2])] = 0.0
     return np.ptp(error_of(tables, q), axis=0).max() < 1e-12
+
+
+def test_a_direct_measurement_is_one_at_the_point_that_it_measured():
+    tables = truth_of(some_machine())
+    position = tables.motions['EXZ'].position
+    value = np.full((1, 2, len(position), 6), np.nan)
+    for k in range(3):  # Z alone moves nothing at the origin of the tool side by its rotations
+        value[..., k] = tables.motions[f'E{"XYZ"[k]}Z'].value
+    readings = AxisReadings(position, value, np.zeros(3))
+    measurement = DirectMeasurement({'Z': readings}, np.zeros(3))
+    direct = source_of_measurement('direct', measurement, tables.machine)
+    result = compare(source_of_tables('t', tables, None), direct)
+    assert {'EAZ', 'EBZ', 'ECZ'} <= set(result.common.folded)
+    assert largest(result) < 1e-15
+    np.testing.assert_array_equal(result.offsets[1], np.zeros(3))
 
 
 @pytest.mark.parametrize('chain', CONTRACT_CHAINS)

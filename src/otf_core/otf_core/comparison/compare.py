@@ -130,7 +130,10 @@ def source_of_tables(name: str, tables: ErrorTables, covariance: Array | None) -
 def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Machine) -> Source:
     """Source of a direct measurement: means over runs and directions, u from their scatter."""
     motions = motion_readings(measurement, machine)
-    tables, covariance = tables_of_readings(motions, machine, measurement.u_length_scale)
+    at = machine
+    if measurement.target_offset is not None:
+        at = replace(machine, target_offset=measurement.target_offset)
+    tables, covariance = tables_of_readings(motions, at, measurement.u_length_scale)
     return Source(name, tables, covariance, False)
 
 

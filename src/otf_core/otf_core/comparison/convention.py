@@ -3,8 +3,9 @@
 
 Positioning and rotations are zero at the axis' zero position, else at the minimum both know;
 straightness is zero at both ends of the common range. A rotation that one source cannot see,
-because it acts on the target over a lever that no other axis changes, is a translation for it; it
-is counted as one in both. All of it is linear: value = H nodes, covariance = H C H'.
+because it acts on the target over a lever that no other axis changes, is a translation for it, at
+its own target offset; it is counted as that one in both. All of it is linear: value = H nodes,
+covariance = H C H'.
 """
 
 from __future__ import annotations
@@ -66,15 +67,16 @@ class Common:
         That of the first, with its target offset.
     position : mapping of axis to ndarray, m
         Positions at which motions are compared.
-    folded : tuple of str
-        Rotations counted as translations.
+    folded : mapping of rotation to Machine
+        Rotations counted as translations, with the machine of the source that cannot see them:
+        its translations hold them at its target offset.
     motions : tuple of str
         Motions both know, folded ones left out.
     """
 
     machine: Machine
     position: Mapping[str, Array]
-    folded: tuple[ErrorMotion, ...]
+    folded: Mapping[ErrorMotion, Machine]
     motions: tuple[ErrorMotion, ...]
 
 
@@ -122,8 +124,12 @@ def common_ground(sources: Sequence[Source]) -> Common:
                 f'{machine.chain}; not one machine'
             )
     rotations = [m for m in MOTIONS if unit_of(m) == 'rad']
-    lacking = [m for m in rotations if not all(_known(s, m) for s in sources)]
-    folded = tuple(m for m in lacking if _constant_lever(machine, m))
+    folded = {
+        m: s.tables.machine
+        for m in rotations
+        for s in sources
+        if not _known(s, m) and _constant_lever(machine, m)
+    }
     motions = tuple(m for m in MOTIONS if all(_known(s, m) for s in sources))
     if not motions:
         raise ConfigError('the sources have no error motion in common')
@@ -159,9 +165,9 @@ def operator(source: Source, common: Common) -> Array:
 
         add(motion, np.ones(len(position)))
         if unit_of(motion) == 'm':
-            for name in common.folded:
+            for name, machine in common.folded.items():
                 if name.axis == axis and _known(source, name):
-                    influence = motion_influence(common.machine, name, own)
+                    influence = motion_influence(machine, name, own)
                     add(name, influence[:, motion.along])
         blocks.append(_zeroed(motion, position, rows))
     return np.concatenate(blocks)
