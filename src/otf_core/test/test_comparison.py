@@ -179,6 +179,22 @@ def test_normalised_error_by_hand():
     assert np.isnan(found[2])
 
 
+def test_without_any_uncertainty_nothing_is_said_to_agree(tmp_path, capsys):
+    tables = truth_of(some_machine())
+    exact = {n: replace(t, u=0.0 * t.u) for n, t in tables.motions.items()}
+    tables = replace(tables, motions=exact)
+    result = compared(tables, tables.scaled(1.5))
+    assert largest(result) > 1e-6
+    data = comparison_to_dict(result)
+    assert data['volume']['within'] is None
+    assert {m['within'] for m in data['motions'].values()} == {None}
+    text = format_comparison(result)
+    assert '100 %' not in text and 'no side states an uncertainty' in text
+    (tmp_path / 'comparison.json').write_text(json.dumps(data))
+    assert cli.main(['info', str(tmp_path / 'comparison.json')]) == 0
+    assert 'no side states an uncertainty' in capsys.readouterr().out
+
+
 def test_uncertainty_takes_the_covariance_along():
     machine = some_machine()
     tables = zero_tables(machine, 5)
@@ -269,6 +285,8 @@ def test_a_lever_without_its_rotation_is_refused(tmp_path):
         (small_csv(rows=['X,1,forward,inf,0,0']), 'line 3: position and errors'),
         (small_csv(rows=['X,1,forward,0,0,0', 'X,1,forward,9,0,0']), 'backward, position 0 m: 0'),
         (small_csv().replace('0.1,-0.05', '0.1'), 'line 1: point X: expected 3 numbers'),
+        (f'# target_offset: 0,,-0.1\n{small_csv()}', 'line 1: target_offset: expected 3 numbers'),
+        (f'# u_length_scale:\n{small_csv()}', 'line 1: u_length_scale: expected 1 numbers'),
     ],
 )
 def test_what_is_wrong_in_a_csv_is_located(tmp_path, text, message):

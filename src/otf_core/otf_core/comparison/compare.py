@@ -228,6 +228,6 @@ def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
 
 
 def agreement(normalised: Array) -> float:
-    """Share of normalised errors that do not exceed 1."""
+    """Share of normalised errors that do not exceed 1; nan without any uncertainty."""
     known = normalised[np.isfinite(normalised)]
-    return float(np.mean(known <= 1.0)) if known.size else 1.0
+    return float(np.mean(known <= 1.0)) if known.size else float('nan')

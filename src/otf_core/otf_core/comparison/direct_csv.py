@@ -102,7 +102,8 @@ def _comment(line: str, where: str) -> tuple[str, Array] | None:
         values = np.array([float(p) if p.strip() else np.nan for p in parts])
     except ValueError:
         values = np.zeros(0)
-    if values.size != size:
+    blank = match[1].startswith('point') and not np.any(np.isinf(values))
+    if values.size != size or not (blank or np.all(np.isfinite(values))):
         raise ConfigError(f'{where}: {match[1]}: expected {size} numbers, got {match[2]!r}')
     return match[1], values
 

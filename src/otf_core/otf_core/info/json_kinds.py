@@ -109,10 +109,13 @@ def _noise(data: Data) -> Explained:
 
 def _comparison(data: Data) -> Explained:
     volume = data['volume']
+    within = 'no side states an uncertainty'
+    if volume['within'] is not None:
+        within = f'{100 * volume["within"]:.0f} % of normalised errors at most 1'
     rows = (
         ('of', f'{data["a"]} and {data["b"]}'),
         ('volume', f'differ by {1e6 * volume["mae_difference"]:.2f} um on average'),
-        ('within', f'{100 * (volume["within"] or 0.0):.0f} % of normalised errors at most 1'),
+        ('within', within),
     )
     return Explained(rows, {'a': data['a'], 'b': data['b'], 'volume': volume})
 

@@ -29,9 +29,16 @@ CONVENTION = (
 )
 
 
-def _largest(normalised: Array) -> float:
+def _judged(normalised: Array) -> tuple[str, str]:
+    """Largest E_n, and the share up to 1 in percent; dashes where no uncertainty is known."""
     known = normalised[np.isfinite(normalised)]
-    return float(known.max()) if known.size else 0.0
+    if not known.size:
+        return '-', '-'
+    return f'{known.max():.2f}', f'{100 * agreement(known):.0f} %'
+
+
+def _number(value: float) -> float | None:
+    return None if np.isnan(value) else value
 
 
 def comparison_to_dict(result: Comparison) -> dict[str, Any]:
@@ -46,9 +53,9 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
             'b': motion.b.tolist(),
             'u_a': motion.u_a.tolist(),
             'u_b': motion.u_b.tolist(),
-            'normalised_error': [None if np.isnan(v) else float(v) for v in motion.normalised],
+            'normalised_error': [_number(float(v)) for v in motion.normalised],
             'largest_difference': float(np.abs(motion.difference).max()),
-            'within': agreement(motion.normalised),
+            'within': _number(agreement(motion.normalised)),
         }
     difference = volume.difference
     data: dict[str, Any] = {
@@ -66,7 +73,7 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
             'mae_difference': mean_length(difference),
             'mean_absolute': dict(zip(XYZ, np.abs(difference).mean(axis=0).tolist(), strict=True)),
             'standard_deviation': dict(zip(XYZ, difference.std(axis=0).tolist(), strict=True)),
-            'within': agreement(volume.normalised),
+            'within': _number(agreement(volume.normalised)),
             'coverage_factor': COVERAGE_FACTOR,
         },
     }
@@ -88,11 +95,12 @@ def format_comparison(result: Comparison) -> str:
     ]
     for name, motion in result.motions.items():
         rms = float(np.sqrt(np.mean(motion.difference**2)))
+        worst, share = _judged(motion.normalised)
         lines.append(
             f'{name:<8}{"um" if unit_of(name) == "m" else "urad":<5}'
             f'{1e6 * np.abs(motion.difference).max():>17.2f}{1e6 * rms:>12.2f}'
             f'{1e6 * motion.u_a.mean():>11.2f}{1e6 * motion.u_b.mean():>11.2f}'
-            f'{_largest(motion.normalised):>14.2f}{100 * agreement(motion.normalised):>9.0f} %'
+            f'{worst:>14}{share:>11}'
         )
     if result.common.folded:
         lines.append(
@@ -100,12 +108,14 @@ def format_comparison(result: Comparison) -> str:
             f'counted as such'
         )
     volume = result.volume
+    within = _judged(volume.normalised)[1]
     lines += [
         '',
         f'volume, {len(volume.q)} points: mean error a {1e6 * mean_length(volume.a):.2f} um, '
         f'b {1e6 * mean_length(volume.b):.2f} um, '
         f'b - a {1e6 * mean_length(volume.difference):.2f} um; '
-        f'E_n <= 1 for {100 * agreement(volume.normalised):.0f} % of the components',
+        f'E_n <= 1 for {within} of the components'
+        + (', since no side states an uncertainty' if within == '-' else ''),
     ]
     if volume.squareness is not None:
         lines.append(
