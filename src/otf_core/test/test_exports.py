@@ -16,9 +16,12 @@ from core_cells import error_of, some_machine
 from otf_core.errors import ConfigError
 from otf_core.exports import HOMES, export_format
 from otf_core.exports.base import Request
+from otf_core.exports.imported import tables_from_lattice
+from otf_core.exports.lattice import sampled_lattice
 from otf_core.exports.remaining import remaining_error
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.tables import MotionTable, TablesFile, load_tables, tables_to_dict
+from otf_core.prediction.predict import predict
 from otf_core.sim.cell import random_tables
 
 FULL = ('isg', 'heidenhain', 'qif', 'lattice-csv', 'lattice-npz')
@@ -399,6 +402,23 @@ def test_export_and_import_on_the_command_line(tables, tmp_path, capsys, monkeyp
     assert 'never overwritten' in capsys.readouterr().err
     assert run('export', 'done', '--format', 'isg', '--out', 'new.txt') == 2
     assert '--sign error or --sign correction' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('chain', ['w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-Z-b-t'])
+def test_an_imported_lattice_knows_what_it_does_not_show(chain):
+    machine = some_machine(chain)
+    tables = random_tables(machine, 5e-5, np.random.default_rng(4))
+    lattice = sampled_lattice(tables, None)[0]
+    found = tables_from_lattice(lattice, machine)
+    assert found.left_rms < 1e-7
+    lost = [m for m, t in found.tables.motions.items() if not t.identifiable]
+    assert len(lost) == 4 and not any(found.tables.motions[m].value.any() for m in lost)
+    q = np.array([[0.2, 0.1, -0.1]])
+    content = TablesFile(found.tables)
+    np.testing.assert_allclose(predict(content, q).error, error_of(tables, q), atol=2e-7)
+    assert not any('were not seen' in n for n in predict(content, q).notes)
+    other = machine.target_offset + np.array([0.1, 0.05, -0.2])
+    assert any(f'{lost[0]}, ' in n for n in predict(content, q, other).notes)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.model.kinematics import motion_influence
+from otf_core.model.kinematics import has_constant_lever, motion_influence
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
 from otf_core.model.nodes import hat_matrix
@@ -84,14 +84,6 @@ def _known(source: Source, motion: str) -> bool:
     return source.tables.motions[motion].identifiable
 
 
-def _constant_lever(machine: Machine, motion: ErrorMotion) -> bool:
-    """Tell whether no other axis changes the lever of a rotation."""
-    own = motion.place
-    q = np.vstack([np.zeros(3), np.eye(3)])
-    q[:, own] = 0.0
-    return bool(np.ptp(motion_influence(machine, motion, q), axis=0).max() < 1e-12)
-
-
 def _positions(sources: Sequence[Source], axis: str) -> Array:
     """Nodes of all sources within the range that all cover."""
     nodes = [
@@ -128,7 +120,7 @@ def common_ground(sources: Sequence[Source]) -> Common:
         m: s.tables.machine
         for m in rotations
         for s in sources
-        if not _known(s, m) and _constant_lever(machine, m)
+        if not _known(s, m) and has_constant_lever(machine, m)
     }
     motions = tuple(m for m in MOTIONS if all(_known(s, m) for s in sources))
     if not motions:

@@ -3,11 +3,14 @@
 
 Nodes stand at the planes of the lattice. The rigid-body model is linear in the node values, so
 e = A p; of all p that fit alike (what is squareness, what a slope) the shortest is taken, angles
-in units of the longest travel. What the model cannot follow stays over and is reported.
+in units of the longest travel. What the model cannot follow stays over and is reported. Rotations
+that act like translations, since no other axis changes their lever, are these: they are zero and
+marked as not seen, so that a prediction for another target offset knows it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +18,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.exports.lattice import Lattice
+from otf_core.model.kinematics import has_constant_lever
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
@@ -68,18 +72,22 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
         )
     nodes: dict[str, Array] = {m: lattice.axes[m.place] for m in MOTIONS}
     matrix = prediction_rows(machine, nodes, q).reshape(3 * len(q), -1)
+    sizes = [1] * len(SQUARENESS) + [len(nodes[m]) for m in MOTIONS]
     reach = float(np.max(machine.upper - machine.lower))
     scale = np.concatenate(
         [[1.0 / reach] * len(SQUARENESS)]
         + [np.full(len(nodes[m]), 1.0 if m.is_translation else 1.0 / reach) for m in MOTIONS]
     )
+    hidden = {m for m in MOTIONS if not m.is_translation and has_constant_lever(machine, m)}
+    scale[np.repeat([False] * len(SQUARENESS) + [m in hidden for m in MOTIONS], sizes)] = 0.0
     scaled, wanted = matrix * scale, lattice.error.reshape(-1)
     values, vectors = np.linalg.eigh(scaled.T @ scaled)
     seen = values > SMALLEST * values[-1]
     basis = vectors[:, seen]
     solved = scale * (basis @ ((basis.T @ (scaled.T @ wanted)) / values[seen]))
     left = wanted - matrix @ solved
-    return ImportedTables(_tables(machine, nodes, solved), float(_rms(wanted)), float(_rms(left)))
+    tables = _tables(machine, nodes, solved, hidden)
+    return ImportedTables(tables, float(_rms(wanted)), float(_rms(left)))
 
 
 def _rms(values: Array) -> Array:
@@ -87,13 +95,15 @@ def _rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(np.sum(values.reshape(-1, 3) ** 2, axis=1))))
 
 
-def _tables(machine: Machine, nodes: dict[str, Array], values: Array) -> ErrorTables:
+def _tables(
+    machine: Machine, nodes: dict[str, Array], values: Array, hidden: Collection[str]
+) -> ErrorTables:
     square = {k: Squareness(float(v)) for k, v in zip(SQUARENESS, values[:3], strict=True)}
     motions: dict[str, MotionTable] = {}
     start = len(SQUARENESS)
     for motion in MOTIONS:
         position = nodes[motion]
         own = values[start : start + len(position)]
-        motions[motion] = MotionTable(position, own, np.zeros(len(position)))
+        motions[motion] = MotionTable(position, own, np.zeros(len(position)), motion not in hidden)
         start += len(position)
     return ErrorTables(machine, motions, square)

@@ -70,6 +70,13 @@ def motion_influence(machine: Machine, motion: ErrorMotion, q: Points) -> Points
     return turned(motion.along, lever(machine, motion.axis, q))
 
 
+def has_constant_lever(machine: Machine, motion: ErrorMotion) -> bool:
+    """Tell whether no other axis changes how a rotation acts: a translation at one offset."""
+    q = np.vstack([np.zeros(3), np.eye(3)])
+    q[:, motion.place] = 0.0
+    return bool(np.ptp(motion_influence(machine, motion, q), axis=0).max() < 1e-12)
+
+
 def turned(along: int, arm: Points) -> Points:
     """Vector product of a unit vector of the machine frame with lever arms (n, 3).
 
