@@ -297,6 +297,8 @@ def test_an_axis_that_did_not_move_gets_no_table_without_a_range(name, points, t
 def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
     for content in exported(name, tables).files.values():
         assert b'sign: ' in content and b'not in this file: ' in content
+        assert b'target offset (20.000000, -30.000000, -150.000000) mm' in content
+        assert (name not in ('isg', 'heidenhain', 'qif')) != (b'rotations act about' in content)
 
 
 @every_format

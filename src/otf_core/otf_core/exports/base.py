@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
+from otf_core.model.machine import Machine
 from otf_core.model.tables import TablesFile
 
 Array = NDArray[np.float64]
@@ -53,7 +54,7 @@ class Request:
         return -1.0 if self.sign == CORRECTION else 1.0
 
     def header(self, fmt: Format) -> list[str]:
-        """Lines that say what the file is: machine, run, sign, what it does not hold.
+        """Lines that say what the file is: machine, run, target, sign, what it does not hold.
 
         Safe in a comment: what cannot be printed, such as a line break, is a blank.
         """
@@ -61,6 +62,7 @@ class Request:
         run = self.content.extra.get('run_id', 'unknown')
         lines = [
             f'{MARK} {fmt.name}: machine {machine.name}, chain {machine.chain}, run {run}',
+            f'measured at the target offset {offset_words(machine)}',
             f'sign: {fmt.sign_words(self)}',
             f'not in this file: {fmt.lacks}',
         ]
@@ -137,6 +139,19 @@ class Format(ABC):
             )
         if request.points is not None and request.points < 2:
             raise ConfigError(f'--points: {request.points}; at least 2')
+
+
+def offset_words(machine: Machine) -> str:
+    """Say the target offset: '(0.000000, 0.000000, -150.000000) mm'."""
+    return f'({", ".join(f"{1e3 * v:.6f}" for v in machine.target_offset)}) mm'
+
+
+def lever_words(machine: Machine) -> str:
+    """Say what rotations of motions act about, for formats that hold them."""
+    return (
+        'rotations act about the machine zero carried along by the axes; target at '
+        f"{offset_words(machine)} from it at the axes' zero"
+    )
 
 
 def printable(text: str) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.exports.base import Exported, Format, Request, asked_sign_words
+from otf_core.exports.base import Exported, Format, Request, asked_sign_words, lever_words
 from otf_core.exports.rounded import rounded_tables
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import DIRECTIONS, SQUARENESS
@@ -39,6 +39,7 @@ class Heidenhain(Format):
         square = ', '.join(
             f'{k} {request.factor * tables.squareness[k].value + 0.0:.9f}' for k in SQUARENESS
         )
+        lines += [f'# {lever_words(tables.machine)}']
         lines += [f'# constants for the kinematics, rad: {square}']
         lines += ['AXIS,AXISPOS,C1,C2,C3,C4,C5,C6']
         for axis in tables.machine.axis_names:

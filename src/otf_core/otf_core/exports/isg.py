@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.exports.base import Exported, Format, Request, asked_sign_words
+from otf_core.exports.base import Exported, Format, Request, asked_sign_words, lever_words
 from otf_core.exports.rounded import rounded_tables
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
@@ -35,11 +35,9 @@ class Isg(Format):
         """Make the CSV; its configuration is in the remarks."""
         self.check(request)
         tables = rounded_tables(request.content.tables)
-        offset = 1e3 * tables.machine.target_offset
         lines = [f'// {line}' for line in request.header(self)]
         lines += [
-            '// rotations act about the machine zero carried along by the axes; target at '
-            f"({offset[0]:.6f}, {offset[1]:.6f}, {offset[2]:.6f}) mm from it at the axes' zero",
+            f'// {lever_words(tables.machine)}',
             '\t'.join(SQUARENESS),
             '\t'.join(f'{request.factor * tables.squareness[k].value:.9f}' for k in SQUARENESS),
         ]

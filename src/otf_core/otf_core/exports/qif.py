@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from otf_core.exports.base import Exported, Format, Request, printable
+from otf_core.exports.base import Exported, Format, Request, lever_words, printable
 from otf_core.exports.rounded import rounded_tables
 from otf_core.model.frames import XYZ
 from otf_core.model.kinematics import displacement
@@ -64,12 +64,10 @@ class Qif(Format):
 
 
 def _convention(tables: ErrorTables) -> list[str]:
-    offset = ', '.join(f'{1e3 * v:.6f}' for v in tables.machine.target_offset)
     return [
         'roll, pitch, yaw are right-handed rotations: X axis about X, Y, Z; Y axis about Y, X, Z; '
         'Z axis about Z, X, Y',
-        'rotations act about the machine zero carried along by the axes; target at '
-        f"({offset}) mm from it at the axes' zero",
+        lever_words(tables.machine),
     ]
 
 
