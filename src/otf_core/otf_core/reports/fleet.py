@@ -29,10 +29,12 @@ GAP_COLUMNS = ('run', 'machine', 'verdict', 'measured (um)', 'simulated (um)', '
 
 def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
     error, square = data['volumetric_error'], data['squareness']
+    hidden = data.get('not_identifiable', ())
     sizes = (error['mean'], error['max'], data['fit']['residual_rms'])
     return [
         name, str(data['machine']['name']), *(f'{1e6 * v:.2f}' for v in sizes),
-        *(f'{1e6 * square[k]["value"]:.1f}' for k in SQUARENESS), remark,
+        *('not known' if k in hidden else f'{1e6 * square[k]["value"]:.1f}' for k in SQUARENESS),
+        remark,
     ]  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from otf_core.fleet import job
 from otf_core.fleet.call import call_job
 from otf_core.fleet.run_list import read_list
 from otf_core.model.tables import load_tables
+from otf_core.reports.fleet import fleet_rows
 
 STUB = """
 import json, os, pathlib, sys
@@ -320,6 +321,20 @@ def test_options_of_another_fleet_are_refused(tmp_path, capsys, words, said):
     assert run('fleet', *words, '--out', tmp_path / 'out') == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / 'out').exists()
+
+
+def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
+    data = {
+        'volumetric_error': {'mean': 1e-5, 'max': 2e-5}, 'fit': {'residual_rms': 1e-6},
+        'machine': {'name': 'm'}, 'not_identifiable': ['B0Z', 'EAZ'],
+        'squareness': {'C0Y': {'value': 1e-6}, 'B0Z': {'value': 0.0}, 'A0Z': {'value': 0.0}},
+    }  # fmt: skip
+    (tmp_path / 'flat').mkdir()
+    (tmp_path / 'flat/error_tables.json').write_text(json.dumps(data))
+    done = {'flat': job.JobResult(0, '', 'digest')}
+    columns, (row,), _ = fleet_rows('calibrate', tmp_path, done)
+    shown = dict(zip(columns, row, strict=True))
+    assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == ['1.0', 'not known', '0.0']
 
 
 def test_a_function_by_its_name_is_a_run(tmp_path):
