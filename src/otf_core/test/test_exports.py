@@ -301,6 +301,19 @@ def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
         assert (name not in ('isg', 'heidenhain', 'qif')) != (b'rotations act about' in content)
 
 
+@pytest.mark.parametrize('name', ['isg', 'heidenhain', 'qif'])
+def test_what_the_calibration_did_not_see_is_said_to_be_zero_for_that(name, tables):
+    assert not any('zero because' in r for r in exported(name, tables).remarks)
+    hidden = {m: replace(tables.motions[m], identifiable=False) for m in ('EAZ', 'ECZ')}
+    blind = replace(tables, motions={**tables.motions, **hidden})
+    sign = 'error' if name in ASKED else None
+    content = TablesFile(blind, {'not_identifiable': ['B0Z', 'EAZ', 'ECZ']})
+    made = export_format(name).export(Request(content, 'cell.txt', sign))
+    said = 'zero because the calibration does not show them: B0Z, EAZ, ECZ;'
+    assert said in made.remarks[-1]
+    assert said.encode() in made.files['cell.txt']
+
+
 @every_format
 def test_no_name_leaves_its_comment(name, tables, places):
     named = replace(tables, machine=replace(tables.machine, name='a---b\nG0 X100\ufffe--'))

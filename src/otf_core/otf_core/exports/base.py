@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import TablesFile
 
 Array = NDArray[np.float64]
@@ -53,6 +54,21 @@ class Request:
         """1 where values are errors, -1 where they are corrections."""
         return -1.0 if self.sign == CORRECTION else 1.0
 
+    @property
+    def unseen_words(self) -> tuple[str, ...]:
+        """Say which errors are zero because the calibration could not see them; empty if none."""
+        listed = self.content.extra.get('not_identifiable')
+        squareness = [n for n in SQUARENESS if isinstance(listed, list) and n in listed]
+        motions = (m for m in MOTIONS if not self.content.tables.motions[m].identifiable)
+        names = [*squareness, *motions]
+        if not names:
+            return ()
+        return (
+            f'zero because the calibration does not show them: {", ".join(names)}; '
+            f'what they do is in the other errors where it was measured, at that target offset, '
+            f'and not for another tool',
+        )
+
     def header(self, fmt: Format) -> list[str]:
         """Lines that say what the file is: machine, run, target, sign, what it does not hold.
 
@@ -65,6 +81,7 @@ class Request:
             f'measured at the target offset {offset_words(machine)}',
             f'sign: {fmt.sign_words(self)}',
             f'not in this file: {fmt.lacks}',
+            *self.unseen_words,
         ]
         return list(map(printable, lines))
 

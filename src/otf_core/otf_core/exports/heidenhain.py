@@ -51,7 +51,10 @@ class Heidenhain(Format):
         return Exported(
             {request.name: ('\n'.join(lines) + '\n').encode()},
             lambda q: displacement(tables, q),
-            ('experimental: never tried on a control; measure again before you trust it',),
+            (
+                'experimental: never tried on a control; measure again before you trust it',
+                *request.unseen_words,
+            ),
         )
 
 

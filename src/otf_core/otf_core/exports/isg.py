@@ -46,7 +46,7 @@ class Isg(Format):
         return Exported(
             {request.name: ('\n'.join(lines) + '\n').encode()},
             lambda q: displacement(tables, q),
-            (_configuration(tables.machine, request.name, len(lines)),),
+            (_configuration(tables.machine, request.name, len(lines)), *request.unseen_words),
         )
 
 

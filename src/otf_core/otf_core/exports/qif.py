@@ -59,7 +59,10 @@ class Qif(Format):
         return Exported(
             {request.name: text.encode()},
             lambda q: displacement(tables, q),
-            ('roll, pitch and yaw as the comment in the file says; the reader has to agree',),
+            (
+                'roll, pitch and yaw as the comment in the file says; the reader has to agree',
+                *request.unseen_words,
+            ),
         )
 
 
