@@ -26,7 +26,7 @@ from otf_core.budget.freedom import coverage_factor
 from otf_core.model.limits import KEYS, UNCERTAINTY, VOLUMETRIC
 from otf_core.model.motions import SQUARENESS
 from otf_core.model.tables import ErrorTables
-from otf_core.prediction.table_prior import MotionPrior, beyond_variance
+from otf_core.prediction.table_prior import MotionPrior
 from otf_core.prediction.volumetric import VolumetricError, table_places
 
 Array = NDArray[np.float64]
@@ -147,8 +147,7 @@ def judge(
     limits = tables.machine.limits
     if limits is None:
         return None
-    volume = VolumetricError(tables, covariance)
-    beyond = beyond_variance(tables, prior, hidden, volume.grid)
+    volume = VolumetricError(tables, covariance, prior, hidden)
     judged = []
     for name, limit in limits.values.items():
         unit = KEYS[name][0]
@@ -156,9 +155,9 @@ def judge(
             judged.append(Judged(name, unit, limit, 0.0, 0.0, UNKNOWN))
             continue
         if name == VOLUMETRIC:
-            value, wide = _largest(volume, beyond, budget, limit)
+            value, wide = _largest(volume, budget, limit)
         elif name == UNCERTAINTY:
-            value, wide = _uncertainty(volume, beyond, budget), 0.0
+            value, wide = _uncertainty(volume, budget), 0.0
         else:
             value, wide = _span(name, tables, budget)
         judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
@@ -171,21 +170,18 @@ def _expanded(budget: Budget, rows: Array) -> Array:
     return np.asarray(budget.expansion(variances)[0] * np.sqrt(variances.sum(axis=0)))
 
 
-def _largest(
-    volume: VolumetricError, beyond: Array, budget: Budget, limit: float
-) -> tuple[float, float]:
+def _largest(volume: VolumetricError, budget: Budget, limit: float) -> tuple[float, float]:
     """Length and U of the vector that decides: proven to be too long, else longest with U."""
-    along = volume.error / np.maximum(volume.length, 1e-300)[:, None]
-    added = coverage_factor(np.inf) ** 2 * np.sum(along**2 * beyond, axis=1)
-    wide = np.sqrt(_expanded(budget, volume.length_rows) ** 2 + added)
+    beyond = coverage_factor(np.inf) * np.sqrt(volume.length_beyond)
+    wide = np.hypot(_expanded(budget, volume.length_rows), beyond)
     sure = volume.length - wide
     at = int(np.argmax(sure if sure.max() > limit else volume.length + wide))
     return float(volume.length[at]), float(wide[at])
 
 
-def _uncertainty(volume: VolumetricError, beyond: Array, budget: Budget) -> float:
+def _uncertainty(volume: VolumetricError, budget: Budget) -> float:
     k, _ = budget.expansion(budget.variances(volume.rows))
-    return k * float(np.sqrt(volume.u_size**2 + beyond.sum(axis=1)).max())
+    return k * float(volume.u_size.max())
 
 
 def _span(name: str, tables: ErrorTables, budget: Budget) -> tuple[float, float]:

@@ -7,6 +7,7 @@ the machine frame, and no calibration can know it.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +18,7 @@ from otf_core.model.evaluation import free_rows, lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
+from otf_core.prediction.table_prior import MotionPrior, beyond_variance
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.threads import one_thread
 
@@ -79,10 +81,16 @@ class VolumetricError:
     tables : ErrorTables
     covariance : ndarray, shape (m, m), m and rad
         Of squareness and nodes.
+    prior : mapping of motion or squareness error to MotionPrior
+        What is known beyond the tables, where the axes reach further than was driven.
+    hidden : collection of str
+        Motions and squareness errors that the data cannot see.
     """
 
     tables: ErrorTables
     covariance: Array
+    prior: Mapping[str, MotionPrior]
+    hidden: Collection[str]
 
     @cached_property
     def grid(self) -> Array:
@@ -112,10 +120,15 @@ class VolumetricError:
             return np.asarray(self.rows @ self.covariance)
 
     @cached_property
+    def beyond(self) -> Array:
+        """Variance of the components that the tables do not hold: beyond them, (n, 3), m^2."""
+        return beyond_variance(self.tables, self.prior, self.hidden, self.grid)
+
+    @cached_property
     def u(self) -> Array:
         """Standard uncertainty of the components, shape (n, 3), m."""
         variance = np.einsum('ij,ij->i', self._spread, self.rows)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0).reshape(-1, 3) + self.beyond))
 
     @cached_property
     def u_size(self) -> Array:
@@ -123,10 +136,20 @@ class VolumetricError:
         return np.asarray(np.linalg.norm(self.u, axis=1))
 
     @cached_property
+    def unit(self) -> Array:
+        """Unit vectors along the error vectors, shape (n, 3)."""
+        return np.asarray(self.error / np.maximum(self.length, 1e-300)[:, None])
+
+    @cached_property
     def length_rows(self) -> Array:
         """Derivatives of the lengths: along each error vector, shape (n, m)."""
-        unit = self.error / np.maximum(self.length, 1e-300)[:, None]
-        return np.asarray(np.einsum('nk,nkm->nm', unit, self.rows.reshape(*unit.shape, -1)))
+        rows = self.rows.reshape(*self.unit.shape, -1)
+        return np.asarray(np.einsum('nk,nkm->nm', self.unit, rows))
+
+    @cached_property
+    def length_beyond(self) -> Array:
+        """Variance of the lengths beyond the tables, shape (n,), m^2."""
+        return np.asarray(np.sum(self.unit**2 * self.beyond, axis=1))
 
     @cached_property
     def u_length(self) -> Array:
@@ -134,7 +157,7 @@ class VolumetricError:
         rows = self.length_rows
         with one_thread():
             variance = np.einsum('nm,nm->n', rows @ self.covariance, rows)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + self.length_beyond))
 
     def part(self, name: str) -> Array:
         """Errors that one motion or squareness error makes alone, shape (n, 3), m."""

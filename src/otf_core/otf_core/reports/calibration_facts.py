@@ -60,7 +60,8 @@ class Facts:
     @cached_property
     def volume(self) -> VolumetricError:
         """Errors on a grid over the whole volume."""
-        return VolumetricError(self.result.tables, self.result.covariance)
+        own = self.result
+        return VolumetricError(own.tables, own.covariance, own.prior, own.not_identifiable)
 
     @cached_property
     def condition_number(self) -> float:

@@ -18,6 +18,7 @@ from otf_core.model.evaluation import lattice
 from otf_core.model.limits import KEYS, Limits
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.reports.calibration_facts import Facts
 
 GIVEN = {
     'limits': {'volumetric_error': 2e-5, 'uncertainty': 2e-6, 'EXX': 5e-6, 'C0Y': 1e-5},
@@ -153,6 +154,8 @@ def test_nothing_is_proven_where_the_machine_was_not_driven(calibrated):
     if known.length:
         variance += 2 * known.sd**2 * (1 - np.exp(-0.5 * (reach / known.length) ** 2))
     assert found.value > 1.96 * np.sqrt(variance) > 2 * inside.value
+    shown = Facts(wide, (), {}).volume  # what a report calls expected after compensation
+    np.testing.assert_allclose(1.96 * shown.u_sizes()['max'], found.value, rtol=0.01)
     (found,) = verdict(wide, volumetric_error=1e-2).judged
     assert found.U > 2 * length.U
     assert state(wide, volumetric_error=found.value + 0.9 * found.U) != 'pass'

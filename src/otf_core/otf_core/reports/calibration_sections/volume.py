@@ -42,8 +42,9 @@ def section(facts: Facts) -> Section:
     largest = float(volume.u_length[int(np.argmax(volume.length))])
     words = (
         f'Length of the error vector on {len(volume.grid)} points of a regular grid over the '
-        f'whole volume. After compensation with these tables their uncertainty remains; a '
-        f'validation run after loading them would measure it.',
+        f'whole volume. After compensation with these tables their uncertainty remains, and '
+        f'beyond what was driven that of what they cannot know; a validation run after loading '
+        f'them would measure it.',
         f'The largest error, {micro(now["max"])} um, has U = {micro(k * largest)} um.',
     )
     data = {
