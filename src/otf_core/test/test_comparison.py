@@ -22,7 +22,7 @@ from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement, m
 from otf_core.model.evaluation import mean_length
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
-from otf_core.model.tables import Squareness, tables_to_dict
+from otf_core.model.tables import MotionTable, Squareness, tables_to_dict
 from otf_core.reports.comparison import comparison_to_dict, format_comparison
 from otf_core.sim.cell import random_tables
 from otf_core.sim.direct_instrument import InstrumentNoise, measure_directly
@@ -116,12 +116,40 @@ def test_a_rotation_one_side_cannot_see_counts_as_a_translation(chain, other):
     assert 'counted as such' in format_comparison(result)
 
 
-def _constant(machine, motion):
-    """Tell from the error itself whether no other axis changes what a rotation does."""
+def _constant(machine, motion, still=''):
+    """Tell from the error itself whether no other axis that moves changes what a rotation does."""
     tables = constant_tables(machine, **{motion: 1e-3})
     q = np.vstack([np.zeros(3), np.diag([0.1, 0.1, -0.1])])
-    q[:, AXES.index(motion[2])] = 0.0
+    q[:, [AXES.index(a) for a in motion[2] + still]] = 0.0
     return np.ptp(error_of(tables, q), axis=0).max() < 1e-12
+
+
+@pytest.mark.parametrize('chain', CONTRACT_CHAINS)
+def test_what_a_run_in_a_plane_mixes_up_is_mixed_up_in_both(chain):
+    machine, still = some_machine(chain), -0.13
+    tables = truth_of(machine)
+    motions = {}
+    for name, table in tables.motions.items():
+        if name[2] == 'Z':
+            motions[name] = MotionTable(np.array([still]), np.zeros(1), np.zeros(1), False)
+        else:
+            motions[name] = table
+    blind = [m for m in MOTIONS if m[1] in 'ABC' and m[2] != 'Z' and _constant(machine, m, 'Z')]
+    for name in blind:
+        table = motions[name]
+        q = np.zeros((len(table.position), 3))
+        q[:, AXES.index(name[2])], q[:, 2] = table.position, still
+        alone = constant_tables(machine)
+        alone = replace(alone, motions={**alone.motions, name: table})
+        for k, effect in enumerate(error_of(alone, q).T):
+            own = f'E{"XYZ"[k]}{name[2]}'
+            motions[own] = replace(motions[own], value=motions[own].value + effect)
+        motions[name] = replace(table, value=0 * table.value, identifiable=False)
+    result = compared(tables, replace(tables, motions=motions))
+    assert set(blind) <= set(result.common.folded)
+    assert largest(result) < 1e-15
+    assert mean_length(result.volume.difference) < 1e-15
+    np.testing.assert_array_equal(np.unique(result.volume.q[:, 2]), [still])
 
 
 def test_a_direct_measurement_is_one_at_the_point_that_it_measured():

@@ -7,7 +7,7 @@ where two sources agree within their stated uncertainties.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, load_tables
 from otf_core.prediction.covariance import unpack_covariance
+from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.uncertainty import prediction_rows
 
 Array = NDArray[np.float64]
@@ -150,13 +151,12 @@ def load_source(path: str | Path, machine: Machine | None) -> Source:
     return source_of_tables(name or str(path), content.tables, covariance)
 
 
-def _common_grid(common: Common) -> Array:
-    machine = common.machine
-    axes = []
-    for k, axis in enumerate(machine.axis_names):
-        seen = common.position[axis]
-        low, high = (seen[0], seen[-1]) if len(seen) else (machine.lower[k], machine.upper[k])
-        axes.append(np.linspace(low, high, GRID))
+def _common_grid(sources: Sequence[Source]) -> Array:
+    """Points over the common range; in the plane or line that a source did not leave."""
+    lows, highs = zip(*(table_ranges(s.tables) for s in sources), strict=True)
+    low = np.max(lows, axis=0)
+    high = np.maximum(low, np.min(highs, axis=0))
+    axes = (np.unique(np.linspace(a, b, GRID)) for a, b in zip(low, high, strict=True))
     return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing='ij')], axis=1)
 
 
@@ -212,7 +212,7 @@ def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
             position, values[0][part], values[1][part], u[0][part], u[1][part]
         )
         start = part.stop
-    q = _common_grid(common) if points is None else points
+    q = _common_grid((a, b)) if points is None else points
     rows = _field_rows(common, q)
     flat = rows.reshape(-1, rows.shape[2])
     variance = np.einsum('ij,ij->i', flat @ (covariances[0] + covariances[1]), flat)

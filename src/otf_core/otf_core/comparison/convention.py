@@ -3,9 +3,9 @@
 
 Positioning and rotations are zero at the axis' zero position, else at the minimum both know;
 straightness is zero at both ends of the common range. A rotation that one source cannot see,
-because it acts on the target over a lever that no other axis changes, is a translation for it, at
-its own target offset; it is counted as that one in both. All of it is linear: value = H nodes,
-covariance = H C H'.
+because it acts on the target over a lever that no axis changes which moved there, is a translation
+for it, at its own target offset and place; it is counted as that one in both. All of it is linear:
+value = H nodes, covariance = H C H'.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
 from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import ErrorTables
+from otf_core.prediction.driven_volume import table_ranges
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,20 @@ class Source:
 
 
 @dataclass(frozen=True)
+class Lever:
+    """Where a rotation acts as a translation: target offset of a machine, place of its axes, m."""
+
+    machine: Machine
+    place: Array
+
+    def influence(self, motion: ErrorMotion, position: Array) -> Array:
+        """Displacement per rad at positions (k,), m, of the axis that turns, shape (k, 3)."""
+        q = np.tile(self.place, (len(position), 1))
+        q[:, motion.place] = position
+        return motion_influence(self.machine, motion, q)
+
+
+@dataclass(frozen=True)
 class Common:
     """What two sources share.
 
@@ -67,16 +82,15 @@ class Common:
         That of the first, with its target offset.
     position : mapping of axis to ndarray, m
         Positions at which motions are compared.
-    folded : mapping of rotation to Machine
-        Rotations counted as translations, with the machine of the source that cannot see them:
-        its translations hold them at its target offset.
+    folded : mapping of rotation to Lever
+        Rotations counted as translations, as the source that cannot see them has them.
     motions : tuple of str
         Motions both know, folded ones left out.
     """
 
     machine: Machine
     position: Mapping[str, Array]
-    folded: Mapping[ErrorMotion, Machine]
+    folded: Mapping[ErrorMotion, Lever]
     motions: tuple[ErrorMotion, ...]
 
 
@@ -116,12 +130,12 @@ def common_ground(sources: Sequence[Source]) -> Common:
                 f'{machine.chain}; not one machine'
             )
     rotations = [m for m in MOTIONS if unit_of(m) == 'rad']
-    folded = {
-        m: s.tables.machine
-        for m in rotations
-        for s in sources
-        if not _known(s, m) and has_constant_lever(machine, m)
-    }
+    folded = {}
+    for source in sources:
+        own, (low, high) = source.tables.machine, table_ranges(source.tables)
+        for m in rotations:
+            if not _known(source, m) and has_constant_lever(own, m, low, high):
+                folded[m] = Lever(own, low)
     motions = tuple(m for m in MOTIONS if all(_known(s, m) for s in sources))
     if not motions:
         raise ConfigError('the sources have no error motion in common')
@@ -147,8 +161,6 @@ def operator(source: Source, common: Common) -> Array:
         axis = motion.axis
         position = common.position[axis]
         rows = np.zeros((len(position), width))
-        own = np.zeros((len(position), 3))
-        own[:, motion.place] = position
 
         def add(name: str, factor: Array, rows: Array = rows, position: Array = position) -> None:
             nodes = source.tables.motions[name].position
@@ -157,9 +169,8 @@ def operator(source: Source, common: Common) -> Array:
 
         add(motion, np.ones(len(position)))
         if unit_of(motion) == 'm':
-            for name, machine in common.folded.items():
+            for name, lever in common.folded.items():
                 if name.axis == axis and _known(source, name):
-                    influence = motion_influence(machine, name, own)
-                    add(name, influence[:, motion.along])
+                    add(name, lever.influence(name, position)[:, motion.along])
         blocks.append(_zeroed(motion, position, rows))
     return np.concatenate(blocks)

@@ -78,7 +78,9 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
         [[1.0 / reach] * len(SQUARENESS)]
         + [np.full(len(nodes[m]), 1.0 if m.is_translation else 1.0 / reach) for m in MOTIONS]
     )
-    hidden = {m for m in MOTIONS if not m.is_translation and has_constant_lever(machine, m)}
+    low, high = q.min(axis=0), q.max(axis=0)
+    rotations = [m for m in MOTIONS if not m.is_translation]
+    hidden = {m for m in rotations if has_constant_lever(machine, m, low, high)}
     scale[np.repeat([False] * len(SQUARENESS) + [m in hidden for m in MOTIONS], sizes)] = 0.0
     scaled, wanted = matrix * scale, lattice.error.reshape(-1)
     values, vectors = np.linalg.eigh(scaled.T @ scaled)

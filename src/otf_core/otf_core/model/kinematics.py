@@ -70,10 +70,14 @@ def motion_influence(machine: Machine, motion: ErrorMotion, q: Points) -> Points
     return turned(motion.along, lever(machine, motion.axis, q))
 
 
-def has_constant_lever(machine: Machine, motion: ErrorMotion) -> bool:
-    """Tell whether no other axis changes how a rotation acts: a translation at one offset."""
-    q = np.vstack([np.zeros(3), np.eye(3)])
-    q[:, motion.place] = 0.0
+def has_constant_lever(machine: Machine, motion: ErrorMotion, low: Points, high: Points) -> bool:
+    """Tell whether no other axis, from ``low`` to ``high`` (3,), m, changes how a rotation acts.
+
+    It is a translation for whoever moves in these ranges with one target offset.
+    """
+    q = np.tile(low, (4, 1))
+    q[1:] += np.diag(high - low)
+    q[:, motion.place] = low[motion.place]
     return bool(np.ptp(motion_influence(machine, motion, q), axis=0).max() < 1e-12)
 
 
