@@ -152,6 +152,26 @@ def test_what_a_run_in_a_plane_mixes_up_is_mixed_up_in_both(chain):
     np.testing.assert_array_equal(np.unique(result.volume.q[:, 2]), [still])
 
 
+def test_two_sides_that_cannot_see_a_rotation_at_different_offsets_are_told_of():
+    def blind(offset):
+        tables = truth_of(some_machine(offset=offset))
+        hidden = {
+            n: replace(tables.motions[n], value=0 * tables.motions[n].value, identifiable=False)
+            for n in ('ECY', 'EAZ', 'EBZ', 'ECZ')
+        }
+        return replace(tables, motions={**tables.motions, **hidden})
+
+    one = blind((0.0, 0.0, -0.15))
+    same, longer = compared(one, one), compared(one, blind((0.0, 0.0, -0.25)))
+    assert same.common.apart == () and 'WARNING' not in format_comparison(same)
+    assert longer.common.apart == (
+        'EAZ',
+        'EBZ',
+    )  # a longer tool along Z is none for a turn about Z
+    assert 'WARNING EAZ, EBZ: neither side tells' in format_comparison(longer)
+    assert comparison_to_dict(longer)['translations_apart_by'] == ['EAZ', 'EBZ']
+
+
 def test_a_direct_measurement_is_one_at_the_point_that_it_measured():
     tables = truth_of(some_machine())
     position = tables.motions['EXZ'].position

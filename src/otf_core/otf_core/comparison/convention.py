@@ -26,6 +26,9 @@ from otf_core.prediction.driven_volume import table_ranges
 
 Array = NDArray[np.float64]
 
+SAME_LEVER = 1e-5
+"""m; levers that differ by less are one: 1 nm for 100 urad."""
+
 
 @dataclass(frozen=True)
 class Source:
@@ -84,6 +87,9 @@ class Common:
         Positions at which motions are compared.
     folded : mapping of rotation to Lever
         Rotations counted as translations, as the source that cannot see them has them.
+    apart : tuple of ErrorMotion
+        Those of them that several sources cannot see, over other levers: the translations of
+        these sources differ by what no source knows.
     motions : tuple of str
         Motions both know, folded ones left out.
     """
@@ -91,6 +97,7 @@ class Common:
     machine: Machine
     position: Mapping[str, Array]
     folded: Mapping[ErrorMotion, Lever]
+    apart: tuple[ErrorMotion, ...]
     motions: tuple[ErrorMotion, ...]
 
 
@@ -114,6 +121,12 @@ def _positions(sources: Sequence[Source], axis: str) -> Array:
     return np.asarray(places[np.concatenate([[True], np.diff(places) > 1e-6])])
 
 
+def _span(motion: ErrorMotion, levers: Sequence[Lever]) -> float:
+    """Largest difference of the levers of a rotation that matters, m."""
+    acting = [lever.influence(motion, np.zeros(1))[0] for lever in levers]
+    return float(np.ptp(acting, axis=0).max())
+
+
 def common_ground(sources: Sequence[Source]) -> Common:
     """Find what two sources share.
 
@@ -130,17 +143,19 @@ def common_ground(sources: Sequence[Source]) -> Common:
                 f'{machine.chain}; not one machine'
             )
     rotations = [m for m in MOTIONS if unit_of(m) == 'rad']
-    folded = {}
+    levers: dict[ErrorMotion, list[Lever]] = {}
     for source in sources:
         own, (low, high) = source.tables.machine, table_ranges(source.tables)
         for m in rotations:
             if not _known(source, m) and has_constant_lever(own, m, low, high):
-                folded[m] = Lever(own, low)
+                levers.setdefault(m, []).append(Lever(own, low))
+    folded = {m: own[-1] for m, own in levers.items()}
+    apart = tuple(m for m, own in levers.items() if _span(m, own) > SAME_LEVER)
     motions = tuple(m for m in MOTIONS if all(_known(s, m) for s in sources))
     if not motions:
         raise ConfigError('the sources have no error motion in common')
     return Common(
-        machine, {a: _positions(sources, a) for a in machine.axis_names}, folded, motions
+        machine, {a: _positions(sources, a) for a in machine.axis_names}, folded, apart, motions
     )
 
 

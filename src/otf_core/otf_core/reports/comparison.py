@@ -64,6 +64,7 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
         'b': result.names[1],
         'convention': CONVENTION,
         'counted_as_translations': list(result.common.folded),
+        'translations_apart_by': list(result.common.apart),
         'target_offsets': [offset.tolist() for offset in result.offsets],
         'motions': motions,
         'volume': {
@@ -106,6 +107,14 @@ def format_comparison(result: Comparison) -> str:
         lines.append(
             f'{", ".join(result.common.folded)}: one side cannot tell them from translations; '
             f'counted as such'
+        )
+    if result.common.apart:
+        axes = ', '.join(dict.fromkeys(m.axis for m in result.common.apart))
+        lines.append(
+            f'WARNING {", ".join(result.common.apart)}: neither side tells them from '
+            f'translations, and they measured at different target offsets or places: the '
+            f'translations of {axes} differ by these rotations times the difference of the '
+            f'levers, whatever the machine does'
         )
     volume = result.volume
     within = _judged(volume.normalised)[1]
