@@ -5,6 +5,7 @@ import contextlib
 import socket
 import threading
 import time
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
 from otf_tracker_driver.emscon import actions, codes
 from otf_tracker_driver.emscon.intake import Intake
-from otf_tracker_driver.emscon.state import INITIALISING
+from otf_tracker_driver.emscon.state import INITIALISING, SessionState
 
 PATIENCE = 40.0
 """s"""
@@ -185,6 +186,12 @@ def test_samples_in_millimetres_never_pass(make):
         samples = joined(parts)
         assert np.linalg.norm(samples.xyz, axis=1).max() < 2.0
         assert any('another program has changed the units' in text for text in said)
+
+
+def test_samples_of_repeated_times_are_among_those_left_out(make, monkeypatch):
+    backend, state = make(1), SessionState(left_out=Counter(fast=2), repeated=3)
+    monkeypatch.setattr(Emscon, 'state', state)
+    assert backend.health.left_out == {'fast': 2, 'time had been there': 3}
 
 
 def test_clock_that_jumps_is_followed(make):

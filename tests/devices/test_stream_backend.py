@@ -179,6 +179,15 @@ def test_lines_without_a_point_are_said_and_left_out(make, tmp_path, line, said)
         assert len(backend.poll()) == 0 and '\n' not in backend.trouble
 
 
+def test_points_whose_times_repeat_are_counted_and_said(make, tmp_path):
+    with sender('tcp', CARTESIAN, lines=['1;10;20;30', '1;11;20;30', '2;12;20;30']) as source:
+        backend = make(described(tmp_path, source=source.url))
+        backend.connect()
+        backend.start()
+        until(lambda: 'time is not later than that before; check stamp' in backend.trouble)
+        assert backend.health.left_out['time had been there'] > 60
+
+
 @pytest.mark.parametrize(
     ('changes', 'said'),
     [

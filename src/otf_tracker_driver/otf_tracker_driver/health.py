@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from types import MappingProxyType
 from typing import NamedTuple
 
 from otf_tracker_driver.clock.device_clock import ClockState
@@ -33,6 +34,10 @@ class Gap(NamedTuple):
     last_ns: int
     first_ns: int
     reason: str
+
+
+REPEATED = 'time had been there'
+"""Why samples are left out whose stamps would not be later than those before."""
 
 
 @dataclass(frozen=True)
@@ -70,3 +75,8 @@ class Health:
     left_out: Mapping[str, int] = field(default_factory=dict)
     unreadable: int = 0
     gaps: tuple[Gap, ...] = ()
+
+
+def left_out(repeated: int, others: Mapping[str, int] = MappingProxyType({})) -> dict[str, int]:
+    """Samples left out by reason, those of repeated times among them."""
+    return {**others, REPEATED: repeated} if repeated else dict(others)

@@ -22,7 +22,7 @@ from otf_tracker_driver.emscon.state import (
     SessionState,
 )
 from otf_tracker_driver.emscon.thread import SessionThread
-from otf_tracker_driver.health import Health
+from otf_tracker_driver.health import Health, left_out
 
 PATIENCE, INITIALISED = 8.0, 3.0
 """s; longer than it takes to set up a tracker that is initialised; and one that initialises for
@@ -116,7 +116,7 @@ class Emscon(Backend):
             environment=state.environment or (state.tracker and state.tracker.environment),
             connections=state.connections,
             interruptions=state.interruptions,
-            left_out=dict(state.left_out),
+            left_out=left_out(state.repeated, state.left_out),
             unreadable=state.unreadable,
             gaps=state.gaps,
         )

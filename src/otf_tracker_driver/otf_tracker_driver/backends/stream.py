@@ -9,7 +9,7 @@ from otf_core.config import Parameters, parameter
 from otf_core.errors import ConfigError
 from otf_core.model.observation import Samples
 from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, joined
-from otf_tracker_driver.health import Health
+from otf_tracker_driver.health import Health, left_out
 from otf_tracker_driver.stream.description import read_description
 from otf_tracker_driver.stream.reader import Reader
 from otf_tracker_driver.stream.transport import opened
@@ -65,6 +65,7 @@ class Stream(Backend):
             device=reader.source,
             clock=None if by_host else reader.stamper.clock,
             by_host=by_host,
+            left_out=left_out(reader.repeated),
             unreadable=reader.unreadable,
             interruptions=reader.interruptions,
             gaps=reader.gaps,

@@ -156,7 +156,7 @@ class Stamper:
         start = -(2**63) if self._device is None else self._device
         highest = np.maximum.accumulate(np.concatenate([[start], packet.device_ns]))
         new = packet.device_ns > highest[:-1]
-        self.dropped += int(np.count_nonzero(~new))
+        self.dropped += int(np.count_nonzero(packet.kept & ~new))
         return packet.part(new)
 
     def _release(self, line: Line | None) -> list[Samples]:

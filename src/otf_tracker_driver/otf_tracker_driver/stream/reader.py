@@ -24,6 +24,8 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
 """s; between attempts to connect again, doubled each time."""
 SILENT_FOR = 3.0
 """s"""
+MANY, FEW = 100, 0.05
+"""If more than this share of so many points is left out, it is trouble."""
 MOST_HELD = 100_000
 """Chunks that wait to be fetched; the oldest are lost beyond."""
 MOST_GAPS = 1000
@@ -57,7 +59,7 @@ class Reader:
         self._how, self._transport = how, transport
         self._clock, self._stamper, self._lines = HostClock(), Stamper(), Lines()
         self._samples: deque[Samples] = deque(maxlen=MOST_HELD)
-        self._last_ns = 0
+        self._last_ns = self._begun_points = self._begun_repeated = 0
         self._streaming, self._ended = threading.Event(), threading.Event()
         self.trouble = ''
         self.points = self.unreadable = self.interruptions = 0
@@ -76,6 +78,11 @@ class Reader:
     def by_host(self) -> bool:
         """True if points are stamped on arrival."""
         return self._how.stamp is None
+
+    @property
+    def repeated(self) -> int:
+        """Points left out because their time had been there."""
+        return self._stamper.dropped
 
     @property
     def stamper(self) -> Stamper:
@@ -160,6 +167,7 @@ class Reader:
         """Say to the source that a stream starts or ends, and start or end it here."""
         if on:
             self._hand_on(self._stamper.restart())
+            self._begun_points, self._begun_repeated = self.points, self.repeated
         text = self._how.start if on else self._how.stop
         if text:
             self._transport.send(text.encode())
@@ -177,10 +185,20 @@ class Reader:
                 wrong = f'{error} in line {line[:80]!r}'
         if points:
             self.points += len(points)
-            self.trouble = ''
             self._stamp(*as_arrays(points, arrival_ns), arrival_ns)
+            self.trouble = self._repeating()
         elif wrong:
             self.trouble = f'{self._how.source}: {wrong}; check the description'
+
+    def _repeating(self) -> str:
+        """Say that times repeat, or go back and forth; empty if they do not."""
+        points, repeated = self.points - self._begun_points, self.repeated - self._begun_repeated
+        if points < MANY or repeated <= FEW * points:
+            return ''
+        return (
+            f'{self._how.source}: points are left out, as their time is not later than that '
+            f'before; check stamp and time in the description'
+        )
 
     def _stamp(self, stamps: np.ndarray, xyz: np.ndarray, arrival_ns: int) -> None:
         if self._how.stamp is not None:
