@@ -6,7 +6,9 @@ import json
 import os
 import pty
 import random
+import socket
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -177,6 +179,62 @@ def test_lines_without_a_point_are_said_and_left_out(make, tmp_path, line, said)
         backend.start()
         until(lambda: 'check the description' in backend.trouble)
         assert len(backend.poll()) == 0 and '\n' not in backend.trouble
+
+
+@contextmanager
+def connection(make, folder, **changes):
+    """A backend that streams, and the other end of its connection."""
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        url = f'tcp://127.0.0.1:{server.getsockname()[1]}'
+        backend = make(described(folder, source=url, **changes))
+        backend.connect()
+        with server.accept()[0] as peer:
+            backend.start()
+            yield backend, peer
+
+
+@pytest.mark.parametrize(
+    ('sent', 'said'),
+    [
+        (b'1;10;20;30\0', 'no end of a line'),
+        (b'x' * (LONGEST + 1) + b'\n', f'line of more than {LONGEST} bytes; check'),
+    ],
+)
+def test_bytes_that_make_no_line_are_said(make, tmp_path, sent, said):
+    with connection(make, tmp_path) as (backend, peer):
+
+        def heard():
+            peer.sendall(sent)
+            return said in backend.trouble
+
+        until(heard)
+
+
+def test_wrong_lines_are_said_by_few_examples(make, tmp_path):
+    lines = [f'{k};a;2;3' for k in range(2000)]
+    with sender('tcp', CARTESIAN, lines=lines) as source:
+        backend = make(described(tmp_path, source=source.url))
+        backend.connect()
+        backend.start()
+        said = set()
+
+        def many():
+            said.add(backend.trouble)
+            return backend.health.unreadable > 600
+
+        until(many)
+        assert 'column 1 is no number in line' in backend.trouble and len(said) < 10
+
+
+def test_lines_of_text_between_points_are_no_trouble(make, tmp_path):
+    lines = [f'{4 * k};1;2;3' if k % 2 else '# ready' for k in range(5000)]
+    with sender('tcp', CARTESIAN, lines=lines) as source:
+        backend = make(described(tmp_path, source=source.url, time='ms'))
+        backend.connect()
+        backend.start()
+        said = set()
+        take(backend, 400, lambda: said.add(backend.trouble))
+        assert said == {''} and backend.health.unreadable > 100
 
 
 def test_points_whose_times_repeat_are_counted_and_said(make, tmp_path):

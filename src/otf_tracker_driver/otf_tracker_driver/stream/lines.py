@@ -33,6 +33,11 @@ class Lines:
         self._skipping = False
         self.too_long = 0
 
+    @property
+    def partial(self) -> bool:
+        """True if a line has begun that is not complete."""
+        return bool(self._held) or self._skipping
+
     def feed(self, chunk: bytes) -> Iterator[str]:
         """Take bytes; yield the lines that are complete, none of them empty."""
         *whole, rest = chunk.replace(b'\r', b'\n').split(b'\n')

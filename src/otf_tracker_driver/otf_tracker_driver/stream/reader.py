@@ -15,7 +15,7 @@ from otf_core.model.observation import Samples
 from otf_tracker_driver.clock.stamper import HostClock, Stamper
 from otf_tracker_driver.health import Gap
 from otf_tracker_driver.stream.description import Description
-from otf_tracker_driver.stream.lines import Lines, Unreadable, as_arrays, read_point
+from otf_tracker_driver.stream.lines import LONGEST, Lines, Unreadable, as_arrays, read_point
 from otf_tracker_driver.stream.transport import Transport, opened
 
 WAIT = 0.1
@@ -24,6 +24,8 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.2, 2.0
 """s; between attempts to connect again, doubled each time."""
 SILENT_FOR = 3.0
 """s"""
+WRONG_FOR = 1.0
+"""s; lines without a point are said to be wrong if no other has come for so long."""
 MANY, FEW = 100, 0.05
 """If more than this share of so many points is left out, it is trouble."""
 MOST_HELD = 100_000
@@ -66,6 +68,8 @@ class Reader:
         self.connected = True
         self.gaps: tuple[Gap, ...] = ()
         self._lost = ''
+        self._heard = self._last_point = 0.0
+        self._next_example = 0
         self._thread = threading.Thread(target=self._work, name='stream', daemon=True)
         self._thread.start()
 
@@ -142,23 +146,20 @@ class Reader:
     def _read(self) -> None:
         """Read until the source is lost or the reader ends."""
         self._lines, told = Lines(), False
-        heard = time.monotonic()
         while not self._ended.is_set():
             wanted = self._streaming.is_set()
             if wanted != told:
                 self._tell(wanted)
                 told = wanted
-                heard = time.monotonic()
+                self._heard = self._last_point = time.monotonic()
             chunk = self._transport.receive(WAIT)
             if not wanted:
                 self._lines = Lines()
-            elif chunk is not None:
-                heard = time.monotonic()
+                continue
+            if chunk is not None:
                 self._take(chunk)
-            elif time.monotonic() - heard > SILENT_FOR:
-                self.trouble = (
-                    f'{self._how.source}: nothing for {SILENT_FOR:.0f} s; is it sending?'
-                )
+            if time.monotonic() - self._heard > SILENT_FOR:
+                self.trouble = self._silent()
         if told:
             with contextlib.suppress(OSError):
                 self._tell(False)
@@ -176,8 +177,9 @@ class Reader:
         arrival_ns = self._clock.now_ns() - self._transport.age_ns
         if self._transport.datagrams:
             chunk += b'\n'
-        points, wrong = [], ''
+        points, wrong, too_long = [], '', self._lines.too_long
         for line in self._lines.feed(chunk):
+            self._heard = time.monotonic()
             try:
                 points.append(read_point(line, self._how))
             except Unreadable as error:
@@ -186,9 +188,27 @@ class Reader:
         if points:
             self.points += len(points)
             self._stamp(*as_arrays(points, arrival_ns), arrival_ns)
+            self._last_point, self._next_example = self._heard, 0
             self.trouble = self._repeating()
-        elif wrong:
-            self.trouble = f'{self._how.source}: {wrong}; check the description'
+            return
+        if self._lines.too_long > too_long:
+            self._heard = time.monotonic()
+            self.unreadable += self._lines.too_long - too_long
+            wrong = wrong or f'line of more than {LONGEST} bytes'
+        if wrong:
+            self._say(wrong)
+
+    def _say(self, wrong: str) -> None:
+        """Say why lines are none, by an example; another one once twice as many have come."""
+        if time.monotonic() - self._last_point < WRONG_FOR or self.unreadable < self._next_example:
+            return
+        self._next_example = 2 * self.unreadable
+        self.trouble = f'{self._how.source}: {wrong}; check the description'
+
+    def _silent(self) -> str:
+        if self._lines.partial:
+            return f'{self._how.source}: no end of a line (LF or CR) for {SILENT_FOR:.0f} s'
+        return f'{self._how.source}: nothing for {SILENT_FOR:.0f} s; is it sending?'
 
     def _repeating(self) -> str:
         """Say that times repeat, or go back and forth; empty if they do not."""
