@@ -62,7 +62,8 @@ class Reader:
         self._clock, self._stamper, self._lines = HostClock(), Stamper(), Lines()
         self._samples: deque[Samples] = deque(maxlen=MOST_HELD)
         self._last_ns = self._begun_points = self._begun_repeated = 0
-        self._streaming, self._ended = threading.Event(), threading.Event()
+        self._streams = self._wanted = self._told = 0
+        self._ended = threading.Event()
         self.trouble = ''
         self.points = self.unreadable = self.interruptions = 0
         self.connected = True
@@ -95,12 +96,12 @@ class Reader:
 
     def stream(self, on: bool) -> None:
         """Start or stop a stream; what was not fetched of the one before is forgotten."""
+        self._wanted = 0
         if on:
             self._samples.clear()
             self._last_ns, self._lost = 0, ''
-            self._streaming.set()
-        else:
-            self._streaming.clear()
+            self._streams += 1
+            self._wanted = self._streams
 
     def fetch(self) -> list[Samples]:
         """Samples that have come since the last call."""
@@ -139,22 +140,24 @@ class Reader:
         """Note that the source is lost."""
         self.connected = False
         self.trouble = f'{reason}; connecting again'
-        if self._streaming.is_set() and self._last_ns and not self._lost:
+        self._hand_on(self._stamper.flush())
+        if self._wanted and self._last_ns and not self._lost:
             self.interruptions += 1
             self._lost = reason
 
     def _read(self) -> None:
         """Read until the source is lost or the reader ends."""
-        self._lines, told = Lines(), False
+        self._lines, told = Lines(), 0
         while not self._ended.is_set():
-            wanted = self._streaming.is_set()
+            wanted = self._wanted
             if wanted != told:
-                self._tell(wanted)
+                if told:
+                    self._tell(self._how.stop)
+                self._begin(wanted)
                 told = wanted
-                self._heard = self._last_point = time.monotonic()
             chunk = self._transport.receive(WAIT)
             if not wanted:
-                self._lines = Lines()
+                self._pass_by(chunk)
                 continue
             if chunk is not None:
                 self._take(chunk)
@@ -162,40 +165,50 @@ class Reader:
                 self.trouble = self._silent()
         if told:
             with contextlib.suppress(OSError):
-                self._tell(False)
+                self._tell(self._how.stop)
 
-    def _tell(self, on: bool) -> None:
-        """Say to the source that a stream starts or ends, and start or end it here."""
-        if on:
-            self._hand_on(self._stamper.restart())
-            self._begun_points, self._begun_repeated = self.points, self.repeated
-        text = self._how.start if on else self._how.stop
+    def _begin(self, wanted: int) -> None:
+        """Begin a stream, or go on with it after a loss; 0: none."""
+        self._told = wanted
+        self._stamper.restart()  # what waits belongs to the stream before
+        self._begun_points, self._begun_repeated = self.points, self.repeated
+        if wanted:
+            self._tell(self._how.start)
+        self._heard = self._last_point = time.monotonic()
+
+    def _tell(self, text: str) -> None:
         if text:
             self._transport.send(text.encode())
 
+    def _pass_by(self, chunk: bytes | None) -> None:
+        """Leave lines out, but remember where one begins: it may end within the stream."""
+        for _ in self._lines.feed(self._whole(chunk or b'')):
+            pass
+
+    def _whole(self, chunk: bytes) -> bytes:
+        """A datagram ends a line."""
+        return chunk + b'\n' if self._transport.datagrams else chunk
+
     def _take(self, chunk: bytes) -> None:
         arrival_ns = self._clock.now_ns() - self._transport.age_ns
-        if self._transport.datagrams:
-            chunk += b'\n'
         points, wrong, too_long = [], '', self._lines.too_long
-        for line in self._lines.feed(chunk):
+        for line in self._lines.feed(self._whole(chunk)):
             self._heard = time.monotonic()
             try:
                 points.append(read_point(line, self._how))
             except Unreadable as error:
                 self.unreadable += 1
                 wrong = f'{error} in line {line[:80]!r}'
+        if self._lines.too_long > too_long:
+            self._heard = time.monotonic()
+            self.unreadable += self._lines.too_long - too_long
+            wrong = wrong or f'line of more than {LONGEST} bytes'
         if points:
             self.points += len(points)
             self._stamp(*as_arrays(points, arrival_ns), arrival_ns)
             self._last_point, self._next_example = self._heard, 0
             self.trouble = self._repeating()
-            return
-        if self._lines.too_long > too_long:
-            self._heard = time.monotonic()
-            self.unreadable += self._lines.too_long - too_long
-            wrong = wrong or f'line of more than {LONGEST} bytes'
-        if wrong:
+        elif wrong:
             self._say(wrong)
 
     def _say(self, wrong: str) -> None:
@@ -228,6 +241,8 @@ class Reader:
         self._hand_on([Samples(first + np.arange(len(xyz), dtype=np.int64), xyz)])
 
     def _hand_on(self, parts: list[Samples]) -> None:
+        if self._told != self._wanted:
+            return
         for part in parts:
             if self._lost:
                 gap = Gap(self._last_ns, int(part.stamp_ns[0]), self._lost)
