@@ -171,6 +171,7 @@ def test_source_that_goes_away_is_connected_to_again(make, tmp_path):
         ('0.1;0;0;0', 'is none'),
         ('0.1;1e9;0;0', 'check length'),
         ('9e99;1;2;3', 'stamp is out of range'),
+        ('-9e9;1;2;3', 'stamp is out of range'),
     ],
 )
 def test_lines_without_a_point_are_said_and_left_out(make, tmp_path, line, said):
@@ -331,19 +332,32 @@ def scripted(tmp_path, monkeypatch):
     """Run a reader through transports, of which each follows when the one before is lost."""
     made = []
 
-    def run(*transports, **changes):
+    def run(*transports, awaited=True, **changes):
         first, *others = transports
         monkeypatch.setattr(reader, 'opened', lambda *_: others.pop(0))
         made.append(reader.Reader(read_description(described(tmp_path, **changes)), first))
         for transport in transports:
             transport.reader = made[-1]
             transport.ready.set()
-        assert transports[-1].done.wait(PATIENCE)
+        assert not awaited or transports[-1].done.wait(PATIENCE)
         return made[-1]
 
     yield run
     for one in made:
         one.close()
+
+
+def test_defect_of_the_reader_is_not_silence(scripted, monkeypatch):
+    monkeypatch.setattr(reader, 'read_point', lambda *_: 1 / 0)
+    run = scripted(Scripted('on', b'1;2;3;4\n'), awaited=False)
+
+    def ended():
+        try:
+            return run.fetch() and False
+        except RuntimeError as error:
+            return 'is not read any more' in str(error)
+
+    until(ended)
 
 
 def test_what_waits_for_its_stamp_does_not_come_with_the_next_stream(scripted):

@@ -13,8 +13,8 @@ from otf_tracker_driver.stream.description import JSON, Description, Place
 
 LONGEST = 4096
 """Bytes of a line; longer ones are left out."""
-LATEST = 9.2e18
-"""ns; stamps beyond do not fit into 64 bits."""
+LATEST = 4.6e18
+"""ns; differences of stamps beyond do not fit into 64 bits."""
 FURTHEST = 200.0
 """m"""
 

@@ -71,6 +71,7 @@ class Reader:
         self._lost = ''
         self._heard = self._last_point = 0.0
         self._next_example = 0
+        self._defect: Exception | None = None
         self._thread = threading.Thread(target=self._work, name='stream', daemon=True)
         self._thread.start()
 
@@ -104,7 +105,9 @@ class Reader:
             self._wanted = self._streams
 
     def fetch(self) -> list[Samples]:
-        """Samples that have come since the last call."""
+        """Samples that have come since the last call; RuntimeError if a defect has ended this."""
+        if self._defect:
+            raise RuntimeError(f'{self._how.source} is not read any more') from self._defect
         parts = []
         while self._samples:
             parts.append(self._samples.popleft())
@@ -116,6 +119,12 @@ class Reader:
         self._thread.join(ENDED_WITHIN)
 
     def _work(self) -> None:
+        try:
+            self._keep_reading()
+        except Exception as error:
+            self._defect = error
+
+    def _keep_reading(self) -> None:
         pause = FIRST_PAUSE
         while not self._ended.is_set():
             try:
