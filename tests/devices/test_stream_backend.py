@@ -138,6 +138,28 @@ def test_datagrams_of_others_than_the_peer_are_not_taken(make, tmp_path):
         assert len(backend.poll()) == 0
 
 
+def test_source_of_datagrams_is_told_to_start_as_soon_as_it_is_heard(make, tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as source:
+        source.bind(('127.0.0.1', 0))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(('127.0.0.1', 0))
+            place = free.getsockname()
+        backend = make(described(tmp_path, source=f'udp://127.0.0.1:{place[1]}', start='GO'))
+        backend.connect()
+        backend.start()
+        until(lambda: backend._reader._told)
+        source.sendto(b'here', place)
+        source.settimeout(PATIENCE)
+        assert source.recv(100) == b'GO'
+
+
+def test_connection_whose_other_end_is_gone_is_noticed(make, tmp_path):
+    with connection(make, tmp_path) as (backend, _):
+        probed = backend._reader._transport._socket
+        assert probed.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+        assert probed.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 3
+
+
 def test_recorded_stream_of_a_tracker_is_read(tmp_path):
     how = read_description(described(tmp_path, separator=',', columns={'x': 1, 'y': 2, 'z': 3}))
     lines = CART.read_text().splitlines()
@@ -321,7 +343,7 @@ class Scripted(Transport):
         return None
 
     def send(self, data):
-        pass
+        return True
 
     def close(self):
         pass

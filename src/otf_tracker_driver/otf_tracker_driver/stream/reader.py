@@ -68,7 +68,7 @@ class Reader:
         self.points = self.unreadable = self.interruptions = 0
         self.connected = True
         self.gaps: tuple[Gap, ...] = ()
-        self._lost = ''
+        self._lost = self._owed = ''
         self._heard = self._last_point = 0.0
         self._next_example = 0
         self._defect: Exception | None = None
@@ -169,6 +169,8 @@ class Reader:
                 self._pass_by(chunk)
                 continue
             if chunk is not None:
+                if self._owed:
+                    self._tell(self._owed)
                 self._take(chunk)
             if time.monotonic() - self._heard > SILENT_FOR:
                 self.trouble = self._silent()
@@ -186,8 +188,8 @@ class Reader:
         self._heard = self._last_point = time.monotonic()
 
     def _tell(self, text: str) -> None:
-        if text:
-            self._transport.send(text.encode())
+        """Send a text; later if it is not known yet to whom."""
+        self._owed = '' if not text or self._transport.send(text.encode()) else text
 
     def _pass_by(self, chunk: bytes | None) -> None:
         """Leave lines out, but remember where one begins: it may end within the stream."""

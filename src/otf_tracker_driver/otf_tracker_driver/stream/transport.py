@@ -17,6 +17,8 @@ from otf_tracker_driver.stream.description import Source
 CHUNK = 1 << 16
 CONNECT_WITHIN = 5.0
 """s"""
+PROBES = {'TCP_KEEPIDLE': 3, 'TCP_KEEPINTVL': 2, 'TCP_KEEPCNT': 3}
+"""s, s, number: a silent TCP connection is probed, so that one whose other end is gone ends."""
 
 
 class Transport(ABC):
@@ -38,8 +40,8 @@ class Transport(ABC):
         """Return what has come, or None if nothing comes within the timeout, s."""
 
     @abstractmethod
-    def send(self, data: bytes) -> None:
-        """Send to the source."""
+    def send(self, data: bytes) -> bool:
+        """Send to the source; False if nobody knows yet where that is."""
 
     @abstractmethod
     def close(self) -> None:
@@ -68,12 +70,15 @@ class Socket(Transport):
             raise ConnectionError('the source closed the connection')
         return data
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: bytes) -> bool:
         """Send; over UDP to whoever has sent last, so not before that."""
         if not self.datagrams:
             self._socket.sendall(data)
-        elif isinstance(self._peer, tuple):
-            self._socket.sendto(data, self._peer)
+            return True
+        if not isinstance(self._peer, tuple):
+            return False
+        self._socket.sendto(data, self._peer)
+        return True
 
     def close(self) -> None:
         """Close the socket."""
@@ -104,9 +109,10 @@ class Serial(Transport):
             raise ConnectionError('the serial line is gone')
         return data
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: bytes) -> bool:
         """Send to the line."""
         os.write(self._file, data)
+        return True
 
     def close(self) -> None:
         """Close the line."""
@@ -127,10 +133,18 @@ def opened(source: Source, peer: str = '') -> Transport:
         if source.kind == 'udp':
             return Socket(_listening(source), True, socket.gethostbyname(peer) if peer else '')
         address = source.host, source.port
-        return Socket(socket.create_connection(address, CONNECT_WITHIN), False)
+        return Socket(_probed(socket.create_connection(address, CONNECT_WITHIN)), False)
     except (OSError, UnicodeError) as error:
         reason = getattr(error, 'strerror', None) or error
         raise InputError(f'{source}: cannot be opened ({reason}); is it on, and right?') from None
+
+
+def _probed(made: socket.socket) -> socket.socket:
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in PROBES.items():
+        if hasattr(socket, name):
+            made.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+    return made
 
 
 def _listening(source: Source) -> socket.socket:
