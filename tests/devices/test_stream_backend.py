@@ -160,6 +160,12 @@ def test_connection_whose_other_end_is_gone_is_noticed(make, tmp_path):
         assert probed.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 3
 
 
+@pytest.mark.parametrize('separator', ['\t', r'\t'])
+def test_columns_may_be_separated_by_tabs(tmp_path, separator):
+    how = read_description(described(tmp_path, separator=separator))
+    assert read_point('7\t1000\t2000\t3000\tA b', how) == (7 * 10**9, (1.0, 2.0, 3.0))
+
+
 def test_recorded_stream_of_a_tracker_is_read(tmp_path):
     how = read_description(described(tmp_path, separator=',', columns={'x': 1, 'y': 2, 'z': 3}))
     lines = CART.read_text().splitlines()
@@ -395,6 +401,18 @@ def test_what_waits_for_its_stamp_comes_before_the_gap(scripted):
     np.testing.assert_allclose(samples.xyz[:, 0], [0.010, 0.011, 0.012])
     assert run.interruptions == 2
     assert [gap[:2] for gap in run.gaps] == [tuple(samples.stamp_ns[1:])]
+
+
+def test_object_in_a_datagram_may_have_many_lines(scripted):
+    class Datagrams(Scripted):
+        datagrams = True
+
+    objects = [{'x': k, 'y': 2, 'z': 3} for k in (1, 4)]
+    pretty, lines = json.dumps(objects[0], indent=1), '\n'.join(map(json.dumps, objects))
+    look = {'format': 'json', 'columns': None, 'separator': None, 'stamp': 'host', 'time': None}
+    keys = {'x': 'x', 'y': 'y', 'z': 'z'}
+    run = scripted(Datagrams('on', pretty.encode(), lines.encode()), keys=keys, **look)
+    np.testing.assert_allclose(joined(run.fetch()).xyz[:, 0], [0.001, 0.001, 0.004])
 
 
 def test_line_that_began_before_the_stream_is_read_whole(scripted):

@@ -108,7 +108,7 @@ def read_description(path: str | Path) -> Description:
     top = Fields(read_yaml(path), str(path))
     source = _source(top)
     kind = _choice(top, 'format', (TEXT, JSON))
-    separator = top.text('separator') if kind == TEXT and top.has('separator') else ''
+    separator = _separator(top) if kind == TEXT and top.has('separator') else ''
     columns = top.mapping('columns' if kind == TEXT else 'keys')
     spherical = not columns.has('x') and columns.has('azimuth')
     names = SPHERICAL if spherical else CARTESIAN
@@ -143,6 +143,13 @@ def _source(top: Fields) -> Source:
     return Source(kind, host, port)
 
 
+def _separator(top: Fields) -> str:
+    value = top.take('separator')
+    if not isinstance(value, str) or not value:
+        top.fail('separator', f'expected a text, got {shown(value)}')
+    return _escaped(value)
+
+
 def _choice(fields: Fields, key: str, possible: Sequence[str]) -> str:
     text = fields.text(key)
     if text not in possible:
@@ -171,4 +178,4 @@ def _checked(fields: Fields, key: str, value: object, kind: str) -> Place:
 
 
 def _escaped(text: str) -> str:
-    return text.replace('\\r', '\r').replace('\\n', '\n')
+    return text.replace('\\r', '\r').replace('\\n', '\n').replace('\\t', '\t')

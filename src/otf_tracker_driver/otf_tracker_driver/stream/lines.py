@@ -96,6 +96,14 @@ def _json(line: str) -> object:
         raise Unreadable('no JSON') from None
 
 
+def holds_one_object(datagram: bytes) -> bool:
+    """Tell whether all of a datagram is one JSON object, over however many lines."""
+    try:
+        return isinstance(json.loads(datagram), dict)
+    except (ValueError, RecursionError):
+        return False
+
+
 def _at(values: object, place: Place) -> object:
     if isinstance(place, int):
         assert isinstance(values, list)

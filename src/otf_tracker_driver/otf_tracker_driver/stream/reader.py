@@ -14,8 +14,15 @@ from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_tracker_driver.clock.stamper import HostClock, Stamper
 from otf_tracker_driver.health import Gap
-from otf_tracker_driver.stream.description import Description
-from otf_tracker_driver.stream.lines import LONGEST, Lines, Unreadable, as_arrays, read_point
+from otf_tracker_driver.stream.description import JSON, Description
+from otf_tracker_driver.stream.lines import (
+    LONGEST,
+    Lines,
+    Unreadable,
+    as_arrays,
+    holds_one_object,
+    read_point,
+)
 from otf_tracker_driver.stream.transport import Transport, opened
 
 WAIT = 0.1
@@ -121,7 +128,7 @@ class Reader:
     def _work(self) -> None:
         try:
             self._keep_reading()
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - fetch raises it
             self._defect = error
 
     def _keep_reading(self) -> None:
@@ -197,8 +204,12 @@ class Reader:
             pass
 
     def _whole(self, chunk: bytes) -> bytes:
-        """A datagram ends a line."""
-        return chunk + b'\n' if self._transport.datagrams else chunk
+        """A datagram ends a line, and is a single one in JSON."""
+        if not self._transport.datagrams:
+            return chunk
+        if self._how.format == JSON and chunk.count(b'\n') and holds_one_object(chunk):
+            chunk = b' '.join(chunk.split())
+        return chunk + b'\n'
 
     def _take(self, chunk: bytes) -> None:
         arrival_ns = self._clock.now_ns() - self._transport.age_ns
