@@ -293,6 +293,14 @@ def test_an_axis_that_did_not_move_gets_no_table_without_a_range(name, points, t
         assert len(rows) == len(set(map(tuple, rows)))
 
 
+@pytest.mark.parametrize('name', ['linuxcnc', 'sinumerik-enc', 'sinumerik-cec'])
+def test_a_table_is_zero_at_the_reference_though_no_point_stands_there(name):
+    ranges = ((-0.13, 0.3), (-0.11, 0.25), (-0.2, 0.07))
+    tables = random_tables(some_machine(ranges=ranges), 5e-5, np.random.default_rng(5))
+    held = exported(name, tables, points=6).held
+    np.testing.assert_allclose(held(np.zeros((1, 3))), 0.0, atol=2e-9)
+
+
 @every_format
 def test_a_file_says_its_sign_and_what_it_does_not_hold(name, tables):
     for content in exported(name, tables).files.values():

@@ -127,11 +127,11 @@ def line_terms(
     """
     terms = {}
     for i, j in pairs:
-        mean, origin = others_at_their_means(tables, j), np.array([reference_position(tables, j)])
-        error, zero = (
-            displacement(mean, middle_line(tables, j, p))[:, i] for p in (positions[j], origin)
-        )
-        terms[i, j] = LineTerm(positions[j], error - zero)
+        mean, at = others_at_their_means(tables, j), positions[j]
+        error = displacement(mean, middle_line(tables, j, at))[:, i]
+        # zero in the table as the control reads it, also where the reference lies between nodes
+        zero = np.interp(reference_position(tables, j), at, error)
+        terms[i, j] = LineTerm(at, error - zero)
     return terms
 
 
