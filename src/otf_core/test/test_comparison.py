@@ -243,6 +243,21 @@ def test_without_any_uncertainty_nothing_is_said_to_agree(tmp_path, capsys):
     assert 'no side states an uncertainty' in capsys.readouterr().out
 
 
+def test_a_side_without_uncertainty_is_said_to_count_as_exact():
+    tables = truth_of(some_machine())
+    known = {n: replace(t, u=1e-6 + 0.0 * t.u) for n, t in tables.motions.items()}
+    result = compared(replace(tables, motions=known), tables)
+    assert comparison_to_dict(result)['without_uncertainty'] == ['b']
+    assert 'b states no uncertainty: E_n takes it as exact' in format_comparison(result)
+    both = replace(tables, motions=known)
+    assert 'takes it as exact' not in format_comparison(compared(both, both))
+    # the scatter of a single run is not known
+    single = measure_directly(tables, 1, runs=1, noise=PERFECT)
+    direct = source_of_measurement('d', single, tables.machine)
+    found = compare(direct, source_of_tables('t', both, None))
+    assert found.without_u == ('a',)
+
+
 def test_uncertainty_takes_the_covariance_along():
     machine = some_machine()
     tables = zero_tables(machine, 5)

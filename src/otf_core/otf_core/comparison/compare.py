@@ -111,6 +111,15 @@ class Comparison:
     motions: Mapping[str, MotionComparison]
     volume: VolumeComparison
 
+    @property
+    def without_u(self) -> tuple[str, ...]:
+        """Which of 'a' and 'b' state no uncertainty of any motion: they count as exact in E_n."""
+        sides = {
+            'a': [m.u_a for m in self.motions.values()],
+            'b': [m.u_b for m in self.motions.values()],
+        }
+        return tuple(side for side, u in sides.items() if not np.concatenate(u).any())
+
 
 def normalised_error(difference: Array, u: Array) -> Array:
     """E_n for a difference and its standard uncertainty; nan where both are zero."""

@@ -64,6 +64,7 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
         'b': result.names[1],
         'convention': CONVENTION,
         'counted_as_translations': list(result.common.folded),
+        'without_uncertainty': list(result.without_u),
         'translations_apart_by': list(result.common.apart),
         'target_offsets': [offset.tolist() for offset in result.offsets],
         'motions': motions,
@@ -108,6 +109,8 @@ def format_comparison(result: Comparison) -> str:
             f'{", ".join(result.common.folded)}: one side cannot tell them from translations; '
             f'counted as such'
         )
+    if len(result.without_u) == 1:
+        lines.append(f'{result.without_u[0]} states no uncertainty: E_n takes it as exact')
     if result.common.apart:
         axes = ', '.join(dict.fromkeys(m.axis for m in result.common.apart))
         lines.append(
