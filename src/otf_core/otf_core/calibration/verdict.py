@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from otf_core.budget.budget import Budget
 from otf_core.budget.freedom import coverage_factor
 from otf_core.model.limits import KEYS, UNCERTAINTY, VOLUMETRIC
-from otf_core.model.motions import SQUARENESS
+from otf_core.model.motions import SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.table_prior import MotionPrior
 from otf_core.prediction.volumetric import VolumetricError, table_places
@@ -159,7 +159,7 @@ def judge(
         elif name == UNCERTAINTY:
             value, wide = _uncertainty(volume, budget), 0.0
         else:
-            value, wide = _span(name, tables, budget)
+            value, wide = _span(name, tables, budget, prior)
         judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
     return Verdict(tuple(judged))
 
@@ -184,15 +184,20 @@ def _uncertainty(volume: VolumetricError, budget: Budget) -> float:
     return k * float(volume.u_size.max())
 
 
-def _span(name: str, tables: ErrorTables, budget: Budget) -> tuple[float, float]:
+def _span(
+    name: str, tables: ErrorTables, budget: Budget, prior: Mapping[str, MotionPrior]
+) -> tuple[float, float]:
     """Size of a squareness error, or largest less smallest value of a motion, and its U."""
     place = table_places(tables)[name]
     row = np.zeros((1, len(budget.rows)))
     if name in SQUARENESS:
         row[0, place] = 1.0
         return abs(tables.squareness[name].value), float(_expanded(budget, row)[0])
-    value = tables.motions[name].value
-    high, low = int(value.argmax()), int(value.argmin())
+    table, axis = tables.motions[name], tables.machine.axes[ErrorMotion.of(name).axis]
+    high, low = int(table.value.argmax()), int(table.value.argmin())
     row[0, place.start + high] += 1.0
     row[0, place.start + low] -= 1.0
-    return float(value[high] - value[low]), float(_expanded(budget, row)[0])
+    ends = np.array([table.position[0] - axis.min, axis.max - table.position[-1]])
+    beyond = coverage_factor(np.inf) * np.sqrt(prior.get(name, MotionPrior()).beyond(ends).max())
+    wide = np.hypot(_expanded(budget, row)[0], beyond)
+    return float(table.value[high] - table.value[low]), float(wide)

@@ -156,6 +156,8 @@ def test_nothing_is_proven_where_the_machine_was_not_driven(calibrated):
     assert found.value > 1.96 * np.sqrt(variance) > 2 * inside.value
     shown = Facts(wide, (), {}).volume  # what a report calls expected after compensation
     np.testing.assert_allclose(1.96 * shown.u_sizes()['max'], found.value, rtol=0.01)
+    (motion,) = verdict(wide, EXX=1e-2).judged
+    assert 1.96 * np.sqrt(variance) < motion.U
     (found,) = verdict(wide, volumetric_error=1e-2).judged
     assert found.U > 2 * length.U
     assert state(wide, volumetric_error=found.value + 0.9 * found.U) != 'pass'
