@@ -8,6 +8,8 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 
+import yaml
+
 CARTESIAN = {
     'source': 'tcp://127.0.0.1:1',
     'format': 'text',
@@ -31,6 +33,14 @@ SPHERICAL = {
 """JSON, angles of a total station in gon, milliseconds."""
 INTERVAL = 0.004
 """s"""
+
+
+def described(folder, **changes):
+    """Write a description; None takes a key away."""
+    content = {k: v for k, v in {**CARTESIAN, **changes}.items() if v is not None}
+    path = folder / 'source.yaml'
+    path.write_text(yaml.safe_dump(content))
+    return path
 
 
 class Sender:

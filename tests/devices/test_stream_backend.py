@@ -7,7 +7,6 @@ import os
 import pty
 import random
 import socket
-import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,28 +14,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from streaming import CARTESIAN, SPHERICAL, sender
+from streaming import CARTESIAN, SPHERICAL, described, sender
 
 from otf_core.errors import ConfigError, InputError
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.stream import Stream, StreamConfig
-from otf_tracker_driver.stream import reader
 from otf_tracker_driver.stream.description import read_description
 from otf_tracker_driver.stream.lines import LONGEST, Lines, Unreadable, read_point
-from otf_tracker_driver.stream.transport import Transport
 
 PATIENCE = 20.0
 """s"""
 CART = Path(__file__).parents[2] / 'src/otf_core/test/data/cart_stream.csv'
-
-
-def described(folder, **changes):
-    """Write a description; None takes a key away."""
-    content = {k: v for k, v in {**CARTESIAN, **changes}.items() if v is not None}
-    path = folder / 'source.yaml'
-    path.write_text(yaml.safe_dump(content))
-    return path
 
 
 @pytest.fixture
@@ -325,101 +314,6 @@ def test_lines_are_cut_from_any_pieces_and_endless_ones_are_left_out():
         stream = stream[cut:]
         assert len(lines._held) <= LONGEST
     assert got == [w.strip() for w in [*wanted, 'last']] and lines.too_long == 1
-
-
-class Scripted(Transport):
-    """Gives what a script says, one step a call: bytes, a stream on or off, or its loss."""
-
-    def __init__(self, *steps):
-        self._steps, self.reader = iter(steps), None
-        self.ready, self.done = threading.Event(), threading.Event()
-
-    def receive(self, timeout):
-        assert self.ready.wait(PATIENCE)
-        step = next(self._steps, None)
-        if step is None:
-            self.done.set()
-            time.sleep(0.005)
-        elif step == 'lost':
-            raise ConnectionError(step)
-        elif isinstance(step, bytes):
-            return step
-        else:
-            self.reader.stream(step == 'on')
-        return None
-
-    def send(self, data):
-        return True
-
-    def close(self):
-        pass
-
-
-@pytest.fixture
-def scripted(tmp_path, monkeypatch):
-    """Run a reader through transports, of which each follows when the one before is lost."""
-    made = []
-
-    def run(*transports, awaited=True, **changes):
-        first, *others = transports
-        monkeypatch.setattr(reader, 'opened', lambda *_: others.pop(0))
-        made.append(reader.Reader(read_description(described(tmp_path, **changes)), first))
-        for transport in transports:
-            transport.reader = made[-1]
-            transport.ready.set()
-        assert not awaited or transports[-1].done.wait(PATIENCE)
-        return made[-1]
-
-    yield run
-    for one in made:
-        one.close()
-
-
-def test_defect_of_the_reader_is_not_silence(scripted, monkeypatch):
-    monkeypatch.setattr(reader, 'read_point', lambda *_: 1 / 0)
-    run = scripted(Scripted('on', b'1;2;3;4\n'), awaited=False)
-
-    def ended():
-        try:
-            return run.fetch() and False
-        except RuntimeError as error:
-            return 'is not read any more' in str(error)
-
-    until(ended)
-
-
-def test_what_waits_for_its_stamp_does_not_come_with_the_next_stream(scripted):
-    old, new = b'1.0;10;20;30\n1.1;11;20;30\n', b'9.0;12;20;30\n'
-    run = scripted(Scripted('on', old, 'off', b'\n', 'on', new, 'lost'), Scripted())
-    np.testing.assert_allclose(joined(run.fetch()).xyz[:, 0], [0.012])
-
-
-def test_what_waits_for_its_stamp_comes_before_the_gap(scripted):
-    first = Scripted('on', b'1.0;10;20;30\n1.1;11;20;30\n', 'lost')
-    run = scripted(first, Scripted(b'2.0;12;20;30\n', 'lost'), Scripted())
-    samples = joined(run.fetch())
-    np.testing.assert_allclose(samples.xyz[:, 0], [0.010, 0.011, 0.012])
-    assert run.interruptions == 2
-    assert [gap[:2] for gap in run.gaps] == [tuple(samples.stamp_ns[1:])]
-
-
-def test_object_in_a_datagram_may_have_many_lines(scripted):
-    class Datagrams(Scripted):
-        datagrams = True
-
-    objects = [{'x': k, 'y': 2, 'z': 3} for k in (1, 4)]
-    pretty, lines = json.dumps(objects[0], indent=1), '\n'.join(map(json.dumps, objects))
-    look = {'format': 'json', 'columns': None, 'separator': None, 'stamp': 'host', 'time': None}
-    keys = {'x': 'x', 'y': 'y', 'z': 'z'}
-    run = scripted(Datagrams('on', pretty.encode(), lines.encode()), keys=keys, **look)
-    np.testing.assert_allclose(joined(run.fetch()).xyz[:, 0], [0.001, 0.001, 0.004])
-
-
-def test_line_that_began_before_the_stream_is_read_whole(scripted):
-    steps = b'7;8;9\n1', 'on', b'2.5;20;30\n4;5;6\n'
-    run = scripted(Scripted(*steps), columns={'x': 0, 'y': 1, 'z': 2}, stamp='host', time=None)
-    points = joined(run.fetch()).xyz
-    np.testing.assert_allclose(points, [[0.0125, 0.02, 0.03], [0.004, 0.005, 0.006]])
 
 
 def fuzz(folder, count, seed):

@@ -22,25 +22,29 @@ FURTHEST = 200.0
 class Lines:
     """Cuts a byte stream into lines; holds one unfinished line at most.
 
+    Parameters
+    ----------
+    cut_in : bool
+        The first bytes may be the end of a line, and are left out.
+
     Attributes
     ----------
     too_long : int
         Lines that were left out.
+    partial : bool
+        A line has begun that is not complete.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, cut_in: bool = False) -> None:
         self._held = b''
-        self._skipping = False
+        self._skipping = cut_in
         self.too_long = 0
-
-    @property
-    def partial(self) -> bool:
-        """True if a line has begun that is not complete."""
-        return bool(self._held) or self._skipping
+        self.partial = False
 
     def feed(self, chunk: bytes) -> Iterator[str]:
         """Take bytes; yield the lines that are complete, none of them empty."""
         *whole, rest = chunk.replace(b'\r', b'\n').split(b'\n')
+        self.partial = bool(rest) or (self.partial and not whole)
         for part in whole:
             line, self._held = self._held + part, b''
             skipped, self._skipping = self._skipping, False

@@ -163,7 +163,8 @@ class Reader:
 
     def _read(self) -> None:
         """Read until the source is lost or the reader ends."""
-        self._lines, told = Lines(), 0
+        # a source that is told to start is silent before, as a rule
+        self._lines, told = Lines(self._transport.cuts_in and not self._how.start), 0
         while not self._ended.is_set():
             wanted = self._wanted
             if wanted != told:

@@ -28,11 +28,13 @@ class Transport(ABC):
     ----------
     datagrams : bool
         What comes is whole messages.
+    cuts_in : bool
+        The first bytes may be the end of a line.
     age_ns : int, ns
         How long ago what was received last had arrived.
     """
 
-    datagrams = False
+    datagrams = cuts_in = False
     age_ns = 0
 
     @abstractmethod
@@ -87,6 +89,8 @@ class Socket(Transport):
 
 class Serial(Transport):
     """Serial line, 8N1, no handshake."""
+
+    cuts_in = True
 
     def __init__(self, device: str, baud: int) -> None:
         self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
