@@ -17,6 +17,7 @@ from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
 from otf_tracker_driver.emscon import actions, codes
 from otf_tracker_driver.emscon.intake import Intake
+from otf_tracker_driver.emscon.packets import Measurements
 from otf_tracker_driver.emscon.state import INITIALISING, SessionState
 
 PATIENCE = 40.0
@@ -186,6 +187,19 @@ def test_samples_in_millimetres_never_pass(make):
         samples = joined(parts)
         assert np.linalg.norm(samples.xyz, axis=1).max() < 2.0
         assert any('another program has changed the units' in text for text in said)
+
+
+def test_samples_of_a_packet_that_failed_are_left_out_and_counted_by_its_result():
+    state, delivered = SessionState(), []
+    intake = Intake(state, delivered.append)
+    for second, result in enumerate((0, 57)):
+        times = np.arange(3) * 10**6 + second * 10**9
+        xyz = np.full((3, 3), 1.0 + second)
+        packet = Measurements(result, (20.0, 1013.0, 50.0), np.zeros(3, np.int32), times, xyz)
+        intake.take(packet, int(times[-1]))
+    intake.end('')
+    assert joined(delivered).xyz.max() == 1.0
+    assert state.left_out == {'environment out of range (status 57)': 3}
 
 
 def test_samples_of_repeated_times_are_among_those_left_out(make, monkeypatch):

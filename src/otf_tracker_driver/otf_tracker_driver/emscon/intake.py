@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.model.observation import Samples
 from otf_tracker_driver.clock.stamper import Stamper
-from otf_tracker_driver.emscon.codes import SAMPLE_TEXT, SampleStatus
+from otf_tracker_driver.emscon.codes import SAMPLE_TEXT, SampleStatus, Status, status_text
 from otf_tracker_driver.emscon.packets import Measurements
 from otf_tracker_driver.emscon.state import SessionState
 from otf_tracker_driver.health import Gap
@@ -60,13 +61,7 @@ class Intake:
         state.packets += 1
         if np.all(np.isfinite(packet.environment)):
             state.environment = packet.environment
-        good = status == SampleStatus.OK
-        warned = status == SampleStatus.SPEED_WARNING
-        state.slow_down += int(np.count_nonzero(warned))
-        usable = good | warned
-        for code in np.unique(status[~usable]).tolist():
-            text = SAMPLE_TEXT.get(code, f'sample status {code}')
-            state.left_out[text] += int(np.count_nonzero(status == code))
+        usable = self._usable(packet)
         with np.errstate(invalid='ignore', over='ignore'):
             distance = np.linalg.norm(packet.value, axis=1)
             sane = np.isfinite(packet.value).all(axis=1) & (distance < FURTHEST) & (distance > 0)
@@ -77,6 +72,20 @@ class Intake:
             self.last_range = float(distance[kept][-1])
         self._hand_on(self._stamper.take(packet.device_ns, packet.value, arrival_ns, kept))
         return not len(status) or not np.all(status == SampleStatus.PRISM_ERROR)
+
+    def _usable(self, packet: Measurements) -> NDArray[np.bool_]:
+        """Samples that the tracker says are measured; counts the others by reason."""
+        state, status = self._state, packet.status
+        if packet.result != Status.OK:
+            state.left_out[status_text(packet.result)] += len(status)
+            return np.zeros(len(status), bool)
+        warned = status == SampleStatus.SPEED_WARNING
+        state.slow_down += int(np.count_nonzero(warned))
+        usable = (status == SampleStatus.OK) | warned
+        for code in np.unique(status[~usable]).tolist():
+            text = SAMPLE_TEXT.get(code, f'sample status {code}')
+            state.left_out[text] += int(np.count_nonzero(status == code))
+        return usable
 
     def _hand_on(self, parts: list[Samples]) -> None:
         state = self._state
