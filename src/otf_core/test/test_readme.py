@@ -50,6 +50,37 @@ def test_links_lead_somewhere(page):
         assert target.startswith('http') or (page.parent / target).exists(), target
 
 
+def anchors(page):
+    """Names that GitHub gives to the headings of a page."""
+    text = re.sub(r'```.*?```', '', page.read_text(encoding='utf-8'), flags=re.DOTALL)
+    heads = (
+        re.sub(r'\[([^]]*)\]\([^)]*\)', r'\1', h) for h in re.findall(r'^#+ (.*)$', text, re.M)
+    )
+    return {re.sub(r'[^\w -]', '', head.lower()).replace(' ', '-') for head in heads}
+
+
+@pytest.mark.parametrize('page', PAGES, ids=NAMES)
+def test_links_lead_to_headings(page):
+    for target, anchor in re.findall(
+        r'\]\(([^)#\s]*)#([^)]+)\)', page.read_text(encoding='utf-8')
+    ):
+        if not target.startswith('http') and (not target or target.endswith('.md')):
+            assert anchor in anchors(page.parent / target if target else page), (target, anchor)
+
+
+def test_quality_of_service_is_that_of_the_nodes():
+    source = (ROOT / 'src/otf_ros/otf_ros/qos.py').read_text(encoding='utf-8')
+    table = (ROOT / 'docs/conventions.md').read_text(encoding='utf-8')
+    made = re.findall(r'^([A-Z]+) = _profile\((\d+), DurabilityPolicy\.(\w+)(.*)\)', source, re.M)
+    assert len(made) >= 9
+    for name, depth, durability, rest in made:
+        (row,) = re.findall(rf'^\| `{name}` \|.*$', table, re.M)
+        _, _, _, depth_said, durability_said, _, _ = row.split('|')
+        assert depth_said.strip() == depth, name
+        effort = ', best effort' if 'BEST_EFFORT' in rest else ''
+        assert durability_said.strip() == durability.lower().replace('_', ' ') + effort, name
+
+
 @pytest.mark.parametrize('page', PAGES, ids=NAMES)
 def test_named_commands_exist(page):
     verbs = next(a for a in _parser()._actions if a.dest == 'verb').choices
