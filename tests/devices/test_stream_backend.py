@@ -258,6 +258,15 @@ def test_lines_of_text_between_points_are_no_trouble(make, tmp_path):
         assert said == {''} and backend.health.unreadable > 100
 
 
+def test_two_clocks_in_one_stream_are_said(make, tmp_path):
+    lines = [f'{k + 5000 * (k % 2)};10;20;30' for k in range(5000)]
+    with sender('tcp', CARTESIAN, lines=lines) as source:
+        backend = make(described(tmp_path, source=source.url, time='ms', stamp=0))
+        backend.connect()
+        backend.start()
+        until(lambda: 'do two sources send here' in backend.trouble)
+
+
 def test_points_whose_times_repeat_are_counted_and_said(make, tmp_path):
     with sender('tcp', CARTESIAN, lines=['1;10;20;30', '1;11;20;30', '2;12;20;30']) as source:
         backend = make(described(tmp_path, source=source.url))

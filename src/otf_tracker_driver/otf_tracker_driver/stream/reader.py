@@ -12,10 +12,11 @@ import numpy as np
 
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
-from otf_tracker_driver.clock.stamper import HostClock, Stamper
+from otf_tracker_driver.clock.stamper import REPEATED, HostClock, Stamper
 from otf_tracker_driver.health import Gap
 from otf_tracker_driver.stream.description import JSON, Description
 from otf_tracker_driver.stream.lines import (
+    LATEST,
     LONGEST,
     Lines,
     Unreadable,
@@ -34,7 +35,7 @@ SILENT_FOR = 3.0
 WRONG_FOR = 1.0
 """s; lines without a point are said to be wrong if no other has come for so long."""
 MANY, FEW = 100, 0.05
-"""If more than this share of so many points is left out, it is trouble."""
+"""If more than this share of so many points is left out, or goes back in time, it is trouble."""
 MOST_HELD = 100_000
 """Chunks that wait to be fetched; the oldest are lost beyond."""
 MOST_GAPS = 1000
@@ -69,6 +70,7 @@ class Reader:
         self._clock, self._stamper, self._lines = HostClock(), Stamper(), Lines()
         self._samples: deque[Samples] = deque(maxlen=MOST_HELD)
         self._last_ns = self._begun_points = self._begun_repeated = 0
+        self._back, self._stamp_before = 0, -int(LATEST)
         self._streams = self._wanted = self._told = 0
         self._ended = threading.Event()
         self.trouble = ''
@@ -191,6 +193,7 @@ class Reader:
         self._told = wanted
         self._stamper.restart()  # what waits belongs to the stream before
         self._begun_points, self._begun_repeated = self.points, self.repeated
+        self._back, self._stamp_before = 0, -int(LATEST)
         if wanted:
             self._tell(self._how.start)
         self._heard = self._last_point = time.monotonic()
@@ -249,8 +252,13 @@ class Reader:
     def _repeating(self) -> str:
         """Say that times repeat, or go back and forth; empty if they do not."""
         points, repeated = self.points - self._begun_points, self.repeated - self._begun_repeated
-        if points < MANY or repeated <= FEW * points:
+        if points < MANY or max(repeated, self._back) <= FEW * points:
             return ''
+        if self._back > FEW * points:
+            return (
+                f'{self._how.source}: times go back again and again; do two sources send here, '
+                f'or is stamp in the description another column?'
+            )
         return (
             f'{self._how.source}: points are left out, as their time is not later than that '
             f'before; check stamp and time in the description'
@@ -258,6 +266,9 @@ class Reader:
 
     def _stamp(self, stamps: np.ndarray, xyz: np.ndarray, arrival_ns: int) -> None:
         if self._how.stamp is not None:
+            steps = np.diff(stamps, prepend=self._stamp_before)
+            self._back += int(np.count_nonzero(steps < -REPEATED))
+            self._stamp_before = int(stamps[-1])
             self._hand_on(self._stamper.take(stamps, xyz, arrival_ns))
             return
         first = max(arrival_ns, self._last_ns + 1)
