@@ -155,6 +155,16 @@ def test_columns_may_be_separated_by_tabs(tmp_path, separator):
     assert read_point('7\t1000\t2000\t3000\tA b', how) == (7 * 10**9, (1.0, 2.0, 3.0))
 
 
+def test_decimal_commas_are_read_where_the_description_says_so(tmp_path):
+    how = read_description(described(tmp_path, decimal=','))
+    assert read_point('7,5;1000,5;-20;1e3', how) == (7_500_000_000, (1.0005, -0.02, 1.0))
+    for line in ('7;1.000,5;20;30', '7;1.5;20;30'):
+        with pytest.raises(Unreadable, match='column 1 is no number'):
+            read_point(line, how)
+    with pytest.raises(ConfigError, match="decimal: ',' separates the columns, too"):
+        read_description(described(tmp_path, decimal=',', separator=','))
+
+
 def test_recorded_stream_of_a_tracker_is_read(tmp_path):
     how = read_description(described(tmp_path, separator=',', columns={'x': 1, 'y': 2, 'z': 3}))
     lines = CART.read_text().splitlines()

@@ -22,11 +22,12 @@ HOST = 'host'
 CARTESIAN = ('x', 'y', 'z')
 SPHERICAL = ('azimuth', 'zenith', 'distance')
 TEXT, JSON = 'text', 'json'
+DECIMALS = ('.', ',')
 BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 SENSES = ('clockwise', 'counterclockwise')
 MOST_COLUMNS = 1000
 REQUIRED = ('source', 'format', 'columns', 'keys', 'length', 'stamp')
-OPTIONAL = ('time', 'separator', 'angle', 'azimuth_sense', 'peer', 'start', 'stop')
+OPTIONAL = ('time', 'separator', 'decimal', 'angle', 'azimuth_sense', 'peer', 'start', 'stop')
 Place = int | str
 """Number of a column, from 0; or key in JSON, points between keys that lie in each other."""
 
@@ -65,6 +66,8 @@ class Description:
         'text' or 'json'.
     separator : str
         Between columns; empty: any white space.
+    decimal : str
+        Of numbers in text: '.' or ','.
     point : tuple
         Places of x, y, z; or of azimuth, zenith and distance if ``spherical``.
     spherical : bool
@@ -85,6 +88,7 @@ class Description:
     source: Source
     format: str
     separator: str
+    decimal: str
     point: tuple[Place, Place, Place]
     spherical: bool
     clockwise: bool
@@ -109,6 +113,9 @@ def read_description(path: str | Path) -> Description:
     source = _source(top)
     kind = _choice(top, 'format', (TEXT, JSON))
     separator = _separator(top) if kind == TEXT and top.has('separator') else ''
+    decimal = _choice(top, 'decimal', DECIMALS) if kind == TEXT and top.has('decimal') else '.'
+    if decimal == separator:
+        top.fail('decimal', f'{shown(decimal)} separates the columns, too')
     columns = top.mapping('columns' if kind == TEXT else 'keys')
     spherical = not columns.has('x') and columns.has('azimuth')
     names = SPHERICAL if spherical else CARTESIAN
@@ -124,8 +131,8 @@ def read_description(path: str | Path) -> Description:
     top.done(known=(*REQUIRED, *OPTIONAL))
     point = first, second, third
     return Description(
-        source, kind, separator, point, spherical, clockwise, stamp, length, angle, time, peer,
-        start, stop,
+        source, kind, separator, decimal, point, spherical, clockwise, stamp, length, angle, time,
+        peer, start, stop,
     )  # fmt: skip
 
 

@@ -75,7 +75,7 @@ def read_point(line: str, how: Description) -> tuple[int | None, tuple[float, fl
     ------
     Unreadable
     """
-    values = _json(line) if how.format == JSON else _columns(line, how.separator)
+    values = _json(line) if how.format == JSON else _columns(line, how)
     first, second, third = (_number(_at(values, place), place) for place in how.point)
     if how.spherical:
         first, second, third = _cartesian(
@@ -89,8 +89,12 @@ def read_point(line: str, how: Description) -> tuple[int | None, tuple[float, fl
     return _stamp(_at(values, how.stamp), how), (x, y, z)
 
 
-def _columns(line: str, separator: str) -> list[str]:
-    return [part.strip() for part in line.split(separator or None)]
+def _columns(line: str, how: Description) -> list[str]:
+    parts = [part.strip() for part in line.split(how.separator or None)]
+    if how.decimal == '.':
+        return parts
+    # a point is none of theirs: it groups thousands, or the description is wrong
+    return [part.replace('.', '_.').replace(how.decimal, '.') for part in parts]
 
 
 def _json(line: str) -> object:
