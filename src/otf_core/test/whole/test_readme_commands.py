@@ -68,6 +68,21 @@ def test_diagnosis_of_the_block_names_what_its_comment_says(folder):
     assert [cause['effect'] for cause in gap['causes']] == ['backlash']
 
 
+@pytest.mark.parametrize('name', ['results/error_tables.json', 'diagnosis/gap.json'])
+def test_fields_of_the_results_are_those_of_the_conventions(folder, name):
+    page = (README.parent / 'docs' / 'conventions.md').read_text(encoding='utf-8')
+    section = page.split(f'### {Path(name).name}\n')[1]
+    said = json.loads(re.findall(r'```json\n(.*?)```', section, re.DOTALL)[0])
+    written = json.loads((folder / name).read_text())
+    assert set(said) == set(written)
+    for key in ('fit', 'runs', 'gap', 'causes', 'provenance'):
+        known, is_there = said.get(key), written.get(key)
+        if known and isinstance(known, list):
+            known, is_there = known[0], is_there[0]
+        if known and isinstance(known, dict):
+            assert set(known) == set(is_there), key
+
+
 def test_runs_of_the_block_are_of_one_machine(folder):
     truths = [load_tables(folder / run / 'truth_tables.json').tables for run in ('run1', 'run3')]
     for name, table in truths[0].motions.items():
