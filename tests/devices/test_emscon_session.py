@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tracker session against the emulator over real sockets, and against other servers."""
 
+import asyncio
 import contextlib
 import socket
 import threading
@@ -264,6 +265,19 @@ def test_actions_while_no_stream_is_wanted(make):
         take(backend, 100)
         with pytest.raises(OtfError, match='is measuring; stop it first'):
             thread.do(actions.bird_bath).result(5)
+
+
+@pytest.mark.parametrize('second', [(0.7 - 6e-6, 1.2 + 4e-6), (0.7 + np.pi, -1.2)])
+def test_angles_of_the_second_face_may_be_those_of_its_circles(second):
+    class Still:
+        seen = iter([(0.7 + 6e-6, 1.2 - 4e-6), (second[0] % (2 * np.pi), second[1] % (2 * np.pi))])
+
+        async def ask(self, command, *_):
+            return next(self.seen) if command == codes.Command.GET_DIRECTION else ()
+
+    found = asyncio.run(actions.two_face_check(Still()))
+    expected = (6e-6, -4e-6) if second[1] > 0 else (3e-6, -2e-6)
+    assert found == pytest.approx(expected, abs=1e-12)
 
 
 def test_connecting_is_given_up_when_the_process_is_asked_to_end(make):

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 
 from otf_tracker_driver.emscon import configure
 from otf_tracker_driver.emscon.codes import Command
+from otf_tracker_driver.emscon.commands import Value
 from otf_tracker_driver.emscon.link import Link
 
 SEARCH_DISTANCE = 3.0
@@ -56,5 +57,17 @@ async def two_face_check(link: Link) -> tuple[float, float]:
     await link.ask(Command.CHANGE_FACE)
     second = await link.ask(Command.GET_DIRECTION)
     await link.ask(Command.CHANGE_FACE)
-    horizontal, vertical = (float(a) - float(b) for a, b in zip(first, second, strict=True))
-    return math.remainder(horizontal, 2 * math.pi) / 2, vertical / 2
+    horizontal, vertical = (float(angle) for angle in second)
+    # a server may give the angles of the second face as its circles show them
+    readings = (horizontal, vertical), (horizontal + math.pi, -vertical)
+    apart = [_difference(first, reading) for reading in readings]
+    horizontal, vertical = min(apart, key=lambda pair: math.hypot(*pair))
+    return horizontal / 2, vertical / 2
+
+
+def _difference(first: Sequence[Value], second: Sequence[Value]) -> tuple[float, float]:
+    horizontal, vertical = (
+        math.remainder(float(a) - float(b), 2 * math.pi)
+        for a, b in zip(first, second, strict=True)
+    )
+    return horizontal, vertical
