@@ -184,8 +184,10 @@ def test_source_that_goes_away_is_connected_to_again(make, tmp_path):
         backend.connect()
         backend.start()
         take(backend, 200)
+        assert backend.health.connections == 1
         until(lambda: 'connecting again' in backend.trouble)
         take(backend, 200)
+        assert backend.health.connections >= 2
         assert backend.trouble == ''
 
 

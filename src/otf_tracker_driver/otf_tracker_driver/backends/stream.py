@@ -67,6 +67,7 @@ class Stream(Backend):
             by_host=by_host,
             left_out=left_out(reader.repeated),
             unreadable=reader.unreadable,
+            connections=reader.connections,
             interruptions=reader.interruptions,
             gaps=reader.gaps,
         )

@@ -59,8 +59,8 @@ class Reader:
     points, unreadable : int
         Lines that held a point, and lines that did not.
     connected : bool
-    interruptions : int
-        Times that the source was lost while it streamed.
+    connections, interruptions : int
+        Times that the source was opened, and lost while it streamed.
     gaps : tuple of Gap
         The latest of them that have ended.
     """
@@ -75,7 +75,7 @@ class Reader:
         self._ended = threading.Event()
         self.trouble = ''
         self.points = self.unreadable = self.interruptions = 0
-        self.connected = True
+        self.connected, self.connections = True, 1
         self.gaps: tuple[Gap, ...] = ()
         self._lost = self._owed = ''
         self._heard = self._last_point = 0.0
@@ -149,7 +149,7 @@ class Reader:
                     self.trouble = f'{error}; connecting again'
                     continue
                 self.trouble, pause = '', FIRST_PAUSE
-                self.connected = True
+                self.connected, self.connections = True, self.connections + 1
                 break
             else:
                 return
