@@ -162,26 +162,34 @@ def _rows(runs: Sequence[SolvedRun], first: Index, places: Index) -> Array:
 
 def _pairs(runs: Sequence[Observed], done: JointSolution) -> tuple[Index, Index, Index]:
     """Line and both pieces of every two passes that follow each other over the same place."""
-    keys = []
+    lines, cells, legs, straight = [], [], [], []
     for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
         direction, q = _without_sense(run.pieces.direction), solved.system.q
         along = np.einsum('pi,pi->p', q, direction)
         foot = q - along[:, None] * direction
-        straight = np.full((len(q), 1), len(run.pieces.bend) == 0)
-        if len(run.pieces.bend):
-            straight = np.linalg.norm(run.pieces.bend, axis=1, keepdims=True) < BENT
-        cell = np.floor(along / CELL)[:, None]
-        leg = np.column_stack([np.full(len(q), k), run.pieces.leg])
-        line = np.hstack([direction / SAME_DIRECTION, foot / SAME_LINE])
-        keys.append(np.hstack([straight, np.rint(line), cell, leg]))
-    every = np.concatenate(keys)
-    straight_ones = np.flatnonzero(every[:, 0])
-    every = every[straight_ones]
-    line = np.unique(every[:, 1:7], axis=0, return_inverse=True)[1].reshape(-1)
-    passes, piece = np.unique(np.column_stack([line, every[:, 7:]]), axis=0, return_index=True)
+        lines.append(np.rint(np.hstack([direction / SAME_DIRECTION, foot / SAME_LINE])))
+        cells.append(np.floor(along / CELL).astype(np.int64))
+        legs.append(np.column_stack([np.full(len(q), k), run.pieces.leg]))
+        bend = run.pieces.bend if len(run.pieces.bend) else np.zeros((len(q), 3))
+        straight.append(np.linalg.norm(bend, axis=1) < BENT)
+    use = np.flatnonzero(np.concatenate(straight))
+    if not len(use):
+        return use, use, use
+    line, cell = _numbered(np.concatenate(lines)[use]), np.concatenate(cells)[use]
+    run, leg = np.concatenate(legs)[use].T
+    order = np.lexsort([leg, run, cell, line])
+    passes = np.column_stack([line, cell, run, leg])[order]
+    first = np.append(True, np.any(passes[1:] != passes[:-1], axis=1))
+    passes, piece = passes[first], use[order[first]]
     again = np.all(passes[1:, :2] == passes[:-1, :2], axis=1)
-    one, other = straight_ones[piece[:-1][again]], straight_ones[piece[1:][again]]
-    return passes[1:, 0][again].astype(np.int64), one, other
+    return passes[1:, 0][again], piece[:-1][again], piece[1:][again]
+
+
+def _numbered(lines: Array) -> Index:
+    """Numbers (p,) of lines (p, 6), alike for those that are alike; neighbours mostly are."""
+    new = np.append(True, np.any(lines[1:] != lines[:-1], axis=1))
+    number = np.unique(lines[new], axis=0, return_inverse=True)[1].reshape(-1)
+    return np.asarray(number[np.cumsum(new) - 1])
 
 
 def _without_sense(direction: Array) -> Array:

@@ -74,6 +74,15 @@ def test_one_pass_tells_nothing():
     assert alone is None or alone.warning(1e-9) is None
 
 
+def test_curves_alone_tell_nothing():
+    solution = solve_recordings([recording(sag)], COARSE, mend=False).solution
+    bent = [
+        replace(r, pieces=replace(r.pieces, bend=np.ones((len(r.pieces), 3))))
+        for r in solution.runs
+    ]
+    assert unfollowed(bent, solution.done) is None
+
+
 @pytest.mark.parametrize(
     ('change', 'told'),
     [
