@@ -26,6 +26,7 @@ from otf_core.budget.freedom import coverage_factor
 from otf_core.model.limits import KEYS, UNCERTAINTY, VOLUMETRIC
 from otf_core.model.motions import SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
+from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.table_prior import MotionPrior
 from otf_core.prediction.volumetric import VolumetricError, table_places
 
@@ -148,10 +149,11 @@ def judge(
     if limits is None:
         return None
     volume = VolumetricError(tables, covariance, prior, hidden)
+    unseen = {*hidden, *((VOLUMETRIC, UNCERTAINTY) if _an_axis_stood(tables) else ())}
     judged = []
     for name, limit in limits.values.items():
         unit = KEYS[name][0]
-        if name in hidden:
+        if name in unseen:
             judged.append(Judged(name, unit, limit, 0.0, 0.0, UNKNOWN))
             continue
         if name == VOLUMETRIC:
@@ -162,6 +164,12 @@ def judge(
             value, wide = _span(name, tables, budget, prior)
         judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
     return Verdict(tuple(judged))
+
+
+def _an_axis_stood(tables: ErrorTables) -> bool:
+    """Tell whether an axis did not move: nothing at all is known of its motions."""
+    low, high = table_ranges(tables)
+    return bool(np.any(high <= low))
 
 
 def _expanded(budget: Budget, rows: Array) -> Array:

@@ -18,6 +18,7 @@ from otf_core.model.evaluation import lattice
 from otf_core.model.limits import KEYS, Limits
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.tables import MotionTable
 from otf_core.reports.calibration_facts import Facts
 
 GIVEN = {
@@ -169,6 +170,20 @@ def test_what_the_data_do_not_show_does_not_pass(calibrated):
     assert [one.state for one in found.judged] == ['not known', 'pass']
     assert not found.passed
     assert 'the data do not show it' in found.failures[0]
+
+
+def test_nothing_is_proven_of_a_volume_of_which_an_axis_stood(calibrated):
+    tables = calibrated.tables
+    still = {
+        m: MotionTable(t.position[:1], np.zeros(1), np.zeros(1), identifiable=False)
+        for m, t in tables.motions.items()
+        if m.axis == 'Z'
+    }
+    stood = replace(tables, motions={**tables.motions, **still})
+    limits = {'volumetric_error': 1e-2, 'uncertainty': 1e-2}
+    stood = replace(stood, machine=replace(stood.machine, limits=Limits(limits)))
+    found = judge(stood, calibrated.covariance, calibrated.budget, tuple(still), {})
+    assert [one.state for one in found.judged] == ['not known', 'not known']
 
 
 def test_without_limits_there_is_no_verdict(calibrated):
