@@ -90,14 +90,20 @@ def test_standstill_at_the_end_ends_a_run_whether_or_not_the_target_has_moved_on
     assert not session.complete()
 
 
-def test_calibration_that_is_asked_for_has_the_last_samples():
+def waiting_for_the_last(now):
+    """A session with 90 samples of a stream that has ended with 100."""
     config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
     session = Session(lambda: config, lambda text: None)
     session.collector.set_path(PATH)
-    now = time.monotonic()
     announce(session.collector, 'a', 0, 'STREAMING', now)
     add(session.collector, 90, now=now)
     announce(session.collector, 'a', 100, 'FINISHED', now)
+    return session
+
+
+def test_calibration_that_is_asked_for_has_the_last_samples():
+    now = time.monotonic()
+    session = waiting_for_the_last(now)
     assert session.calibrate()[0] and session.busy
     assert session.due() == '' and not session.calibrate()[0]
     add(session.collector, 10, start=90, now=now)
@@ -106,13 +112,8 @@ def test_calibration_that_is_asked_for_has_the_last_samples():
 
 
 def test_run_that_is_forgotten_while_its_last_samples_are_waited_for_is_not_calibrated():
-    config = CalibratorConfig(machine_file='none.yaml'), CalibrationConfig()
-    session = Session(lambda: config, lambda text: None)
-    session.collector.set_path(PATH)
     now = time.monotonic()
-    announce(session.collector, 'a', 0, 'STREAMING', now)
-    add(session.collector, 90, now=now)
-    announce(session.collector, 'a', 100, 'FINISHED', now)
+    session = waiting_for_the_last(now)
     assert session.calibrate()[0] and session.forget()[0]
     session.collector.announce('a', 90, False, True, now)
     assert 'was set aside' in session.due() and not session.busy

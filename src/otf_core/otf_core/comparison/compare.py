@@ -14,7 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.comparison.convention import Common, Source, common_ground, operator
+from otf_core.comparison.convention import (
+    Common,
+    Source,
+    common_ground,
+    operator,
+    vector_rows,
+)
 from otf_core.comparison.direct_csv import read_direct_csv
 from otf_core.errors import ConfigError
 from otf_core.model.direct_measurement import (
@@ -29,7 +35,6 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.driven_volume import table_ranges
-from otf_core.prediction.uncertainty import prediction_rows
 
 Array = NDArray[np.float64]
 
@@ -169,20 +174,6 @@ def _common_grid(sources: Sequence[Source]) -> Array:
     return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing='ij')], axis=1)
 
 
-def _field_rows(common: Common, q: Array) -> Array:
-    """Derivatives of the error vectors with respect to the common motions, shape (n, 3, m)."""
-    nodes = {m: common.position[m.axis] for m in common.motions}
-    padded: dict[str, Array] = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
-    rows = prediction_rows(common.machine, padded, q)
-    keep: list[int] = []
-    start = len(SQUARENESS)
-    for motion in MOTIONS:
-        if motion in nodes:
-            keep += range(start, start + len(padded[motion]))
-        start += len(padded[motion])
-    return rows[:, :, np.array(keep)]
-
-
 def _with_squareness(
     a: Source, b: Source, machine: Machine, q: Array
 ) -> tuple[float, float, float] | None:
@@ -222,7 +213,7 @@ def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
         )
         start = part.stop
     q = _common_grid((a, b)) if points is None else points
-    rows = _field_rows(common, q)
+    rows = vector_rows(common, q)[:, :, : -len(SQUARENESS)]
     flat = rows.reshape(-1, rows.shape[2])
     variance = np.einsum('ij,ij->i', flat @ (covariances[0] + covariances[1]), flat)
     volume = VolumeComparison(

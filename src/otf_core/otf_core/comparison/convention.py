@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import has_constant_lever, motion_influence
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.driven_volume import table_ranges
+from otf_core.prediction.uncertainty import prediction_rows
 
 Array = NDArray[np.float64]
 
@@ -189,3 +190,29 @@ def operator(source: Source, common: Common) -> Array:
                     add(name, lever.influence(name, position)[:, motion.along])
         blocks.append(_zeroed(motion, position, rows))
     return np.concatenate(blocks)
+
+
+def vector_rows(common: Common, q: Array) -> Array:
+    """From common motions at their positions, and squareness errors, to errors at positions.
+
+    Parameters
+    ----------
+    common : Common
+    q : ndarray, shape (n, 3), m
+
+    Returns
+    -------
+    ndarray, shape (n, 3, m + 3)
+        Derivatives by the m values of all motions, then by C0Y, B0Z, A0Z.
+    """
+    nodes = {m: common.position[m.axis] for m in common.motions}
+    padded: dict[str, Array] = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
+    rows = prediction_rows(common.machine, padded, q)
+    keep: list[int] = []
+    start = len(SQUARENESS)
+    for motion in MOTIONS:
+        if motion in nodes:
+            keep += range(start, start + len(padded[motion]))
+        start += len(padded[motion])
+    keep += range(len(SQUARENESS))
+    return np.asarray(rows[:, :, np.array(keep)])

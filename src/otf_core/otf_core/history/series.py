@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.comparison.compare import GRID, source_of_tables
-from otf_core.comparison.convention import Common, Source, common_ground, operator
+from otf_core.comparison.convention import (
+    Common,
+    Source,
+    common_ground,
+    operator,
+    vector_rows,
+)
 from otf_core.history.store import StoredRun
 from otf_core.model.evaluation import free_rows
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -95,7 +101,7 @@ class Series:
 
     def rows(self, q: Array) -> Array:
         """From a vector to the errors at positions (n, 3), m; shape (n, 3, m)."""
-        return _rows(self.common, q)
+        return vector_rows(self.common, q)
 
     def lengths(self, vector: Array) -> Array:
         """Lengths of the error vectors on the grid, shape (n,), m."""
@@ -124,20 +130,6 @@ def _ends(common: Common, axis: str) -> tuple[float, float]:
     return limits.min, limits.max
 
 
-def _rows(common: Common, q: Array) -> Array:
-    nodes = {m: common.position[m.axis] for m in common.motions}
-    padded: dict[str, Array] = {m: nodes.get(m, np.zeros(1)) for m in MOTIONS}
-    rows = prediction_rows(common.machine, padded, q)
-    keep: list[int] = []
-    start = len(SQUARENESS)
-    for motion in MOTIONS:
-        if motion in nodes:
-            keep += range(start, start + len(padded[motion]))
-        start += len(padded[motion])
-    keep += range(len(SQUARENESS))
-    return np.asarray(rows[:, :, np.array(keep)])
-
-
 def _to_common(source: Source, common: Common) -> Array:
     """From squareness and nodes of a source to the vector of a series, shape (m, 3 + nodes).
 
@@ -156,7 +148,7 @@ def _to_common(source: Source, common: Common) -> Array:
         if motion not in (*common.motions, *common.folded):
             own[:, start:stop] = 0.0
         start = stop
-    parts = _rows(common, q).reshape(3 * len(q), -1)
+    parts = vector_rows(common, q).reshape(3 * len(q), -1)
     left = own - parts[:, :-first] @ matrix
     angles = free_rows(parts[:, -first:], q)
     return np.vstack([matrix, np.linalg.lstsq(angles, free_rows(left, q), rcond=None)[0]])
