@@ -49,6 +49,9 @@ SHARP = 0.03
 gave up to 0.011, steps 0.07 and more."""
 MAX_STEPS = 5
 """Steps that are looked for in one run; as many are none: something changes all the time."""
+LEFT = 1.0 / 3.0
+"""Share of the sum of squares beyond noise that several steps may leave: moves leave none. What
+changes all the time, as a cycle does, is a step at many moments, and cuts do not end it."""
 MIN_PIECES = 60
 """Pieces on either side of a step."""
 
@@ -225,15 +228,20 @@ def settle_steps(
             break
         runs = [*model.runs[: step.run], *parts, *model.runs[step.run + 1 :]]
         model = Model.of(runs)
-    if len(found) == MAX_STEPS:
-        return whole, [_restless(name)]
+    if len(found) == MAX_STEPS or (len(found) > 1 and _leaves_much(model, whole)):
+        return whole, [_restless(name, len(found))]
     return model, found
 
 
-def _restless(name: str) -> Finding:
+def _leaves_much(parts: Model, whole: Model) -> bool:
+    left, before = (max(m.fit.ratio**2 - 1.0, 0.0) for m in (parts, whole))
+    return left > LEFT * before
+
+
+def _restless(name: str, count: int) -> Finding:
     """What is said where steps have no end: no single move explains the run."""
     return Finding('moved', WARNING, (
-        f'{name + ": " if name else ""}what the tables leave changes over time, at {MAX_STEPS} '
+        f'{name + ": " if name else ""}what the tables leave changes over time, at {count} '
         f'moments and more, as no single move of tracker or target does: an effect that the model '
         f'lacks; ./otf diagnose looks for it'
     ))  # fmt: skip

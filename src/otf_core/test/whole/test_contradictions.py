@@ -358,3 +358,22 @@ def test_steps_without_end_are_no_moves(monkeypatch):
     assert model is whole
     assert [f.check for f in findings] == ['moved']
     assert 'as no single move' in findings[0].words
+
+
+@pytest.mark.parametrize(('left', 'cut'), [(3.6, False), (2.0, True), (0.9, True)])
+def test_several_moves_leave_hardly_anything_or_are_none(monkeypatch, left, cut):
+    run = SimpleNamespace(recording=recorded(), name='', late=0.0)
+    whole = SimpleNamespace(runs=(run,), fit=SimpleNamespace(ratio=5.2))
+    step = moved.Step(0, 1.0, np.zeros(3), 1e-5, 0.0, 0.1)
+
+    def of(runs):
+        return SimpleNamespace(runs=tuple(runs), fit=SimpleNamespace(ratio=left))
+
+    monkeypatch.setattr(
+        moved, 'find_step', lambda model, k: step if k == 0 and len(model.runs) < 4 else None
+    )
+    monkeypatch.setattr(moved, 'split', lambda run, *_: (run, run))
+    monkeypatch.setattr(moved.Model, 'of', of)
+    model, findings = moved.settle_steps(whole, (), CalibrationConfig(), mend=True)
+    assert (len(model.runs), len(findings)) == ((4, 3) if cut else (1, 1))
+    assert cut or 'at 3 moments and more, as no single move' in findings[0].words
