@@ -47,8 +47,8 @@ ENOUGH = 400
 FEWEST = 12
 """Lines that were driven more than once below which nothing is told."""
 SURE = 3.0
-"""Standard deviations, by the scatter between lines, from which on it is told. Of runs that lack
-nothing this was 2.6 at most in 48."""
+"""Standard deviations, by the scatter between lines, from which on it is told. Of runs
+of which nothing comes again this was 2.6 at most in 48."""
 SHARE = 0.5
 """Of the uncertainty of the grid, below which it changes that by less than an eighth."""
 SAME = 0.5

@@ -206,7 +206,7 @@ class Search:
         self.places: dict[str, slice] = {}
         self.priors: dict[str, CoefficientPrior] = {}
         for name, span, end in zip(accepted, spans, ends, strict=True):
-            if name in MOTIONS:
+            if name in MOTIONS and span.stop > span.start:  # two nodes leave no straightness
                 motion = ErrorMotion.of(name)
                 self.places[name] = slice(end - (span.stop - span.start), end)
                 self.priors[name] = CoefficientPrior(motion, unknowns.bases[motion.axis])
