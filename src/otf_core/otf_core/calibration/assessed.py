@@ -15,7 +15,7 @@ from otf_core.aside import Aside
 from otf_core.budget.budget import EFFECTS, Budget, make_budget, whole_check, with_source
 from otf_core.budget.noise import noise_parts
 from otf_core.budget.typical import TypicalSystematic, typical_pulls, typical_systematic
-from otf_core.calibration.passes import Unfollowed, unfollowed
+from otf_core.calibration.passes import unfollowed
 from otf_core.calibration.result import Fit, RunResult
 from otf_core.config import CalibrationConfig
 from otf_core.effects.stated import TakenOff
@@ -49,10 +49,8 @@ class Assessed:
     tables : ErrorTables
         With their uncertainties.
     typical : TypicalSystematic, optional
-    grid_u : float
-        m; mean uncertainty of the error vector in the driven volume.
-    unfollowed : Unfollowed, optional
-        What the tables leave in every pass over a line.
+    lack_of_fit : str, optional
+        Words on what the tables leave in every pass over a line, where it matters.
     """
 
     done: JointSolution
@@ -63,8 +61,7 @@ class Assessed:
     table: Tabulation
     tables: ErrorTables
     typical: TypicalSystematic | None
-    grid_u: float
-    unfollowed: Unfollowed | None
+    lack_of_fit: str | None
 
 
 def assess(
@@ -104,7 +101,8 @@ def _assessed(
     pulls = pulling.result()
     typical = typical_systematic(runs, done, tables, table.rows, budget.covariance, pulls)
     again = unfollowed(runs, done)
-    return Assessed(done, results, budget, whole, fit, table, tables, typical, grid_u, again)
+    lack = again.warning(grid_u) if again is not None else None
+    return Assessed(done, results, budget, whole, fit, table, tables, typical, lack)
 
 
 def _run_result(run: Run, solved: SolvedRun, config: CalibrationConfig) -> RunResult:

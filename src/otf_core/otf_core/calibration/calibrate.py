@@ -141,11 +141,6 @@ def calibrate_runs(
         return assemble(solution, config, assessed=assessed if as_expected else None)
 
 
-def _lack_of_fit(found: Assessed) -> list[str]:
-    words = found.unfollowed.warning(found.grid_u) if found.unfollowed is not None else None
-    return [] if words is None else [words]
-
-
 def _failed_gates(fit: Fit) -> tuple[str, ...]:
     failed = []
     if fit.coverage < MIN_COVERAGE:
@@ -211,7 +206,7 @@ def assemble(
             *typical_warnings(found.typical),
             *words_of(remarks, WARNING),
             *_warnings(found.fit, tables, config.unidentifiable_above),
-            *_lack_of_fit(found),
+            *filter(None, [found.lack_of_fit]),
             *mixture_warnings([r.machine for r in runs], hidden),
             *(r.alignment.remark for r in runs if r.alignment.remark),
             *curve_remarks(runs, done),

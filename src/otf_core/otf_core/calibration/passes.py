@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.pieces.observed import Observed
-from otf_core.solving.joint import JointSolution, SolvedRun
+from otf_core.solving.joint import JointSolution
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -111,17 +111,13 @@ def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | No
     if any(run.pieces.standstill for run in runs):
         return None
     across = [np.einsum('cp,cpi->pi', s.residual, s.system.axes) for s in done.runs]
-    first = np.cumsum([0, *(len(v) for v in across)])
     residual = np.concatenate(across)
-    line, one, other = _pairs(runs, done)
-    alike = np.searchsorted(first, one, side='right') == np.searchsorted(
-        first, other, side='right'
-    )
+    line, one, other, alike = _pairs(runs, done)
 
     def told(which: NDArray[np.bool_]) -> Unfollowed | None:
         if not which.any():
             return None
-        return _told(line[which], one[which], other[which], residual, first, done)
+        return _told(line[which], one[which], other[which], residual, done)
 
     within, between = told(alike), told(~alike)
     if between is None or between.lines < FEWEST:
@@ -132,12 +128,12 @@ def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | No
 
 
 def _told(
-    line: Index, one: Index, other: Index, residual: Array, first: Index, done: JointSolution
+    line: Index, one: Index, other: Index, residual: Array, done: JointSolution
 ) -> Unfollowed:
     """Mean product of pairs of pieces, given by their lines and places through all runs."""
     product = np.einsum('pi,pi->p', residual[one], residual[other])
     some = np.unique(np.linspace(0, len(one) - 1, ENOUGH).astype(np.int64))
-    rows = [_rows(done.runs, first, of[some]) for of in (one, other)]
+    rows = [_rows(done, of[some]) for of in (one, other)]
     taken = np.einsum('pik,kl,pil->p', rows[0], done.solution.covariance, rows[1], optimize=True)
     total, count = np.bincount(line, product), np.bincount(line)
     total, count = total[count > 0], count[count > 0]
@@ -146,22 +142,28 @@ def _told(
     return Unfollowed(mean + float(taken.mean()), scatter, len(count))
 
 
-def _rows(runs: Sequence[SolvedRun], first: Index, places: Index) -> Array:
+def _rows(done: JointSolution, places: Index) -> Array:
     """Derivatives (m, 3, full) across the path of pieces, counted through all runs."""
-    found: Array | None = None
-    for k, run in enumerate(runs):
-        own = (places >= first[k]) & (places < first[k + 1])
-        piece = places[own] - first[k]
-        rows = np.einsum('cpi,cpk->pik', run.system.axes[:, piece], run.system.rows.dense(piece))
-        if found is None:
-            found = np.zeros((len(places), *rows.shape[1:]))
-        found[own] = rows
-    assert found is not None
+    found = np.zeros((len(places), 3, done.unknowns.full))
+    first = 0
+    for run in done.runs:
+        end = first + len(run.system.q)
+        own = (places >= first) & (places < end)
+        piece = places[own] - first
+        found[own] = np.einsum(
+            'cpi,cpk->pik', run.system.axes[:, piece], run.system.rows.dense(piece)
+        )
+        first = end
     return found
 
 
-def _pairs(runs: Sequence[Observed], done: JointSolution) -> tuple[Index, Index, Index]:
-    """Line and both pieces of every two passes that follow each other over the same place."""
+def _pairs(
+    runs: Sequence[Observed], done: JointSolution
+) -> tuple[Index, Index, Index, NDArray[np.bool_]]:
+    """Line and both pieces of every two passes that follow each other over the same place.
+
+    And whether both are of one run.
+    """
     lines, cells, legs, straight = [], [], [], []
     for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
         direction, q = _without_sense(run.pieces.direction), solved.system.q
@@ -174,7 +176,7 @@ def _pairs(runs: Sequence[Observed], done: JointSolution) -> tuple[Index, Index,
         straight.append(np.linalg.norm(bend, axis=1) < BENT)
     use = np.flatnonzero(np.concatenate(straight))
     if not len(use):
-        return use, use, use
+        return use, use, use, np.zeros(0, dtype=bool)
     line, cell = _numbered(np.concatenate(lines)[use]), np.concatenate(cells)[use]
     run, leg = np.concatenate(legs)[use].T
     order = np.lexsort([leg, run, cell, line])
@@ -182,7 +184,8 @@ def _pairs(runs: Sequence[Observed], done: JointSolution) -> tuple[Index, Index,
     first = np.append(True, np.any(passes[1:] != passes[:-1], axis=1))
     passes, piece = passes[first], use[order[first]]
     again = np.all(passes[1:, :2] == passes[:-1, :2], axis=1)
-    return passes[1:, 0][again], piece[:-1][again], piece[1:][again]
+    alike = passes[1:, 2] == passes[:-1, 2]
+    return passes[1:, 0][again], piece[:-1][again], piece[1:][again], alike[again]
 
 
 def _numbered(lines: Array) -> Index:

@@ -120,7 +120,7 @@ def _check(model: Model, run: Run, config: CalibrationConfig) -> Finding | None:
     name = f'{run.recording.name}: ' if run.recording.name else ''
     above = max(ratios) > ABOVE
     raster = rounded_to(run.recording.samples) if above else 0.0
-    if max(level * _lever(run.recording.samples)) < raster:
+    if raster and max(level * _lever(run.recording.samples)) < raster:
         return Finding('rounded', WARNING, (
             f'{name}coordinates are rounded to {1e6 * raster:g} um, more than the noise of the '
             f'tracker; record or export more digits'

@@ -125,10 +125,11 @@ def line_terms(
     -------
     mapping of pair to LineTerm
     """
+    means = {j: others_at_their_means(tables, j) for j in {j for _, j in pairs}}
     terms = {}
     for i, j in pairs:
-        mean, at = others_at_their_means(tables, j), positions[j]
-        error = displacement(mean, middle_line(tables, j, at))[:, i]
+        at = positions[j]
+        error = displacement(means[j], middle_line(tables, j, at))[:, i]
         # zero in the table as the control reads it, also where the reference lies between nodes
         zero = np.interp(reference_position(tables, j), at, error)
         terms[i, j] = LineTerm(at, error - zero)
