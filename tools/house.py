@@ -9,8 +9,8 @@ Usage: python3 tools/house.py docs/images/house.svg
 
 from __future__ import annotations
 
+import argparse
 import ast
-import sys
 from pathlib import Path
 
 CORE = Path(__file__).resolve().parents[1] / 'src/otf_core/otf_core'
@@ -96,4 +96,6 @@ def picture() -> str:
 
 
 if __name__ == '__main__':
-    Path(sys.argv[1]).write_text(picture(), encoding='utf-8')
+    parser = argparse.ArgumentParser(description='Draw which packages of otf_core import which.')
+    parser.add_argument('svg', type=Path, help='file to write')
+    parser.parse_args().svg.write_text(picture(), encoding='utf-8')

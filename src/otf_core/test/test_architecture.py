@@ -3,8 +3,10 @@
 
 import ast
 import re
+import subprocess
 from pathlib import Path
 
+import pytest
 from source_trees import ROOT, package
 
 ROS = {'rclpy', 'ament_index_python', 'tf2_ros', 'launch', 'launch_ros'}
@@ -13,6 +15,13 @@ SIMULATING = ('sim', 'blind', 'validation', 'loop')
 COMMAND_LINE = 'cli'
 PUBLIC = 'api'
 """Hands the twin to the diagnosis, as the command line does."""
+
+
+EXPECTED_IN_ROOT = {
+    '.ci', '.github', '.gitignore', 'CHANGELOG.md', 'CITATION.cff', 'CONTRIBUTING.md', 'LICENSE',
+    'README.md', 'bags', 'bench', 'docs', 'examples', 'mkdocs.yml', 'otf', 'pyproject.toml',
+    'requirements', 'src', 'tests', 'tools',
+}  # fmt: skip
 
 
 def offenders(wrong):
@@ -109,14 +118,14 @@ def test_all_that_is_public_is_described():
     )  # fmt: skip
 
 
-def test_no_module_is_longer_than_400_lines():
-    assert not offenders(lambda file, _: len(file.read_text().splitlines()) > 400)
+def test_no_module_is_longer_than_800_lines():
+    assert not offenders(lambda file, _: len(file.read_text().splitlines()) > 800)
 
 
 def test_tests_are_no_longer_than_that_either_and_bear_names_of_their_own():
     here = Path(__file__).parent
     files = [f for folder in (here, here.parents[2] / 'tests') for f in folder.rglob('*.py')]
-    assert not [f.name for f in files if len(f.read_text().splitlines()) > 400]
+    assert not [f.name for f in files if len(f.read_text().splitlines()) > 800]
     names = [f.name for f in files if f.name.startswith('test_')]
     assert len(names) == len(set(names)) > 100, 'one call of pytest collects them all'
 
@@ -130,6 +139,15 @@ def test_no_function_is_longer_than_60_lines_without_its_docstring():
         lambda _, tree: [f'{n.name}: {length(n)} lines' for n in definitions(tree)
                          if not isinstance(n, ast.ClassDef) and length(n) > 60]
     )  # fmt: skip
+
+
+def test_the_root_of_the_repository_holds_what_is_expected_there():
+    root = Path(__file__).parents[3]
+    if not (root / '.git').exists():
+        pytest.skip('no clone: what git tracks cannot be listed')
+    listed = subprocess.run(['git', 'ls-files', '-z'], cwd=root, capture_output=True, check=True)
+    names = {name.partition('/')[0] for name in listed.stdout.decode().split('\0') if name}
+    assert names <= EXPECTED_IN_ROOT, f'not expected in the root: {names - EXPECTED_IN_ROOT}'
 
 
 def test_no_error_is_swallowed():
