@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of a blind trial in README.md and docs/diagnosis.md, as the commands wrote them.
+"""Tables of a blind trial in docs/blind-trial.md and docs/diagnosis.md, as commands wrote them.
 
 ``python3 tools/blind_table.py TRIAL LEAVE_ONE_OUT`` takes the folders of ``./otf blind`` with and
 without ``--leave-one-out`` and puts their tables between the marks, and the reliability diagram
@@ -13,8 +13,9 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = {ROOT / 'README.md': 'readme.md', ROOT / 'docs' / 'diagnosis.md': 'particulars.md'}
-DIAGRAM, IMAGES = 'reliability.svg', ROOT / 'docs' / 'images'
+DOCS = ROOT / 'docs'
+PAGES = {DOCS / 'blind-trial.md': 'table.md', DOCS / 'diagnosis.md': 'particulars.md'}
+DIAGRAM, IMAGES = 'reliability.svg', DOCS / 'images'
 MARKS = ('blind trial', 'leave one out')
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter tables of the README, from the fields that also declare the parameters of the nodes.
+"""Parameter tables of docs/parameters.md, from the fields that declare the parameters of nodes.
 
-``python3 tools/parameter_table.py`` puts them between the marks in README.md; a test compares.
+``python3 tools/parameter_table.py`` puts them between the marks; a test compares.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-README = ROOT / 'README.md'
+PAGE = ROOT / 'docs' / 'parameters.md'
 BEGIN = '<!-- parameters: made by python3 tools/parameter_table.py -->'
 END = '<!-- end of parameters -->'
 FOLDERS = (
@@ -78,4 +78,4 @@ def with_tables(text: str) -> str:
 
 
 if __name__ == '__main__':
-    README.write_text(with_tables(README.read_text(encoding='utf-8')), encoding='utf-8')
+    PAGE.write_text(with_tables(PAGE.read_text(encoding='utf-8')), encoding='utf-8')

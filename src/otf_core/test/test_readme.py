@@ -26,8 +26,12 @@ def parameter_table(monkeypatch):
 
 
 def test_parameter_tables_are_those_of_the_software(parameter_table):
-    text = PAGES[0].read_text(encoding='utf-8')
+    text = parameter_table.PAGE.read_text(encoding='utf-8')
     assert parameter_table.with_tables(text) == text, 'run python3 tools/parameter_table.py'
+
+
+def test_readme_is_read_in_two_minutes():
+    assert len(PAGES[0].read_text(encoding='utf-8').splitlines()) <= 150
 
 
 def test_tables_of_a_blind_trial_find_their_marks(monkeypatch):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fragments of Markdown for README and docs; ``tools/blind_table.py`` puts them there."""
+"""Fragments of Markdown for the docs; ``tools/blind_table.py`` puts them there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from otf_core.blind.table import Table, as_markdown
 from otf_core.files.json_file import read_json
 from otf_core.fleet.fleet import STATE
 
-README, PARTICULARS, DIAGRAM = 'readme.md', 'particulars.md', 'reliability.svg'
+TABLE, PARTICULARS, DIAGRAM = 'table.md', 'particulars.md', 'reliability.svg'
 
 
 @dataclass(frozen=True)

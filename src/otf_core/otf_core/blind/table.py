@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of a blind trial: as text for the terminal, as Markdown for README and docs.
+"""Tables of a blind trial: as text for the terminal, as Markdown for the docs.
 
 Both come from the same rows, so nothing is published that a command did not write.
 """

@@ -14,7 +14,7 @@ from otf_core.blind.counts import reliability
 from otf_core.blind.depends import kin_of
 from otf_core.blind.diagram import reliability_svg
 from otf_core.blind.outcome import NOISE, Outcome, outcome
-from otf_core.blind.publish import DIAGRAM, PARTICULARS, README, Measured, fragment
+from otf_core.blind.publish import DIAGRAM, PARTICULARS, TABLE, Measured, fragment
 from otf_core.blind.recovery import Recovery, recovery_from
 from otf_core.blind.score import score_to_dict, stated
 from otf_core.blind.seal import KEY, SEAL, Entry, open_key, orders, seal, sealed
@@ -104,18 +104,18 @@ def _publish(
     *,
     leave_one_out: bool = False,
 ) -> None:
-    """Write score.json, and the tables as README and docs hold them."""
+    """Write score.json, and the tables as the docs hold them."""
     block = provenance('blind', files={'key': folder / KEY})
     write_text(folder / 'score.json', json.dumps({**data, 'provenance': block}, indent=1))
     measured = Measured.of(folder, open_key(folder), block['written'][:10], leave_one_out)
-    write_text(folder / README, fragment(measured, main))
+    write_text(folder / TABLE, fragment(measured, main))
     picture = '' if leave_one_out else f'\n![Reliability diagram](images/{DIAGRAM})\n'
     write_text(folder / PARTICULARS, fragment(measured, rest) + picture)
 
 
 def list_files(folder: Path) -> None:
     """Write the manifest of a trial, whole or interrupted: of what it writes, nothing else."""
-    parts = ('cells', WHOLE, FIRST, WITHOUT, STATE, KEY, SEAL, README, PARTICULARS, DIAGRAM,
+    parts = ('cells', WHOLE, FIRST, WITHOUT, STATE, KEY, SEAL, TABLE, PARTICULARS, DIAGRAM,
              'score.json', 'score.txt', fleet.FILE)  # fmt: skip
     files = [f for f in written_files(folder) if f.relative_to(folder).parts[0] in parts]
     if files:
