@@ -16,7 +16,7 @@ from otf_core.fleet.job import JobResult
 from otf_core.fleet.listed import listed_results
 from otf_core.model.motions import SQUARENESS
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Section, Table
+from otf_core.reports.section import Section, State, Table
 
 Row = list[str]
 
@@ -102,18 +102,19 @@ def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> st
     sections = [
         Section('fleet', '', tuple(shared)),
         Section(
-            'runs', 'Side by side', tables=(Table(columns, tuple(map(tuple, rows)), numbers),)
+            'runs',
+            'Side by side',
+            tables=(Table(columns, tuple(map(tuple, rows)), numbers, stacked=True),),
         ),
     ]
     if failed:
-        table = Table(('run', 'exit', 'message'), failed, (1,))
+        table = Table(('run', 'exit', 'message'), failed, (1,), stacked=True)
         sections.insert(1, Section('failed', 'Failed', tables=(table,)))
     heading = Heading(
         f'Fleet: otf {verb}',
-        'some failed' if failed else 'all done',
         f'{len(rows)} of {len(outcomes)} runs done, {len(failed)} failed, {gates} with a quality '
         f'gate that failed.',
-        'bad' if failed else 'good',
+        (State('some failed', 'bad') if failed else State('all done', 'good'),),
     )
     return page_html(heading, sections)
 

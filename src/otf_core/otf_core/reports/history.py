@@ -19,7 +19,7 @@ from otf_core.model.motions import unit_of
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Picture, Section, Table
+from otf_core.reports.section import Picture, Section, State, Table
 
 SCHEMA = 'otf-history/1'
 FILE, PAGE = 'history.json', 'history.html'
@@ -233,9 +233,8 @@ def history_page(histories: Sequence[History]) -> str:
     sentence = f'{", ".join(moving)} drift' if moving else 'No machine drifts beyond chance.'
     heading = Heading(
         f'History of {len(histories)} machine{"s" if len(histories) > 1 else ""}',
-        'drift' if moving else 'steady',
         sentence if not moving else f'Beyond chance: {sentence}.',
-        'open' if moving else 'good',
+        (State('drift', 'open') if moving else State('steady', 'good'),),
     )
     sections = [Section('top', ''), *(s for h in histories for s in _sections(h))]
     return page_html(heading, sections)

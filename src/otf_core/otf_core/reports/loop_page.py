@@ -14,7 +14,7 @@ from typing import Any
 from otf_core.calibration.result import CalibrationResult
 from otf_core.model.path import NominalPath
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Section, Table
+from otf_core.reports.section import Section, State, Table
 
 STANDARD = 'ISO/TR 16907:2015'
 REPRESENTED = {
@@ -172,10 +172,9 @@ def loop_page(
     )
     heading = Heading(
         f'Compensation of {result.tables.machine.name} by {way}',
-        'quality gate failed' if gates else fall,
         '; '.join(gates)
         or 'Volumetric error on lines that were not fitted, before and after the compensation.',
-        'bad' if gates else 'good',
+        (State('quality gate failed', 'bad') if gates else State(fall, 'good'),),
         tiles,
     )
     sections = [Section('loop', ''), _determination(result, path), *_compensation(way, files)]

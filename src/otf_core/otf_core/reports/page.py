@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
-from otf_core.reports.drawing.style import STYLE
+from otf_core.reports.drawing.style import STYLE, running_head
 from otf_core.reports.drawing.typography import text
-from otf_core.reports.section import Cell, Picture, Section, Table
+from otf_core.reports.section import Cell, Picture, Section, State, Table
 
+LONG = 400
+"""Letters of a section's words from which they stand in two columns."""
 COLUMNS = {1: '', 2: ' two', 3: ' three'}
 
 
@@ -21,21 +24,21 @@ class Heading:
     ----------
     title : str
         What the page is, and of what.
-    badge : str
-        The verdict in a word or two.
-    mood : str
-        Class of the badge: 'good', 'bad', 'open' or none.
     sentence : str
         The verdict.
+    badges : tuple of State
+        The verdict in a word or two; one badge for each question that is answered.
     tiles : tuple of (what, value, remark)
         The numbers that count.
+    running : str
+        Head of every printed page: machine, run, date; the title if empty.
     """
 
     title: str
-    badge: str
     sentence: str
-    mood: str = ''
+    badges: tuple[State, ...] = ()
     tiles: tuple[tuple[str, str, str], ...] = ()
+    running: str = ''
 
 
 def _cell(cell: Cell, number: bool, head: str = '') -> str:
@@ -43,6 +46,8 @@ def _cell(cell: Cell, number: bool, head: str = '') -> str:
     kind = (' class="number"' if number else '') + (f' data-head="{text(head)}"' if head else '')
     if isinstance(cell, str):
         return f'<td{kind}>{text(cell)}</td>'
+    if isinstance(cell, State):
+        return f'<td{kind}><b class="{cell.mood}">{text(cell.words)}</b></td>'
     first, *rest = cell
     more = ''.join(f'<div class="soft">{text(line)}</div>' for line in rest)
     return f'<td{kind}>{f"<b>{text(first)}</b>" if first else ""}{more}</td>'
@@ -54,7 +59,8 @@ def _table(table: Table) -> str:
         f'<th class="number">{text(h)}</th>' if k in right else f'<th>{text(h)}</th>'
         for k, h in enumerate(table.head)
     )
-    cards = any(not isinstance(cell, str) for row in table.rows for cell in row)
+    several = any(isinstance(cell, tuple) for row in table.rows for cell in row)
+    cards = table.stacked or several
     heads = table.head if cards else ('',) * len(table.head)
     rows = ''.join(
         f'<tr>{"".join(_cell(c, k in right, heads[k]) for k, c in enumerate(row))}</tr>'
@@ -79,11 +85,29 @@ def _picture(picture: Picture) -> str:
     )
 
 
+def _tables(tables: Sequence[Table]) -> str:
+    """Tables one below the other; those without heads beside each other where there is room."""
+    parts = []
+    for bare, group in groupby(tables, key=lambda t: not any(t.head) and not t.folded):
+        found = ''.join(map(_table, group))
+        parts.append(f'<div class="sheet">{found}</div>' if bare else found)
+    return ''.join(parts)
+
+
+def _words(lines: Sequence[str]) -> str:
+    """Paragraphs; many of them stand in two columns where the page is wide."""
+    if not lines:
+        return ''
+    many = len(lines) > 1 and sum(map(len, lines)) > LONG
+    kind = 'words many' if many else 'words'
+    return f'<div class="{kind}">{"".join(f"<p>{text(line)}</p>" for line in lines)}</div>'
+
+
 def _section(section: Section) -> str:
     title = f'<h2>{text(section.title)}</h2>' if section.title else ''
-    words = ''.join(f'<p>{text(line)}</p>' for line in section.words)
+    words = _words(section.words)
     pictures = ''.join(map(_picture, section.draw()))
-    tables = ''.join(map(_table, section.tables))
+    tables = _tables(section.tables)
     return f'<section id="{text(section.name)}">{title}{words}{pictures}{tables}</section>'
 
 
@@ -96,14 +120,17 @@ def page_html(heading: Heading, sections: Sequence[Section]) -> str:
         f'<div class="tile"><span>{text(a)}</span><b>{text(b)}</b><span>{text(c)}</span></div>'
         for a, b, c in heading.tiles
     )
-    mood = f' {heading.mood}' if heading.mood else ''
+    badges = ''.join(
+        f'<span class="badge {badge.mood}">{text(badge.words)}</span>' for badge in heading.badges
+    )
+    style = STYLE + running_head(heading.running or heading.title)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<title>{text(heading.title)}</title><style>{STYLE}</style></head><body><main>\n'
-        f'<h1>{text(heading.title)}<span class="badge{mood}">{text(heading.badge)}</span></h1>'
+        f'<title>{text(heading.title)}</title><style>{style}</style></head><body><main>\n'
+        f'<h1>{text(heading.title)} <span class="badges">{badges}</span></h1>'
         f'<p class="verdict">{text(heading.sentence)}</p>\n'
-        f'<div class="tiles">{tiles}</div>\n'
+        + (f'<div class="tiles">{tiles}</div>\n' if tiles else '')
         + '\n'.join(map(_section, first))
         + f'\n<nav aria-label="sections">{named}</nav>\n'
         + '\n'.join(map(_section, rest))

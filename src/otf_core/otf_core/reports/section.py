@@ -7,7 +7,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-Cell = str | tuple[str, ...]
+
+@dataclass(frozen=True)
+class State:
+    """A state in words, in the colour of its mood: 'good', 'bad', 'open' or none."""
+
+    words: str
+    mood: str = ''
+
+
+Cell = str | tuple[str, ...] | State
 """Plain text; of several lines the first is set off from the rest."""
 
 
@@ -24,6 +33,8 @@ class Table:
     title : str
     folded : str
         Not empty: shown on request, under these words.
+    stacked : bool
+        On a phone the cells of a row stand one below the other, each after its head.
     """
 
     head: tuple[str, ...]
@@ -31,6 +42,7 @@ class Table:
     numbers: tuple[int, ...] = ()
     title: str = ''
     folded: str = ''
+    stacked: bool = False
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ import numpy as np
 from otf_core.budget.typical import typical_warnings
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.circumstances import measured
 from otf_core.reports.page import Heading
 from otf_core.reports.quantities import listed, micro, place
-from otf_core.reports.section import Section
+from otf_core.reports.section import Section, State
 
 WORST = 3
 """Motions that are named as the largest contributors."""
@@ -86,22 +87,28 @@ def heading(facts: Facts) -> Heading:
         + (', as far as u is stated.' if facts.typical else '.')
     )
     verdict = result.verdict
-    badge, mood = 'no limits stated', ''
+    badge = State('no limits stated')
     if verdict and verdict.passed:
-        badge, mood = 'pass', 'good'
+        badge = State('pass', 'good')
     elif verdict:
-        badge, mood = 'fail', 'bad'
+        badge = State('fail', 'bad')
     if own_gates(facts):
-        badge, mood = 'quality gate failed', 'bad'
+        badge = State('quality gate failed', 'bad')
     if verdict:
         sentence = f'{verdict.sentence[:1].upper()}{verdict.sentence[1:]}. {sentence}'
     return Heading(
         f'Calibration of {machine.name}, chain {machine.chain}',
-        badge,
         sentence,
-        mood,
+        (badge,),
         _tiles(facts),
+        running_words(facts),
     )
+
+
+def running_words(facts: Facts) -> str:
+    """Head of printed pages: machine, run, date."""
+    date = measured(facts.result.origin) or f'written {facts.provenance["written"]}'
+    return f'{facts.machine.name}, run {facts.result.run_id}, {date}'
 
 
 def own_gates(facts: Facts) -> list[str]:

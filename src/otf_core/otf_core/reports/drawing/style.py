@@ -47,18 +47,21 @@ STYLE = (
     + """
 * { box-sizing: border-box; }
 html { -webkit-text-size-adjust: 100%; }
-body { margin: 0 auto; max-width: 68rem; padding: 1.5rem; background: var(--paper);
+body { margin: 0 auto; max-width: 78rem; padding: 1.2rem 1.5rem; background: var(--paper);
   color: var(--ink); font: 16px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; }
 h1 { font-size: 1.05rem; font-weight: 600; margin: 0; color: var(--soft); }
 h2 { font-size: 1.2rem; margin: 2rem 0 0.5rem; border-top: 1px solid var(--line);
   padding-top: 1rem; }
 h3 { font-size: 1rem; margin: 1.2rem 0 0.2rem; }
-p { margin: 0.4rem 0; max-width: 52rem; overflow-wrap: anywhere; }
+p { margin: 0.4rem 0; overflow-wrap: anywhere; }
+@media screen and (min-width: 900px) { .words.many { columns: 2; column-gap: 2.5rem; }
+  .words.many p { break-inside: avoid; } .words.many p:first-child { margin-top: 0; } }
 nav { font-size: 0.9rem; margin: 1rem 0; } nav a { color: var(--soft); margin-right: 0.9rem;
   white-space: nowrap; display: inline-block; }
 .verdict { font-size: 1.5rem; line-height: 1.3; margin: 0.4rem 0 1rem; font-weight: 600; }
 .badge { display: inline-block; padding: 0.1rem 0.6rem; border-radius: 1rem; font-size: 0.85rem;
-  font-weight: 600; border: 1px solid currentColor; margin-left: 0.5rem; }
+  font-weight: 600; border: 1px solid currentColor; margin: 0 0.5rem 0.2rem 0; }
+.badges { margin-left: 0.5rem; }
 .good { color: var(--good); } .bad { color: var(--bad); } .open { color: var(--open); }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(13rem, 1fr)); gap: 0.8rem;
   margin: 1rem 0; }
@@ -72,7 +75,11 @@ nav { font-size: 0.9rem; margin: 1rem 0; } nav a { color: var(--soft); margin-ri
   align-items: center; max-width: 46rem; }
 .fill { position: absolute; inset: 0 auto 0 0; }
 .range { position: absolute; top: 0.55rem; height: 0.2rem; background: var(--ink); }
-.scroll { overflow-x: auto; }
+.scroll { overflow-x: auto; background:
+  linear-gradient(90deg, var(--paper) 40%, transparent) 0 0 / 2.5rem 100% no-repeat local,
+  linear-gradient(270deg, var(--paper) 40%, transparent) 100% 0 / 2.5rem 100% no-repeat local,
+  linear-gradient(90deg, var(--line), transparent) 0 0 / 0.9rem 100% no-repeat scroll,
+  linear-gradient(270deg, var(--line), transparent) 100% 0 / 0.9rem 100% no-repeat scroll; }
 table { border-collapse: collapse; width: 100%; margin: 0.5rem 0; }
 caption { text-align: left; font-weight: 600; padding: 0.4rem 0 0.1rem; }
 th, td { text-align: left; vertical-align: top; padding: 0.35rem 0.8rem 0.35rem 0;
@@ -81,6 +88,7 @@ th { font-weight: 600; color: var(--soft); font-size: 0.85rem; }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 td.number { white-space: nowrap; }
 td > b { font-weight: 600; }
+.sheet { columns: 28rem 2; column-gap: 2.5rem; } .sheet > * { break-inside: avoid; }
 .pictures { display: grid; gap: 0.6rem 1rem; }
 @media screen and (min-width: 620px) { .pictures.two, .pictures.three {
   grid-template-columns: 1fr 1fr; } }
@@ -92,9 +100,9 @@ svg { width: 100%; height: auto; color: var(--ink); display: block; }
   margin-right: 0.35em; } .key.stroke { width: 2px; height: 1.1em; background: var(--ink);
   vertical-align: middle; }
 figure { margin: 1rem 0; break-inside: avoid; }
-figcaption { font-size: 0.9rem; color: var(--soft); margin-top: 0.2rem; max-width: 52rem; }
+figcaption { font-size: 0.9rem; color: var(--soft); margin-top: 0.2rem; }
 details summary { cursor: pointer; color: var(--soft); }
-li { margin: 0.25rem 0; max-width: 52rem; overflow-wrap: anywhere; }
+li { margin: 0.25rem 0; overflow-wrap: anywhere; }
 @media (max-width: 520px) { body { padding: 1rem 0.8rem; } .verdict { font-size: 1.2rem; }
   th, td { padding-right: 0.5rem; font-size: 0.9rem; }
   td.number { white-space: normal; } .facts td { overflow-wrap: anywhere; }
@@ -102,14 +110,34 @@ li { margin: 0.25rem 0; max-width: 52rem; overflow-wrap: anywhere; }
   border-bottom: 1px solid var(--line); } .cards td { display: block; border: none;
   padding: 0.1rem 0; text-align: left; } .cards td[data-head]::before { font-size: 0.8rem;
   content: attr(data-head) ": "; color: var(--soft); } }
-@page { size: A4; margin: 14mm; }
-@media print { body { max-width: none; padding: 0; font-size: 10pt; } nav, .screen {
-  display: none; } h2 { margin-top: 1rem; padding-top: 0.5rem; }
-  h2, h3, caption { break-after: avoid; } tr { break-inside: avoid; }
-  .scroll { overflow: visible; } thead { display: table-header-group;
-  break-after: avoid; } details:not([open]) { display: none; }
-  tbody tr:first-child { break-before: avoid; } figure svg { max-height: 13cm; }
+@media print { body { max-width: none; padding: 0; font-size: 10pt; } nav, .screen,
+  .screen-only { display: none; } h2 { margin-top: 1rem; padding-top: 0.5rem; }
+  h2, h3, caption { break-after: avoid; } tr, li { break-inside: avoid; }
+  .verdict { font-size: 14pt; } .tile b { font-size: 14pt; } .tiles { margin: 0.5rem 0; }
+  th, td { padding-top: 0.2rem; padding-bottom: 0.2rem; }
+  .scroll { overflow: visible; background: none; } thead { display: table-header-group;
+  break-after: avoid; } details:not([open]) { display: none; } p { orphans: 3; widows: 3; }
+  tbody tr:first-child, tbody tr:nth-child(2), tbody tr:nth-child(3) { break-before: avoid; }
+  tbody tr:nth-last-child(-n+2) { break-before: avoid; } .facts { break-inside: avoid; }
+  figure { margin: 0.5rem 0; } figure svg { max-height: 13cm; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 )
 """The whole page."""
+
+
+def running_head(words: str) -> str:
+    """Rules that print words at the head, and the number of the page at the foot, of each page.
+
+    Parameters
+    ----------
+    words : str
+        Machine, run, date.
+    """
+    quoted = ''.join(c if c.isalnum() or c in ' .,:;-+/()' else f'\\{ord(c):x} ' for c in words)
+    box = 'font: 8pt system-ui, "DejaVu Sans", sans-serif; color: #59636e;'
+    return (
+        '@page { size: A4; margin: 16mm 14mm 14mm; '
+        f'@top-left {{ content: "{quoted}"; {box} }} '
+        f'@bottom-right {{ content: counter(page) " / " counter(pages); {box} }} }}\n'
+    )

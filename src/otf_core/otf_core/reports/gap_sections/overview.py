@@ -11,7 +11,7 @@ from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.gap_words import VERDICTS
 from otf_core.reports.page import Heading
 from otf_core.reports.quantities import listed
-from otf_core.reports.section import Picture, Section
+from otf_core.reports.section import Picture, Section, State
 
 TITLE = 'Gap between run and simulation'
 MOODS = {'none': 'good', 'explained': 'good', 'partly_explained': 'open', 'unknown': 'bad'}
@@ -32,8 +32,8 @@ def heading(diagnosis: Diagnosis) -> Heading:
              f'smaller by {gap.shrink_percent:.0f} % (95 % interval {low:.0f} to {high:.0f})')
         )  # fmt: skip
     title = f'{TITLE} · {listed(diagnosis.runs)}'
-    badge = VERDICTS.get(verdict, verdict)
-    return Heading(title, badge, diagnosis.sentence, MOODS.get(verdict, ''), tuple(tiles))
+    badge = State(VERDICTS.get(verdict, verdict), MOODS.get(verdict, ''))
+    return Heading(title, diagnosis.sentence, (badge,), tuple(tiles))
 
 
 def section(diagnosis: Diagnosis) -> Section:
