@@ -74,7 +74,7 @@ def checks(seed: int, steady: int, drifts: tuple[float, ...], each: int):
         recording = Recording(
             simulate(machine, short, again, changed).samples, short.path, machine
         )
-        yield size, 1e6 * uncertainty(history.series), interim_check(recording, history.series)
+        yield size, 1e6 * uncertainty(history.series, -1), interim_check(recording, history.series)
 
 
 def interval(hits: int, of: int) -> str:

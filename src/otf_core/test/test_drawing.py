@@ -3,6 +3,7 @@
 
 import re
 import xml.etree.ElementTree as ET
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_step
 from otf_core.reports.drawing.panel import Panel, arrow_path
-from otf_core.reports.drawing.scale import Scale, around, decades
+from otf_core.reports.drawing.scale import Scale, around, dates, decades
 from otf_core.reports.drawing.scene import Label, Strokes, box, scene
 from otf_core.reports.drawing.sheet import write_sheet
 from otf_core.reports.drawing.style import MARKS, STYLE
@@ -54,6 +55,23 @@ def test_scales_hold_their_values_and_single_ones():
     assert around([2.0, 2.0], '').place(2.0) == pytest.approx(0.5)
     scale = around([0.0, 4.0, np.nan], '', zero=True)
     assert scale.low == 0.0 and scale.high > 4.0
+
+
+@pytest.mark.parametrize(('days', 'shown', 'label'), [
+    (0.2, ['09:00', '12:00'], '2026-11-20'),
+    (6.0, ['11-22', '11-24', '11-26'], '2026, month-day'),
+    (95.0, ['2026-12', '2027-01', '2027-02'], 'month'),
+    (1461.0, ['2027', '2028', '2029', '2030', '2031'], 'year'),
+    (9000.0, ['2030', '2035', '2040', '2045', '2050'], 'year'),
+])  # fmt: skip
+def test_dates_are_marked_where_years_months_or_days_begin(days, shown, label):
+    first = datetime(2026, 11, 20, 8, tzinfo=timezone.utc)
+    scale = dates(first, first + timedelta(days=days))
+    assert [said for _, said in scale.ticks] == shown and scale.label == label
+    assert all(scale.low <= value <= scale.high for value, _ in scale.ticks)
+    moment = first + timedelta(days=scale.ticks[0][0])
+    assert moment.strftime({'year': '%m-%d %H', 'month': '%d %H'}.get(label, '%M')) in (
+        '01-01 00', '01 00', '00')  # fmt: skip
 
 
 def test_classes_of_colours_reach_the_largest_value():

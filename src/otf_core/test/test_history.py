@@ -16,7 +16,7 @@ from otf_core.bags.bag import BagContent, write_bag
 from otf_core.errors import ConfigError, InputError
 from otf_core.history.interim_check import interim_check
 from otf_core.history.interim_path import interim_path
-from otf_core.history.judged import history_of
+from otf_core.history.judged import Standing, history_of
 from otf_core.history.series import series_of
 from otf_core.history.store import add_event, add_run, read_store
 from otf_core.model.evaluation import mean_length, without_rigid_motion
@@ -25,7 +25,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import load_tables, tables_from_dict
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.history import format_history
+from otf_core.reports.history import format_history, history_page, history_to_dict
 
 START = datetime(2026, 1, 1, tzinfo=timezone.utc)
 
@@ -169,8 +169,18 @@ def test_a_steady_machine_shows_no_drift(found, tmp_path):
     changed = [name for h in judged for step in h.steps for name in step.changed]
     tests = sum(len(step.motions) for h in judged for step in h.steps)
     assert len(changed) <= 0.02 * tests
-    steady = next(h for h in judged if not h.drift.significant)
+    steady = next(h for h in judged if h.standing is Standing.STEADY)
     assert steady.due.days is None and steady.due.earliest > 0
+
+
+def test_what_is_left_about_a_line_that_is_there_is_as_likely_as_stated(found, tmp_path):
+    lines = [history(tmp_path / f'{s}', found, [3e-6 * k for k in range(5)], s)
+             for s in range(11, 31)]  # fmt: skip
+    p = np.array([value for h in lines for value in h.drift.p_line.values()])
+    assert len(p) == 340
+    # uniform between 0 and 1: mean 0.500 +/- 0.016, 5 % +/- 1.2 % of them below 5 %
+    assert abs(np.mean(p) - 0.5) < 0.05 and 0.015 < np.mean(p < 0.05) < 0.085
+    assert sum(bool(h.drift.bent) for h in lines) <= 1
 
 
 def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
@@ -186,6 +196,96 @@ def test_a_drift_is_named_and_its_due_date_is_that_of_its_rate(found, tmp_path):
     assert h.drift.volume == pytest.approx(rate, rel=0.1)
     assert h.due.earliest < limit / rate < h.due.latest
     assert h.due.earliest < h.due.days < h.due.latest
+    assert h.standing is Standing.DRIFT and not h.drift.bent and not h.due.withheld
+
+
+def head_of(*histories):
+    """Badge, its class and sentence of a page."""
+    found = re.search(
+        r'class="badge (\w+)">(.*?)</span>.*?class="verdict">(.*?)</p>',
+        history_page(histories), re.S,
+    )  # fmt: skip
+    return found.groups()
+
+
+def test_a_machine_of_which_one_run_follows_an_event_is_not_called_steady(found, tmp_path):
+    for file in written(tmp_path, found, [0.0, 6e-6, 1.2e-5, 2e-5, 3.5e-5], 21, days=365.0):
+        add_run(tmp_path / 'store', file)
+    add_event(tmp_path / 'store', 'X scale replaced', '2029-06-01')
+    store = read_store(tmp_path / 'store')
+    h = history_of(store, store.machines[0])
+    assert h.standing is Standing.CHANGED and h.drift is None and h.due is None
+    mood, badge, sentence = head_of(h)
+    assert (mood, badge) == ('open', 'changed')
+    assert 'EXX by' in sentence and 'after X scale replaced (2029-06-01)' in sentence
+    assert 'cannot be judged yet' in sentence
+    assert not re.search('steady', history_page([h]), re.I)
+
+
+def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(found, tmp_path):
+    for file in written(tmp_path, found, [0.0, 0.0], 22):
+        add_run(tmp_path / 'store', file)
+    alone = history_of(read_store(tmp_path / 'store'), 'small')
+    assert alone.standing is Standing.STEADY
+    add_event(tmp_path / 'store', 'new spindle', '2026-01-15')
+    h = history_of(read_store(tmp_path / 'store'), 'small')
+    assert h.standing is Standing.UNJUDGED and 'cannot be judged yet' in format_history(h)
+    add_event(tmp_path / 'store', 'collision', '2026-02-15')
+    h = history_of(read_store(tmp_path / 'store'), 'small')
+    assert h.standing is Standing.UNJUDGED and h.due is None
+    assert 'collision (2026-02-15), and no run since' in head_of(h)[2]
+    assert [e['followed'] for e in history_to_dict(h)['events']] == [True, False]
+
+
+def test_one_run_alone_is_not_judged(found, tmp_path):
+    h = history(tmp_path, found, [0.0], 23)
+    assert h.standing is Standing.UNJUDGED and head_of(h)[0] == 'open'
+    assert 'one run' in head_of(h)[2]
+
+
+def test_two_runs_that_differ_are_a_change_and_no_drift(found, tmp_path):
+    h = history(tmp_path, found, [0.0, 1e-5], 24)
+    assert h.standing is Standing.CHANGED and 'cannot tell a drift from a jump' in head_of(h)[2]
+    assert 'if it goes on evenly' in format_history(h)
+
+
+def test_a_drift_that_speeds_up_has_no_date_and_a_pace_of_its_last_step(found, tmp_path):
+    limit = 2e-5
+    h = history(tmp_path, found, [0.0, 1e-6, 2e-6, 3.5e-6, 1.2e-5], 25, limit)
+    assert h.standing is Standing.BENT and 'EXX' in h.drift.bent
+    assert h.due.days is None and h.due.latest is None and h.due.withheld
+    # no later than by the last step alone, and that is far sooner than by the line
+    assert h.due.earliest <= limit / h.last.volume < 0.6 * limit / h.drift.volume
+    assert 'times as fast as before' in head_of(h)[2] and head_of(h)[0] == 'open'
+    shown = history_to_dict(h)['next_calibration']
+    assert shown['at'] is None and 'straight line' in shown['withheld']
+    assert 'no date' in format_history(h)
+
+
+def test_charts_have_dates_events_and_the_reference_and_no_line_across_an_event(found, tmp_path):
+    for file in written(tmp_path, found, [0.0, 6e-6, 1.2e-5, 3e-5], 26, days=365.0):
+        add_run(tmp_path / 'store', file)
+    add_event(tmp_path / 'store', 'moved', '2027-06-01')
+    h = history_of(read_store(tmp_path / 'store'), 'small')
+    pictures = re.findall(r'<svg.*?</svg>', history_page([h]), re.S)
+    for picture in pictures:
+        texts = re.findall(r'<text[^>]*>(.*?)</text>', picture)
+        assert {'2027', '2028'} <= set(texts) and 'days' not in texts
+        assert picture.count('<rect class="line ink"') == 1
+        assert picture.count('class="line open dash"') == 1
+        lines = re.findall(r'class="line after" d="(.*?)"', picture)
+        assert [d.count('M') + d.count('L') for d in lines] == [2, 2]
+    # what is charted is the change since the first run, also after the event
+    assert [c.size > 5e-6 for c in (m['EXX'] for m in h.chart)][2:] == [True, True]
+
+
+def test_several_machines_share_a_page_that_is_no_better_than_the_worst(found, tmp_path):
+    steady = history(tmp_path / 'a', found, [0.0, 0.0], 22)
+    alone = history(tmp_path / 'b', found, [0.0], 23)
+    assert head_of(steady)[:2] == ('good', 'steady')
+    mood, badge, sentence = head_of(steady, alone)
+    assert (mood, badge) == ('open', 'not judged')
+    assert sentence == 'steady: small; not judged: small.'
 
 
 def test_after_an_event_drift_begins_anew_and_what_changed_is_said(found, tmp_path):

@@ -3,7 +3,8 @@
 
 d' C^+ d of a difference d with covariance C (JCGM 102) is chi-square distributed with rank(C)
 degrees of freedom if nothing has changed. Contributions that both runs share, such as the scale
-of one tracker, are counted twice in C: the test errs to the side of no change.
+of one tracker, are counted twice in C: the test errs to the side of no change. Motions that are
+looked at together share one probability of a false alarm (Bonferroni).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from otf_core.history.series import Series
 Array = NDArray[np.float64]
 
 LEVEL = 0.0027
-"""Probability of a false alarm of a control chart with limits of three sigma."""
+"""Probability of a false alarm, all motions together: limits of three sigma of a control chart."""
 SMALLEST = 1e-9
 """Relative size of singular values that count as zero."""
 
@@ -36,16 +37,19 @@ class Change:
         The same, if nothing has changed: of the standard uncertainties.
     p : float
         Probability of a difference as large or larger, if nothing has changed.
+    tests : int
+        Differences that are looked at together with this one.
     """
 
     size: float
     expected: float
     p: float
+    tests: int = 1
 
     @property
     def significant(self) -> bool:
         """Tell whether it is beyond the limits of a control chart."""
-        return self.p < LEVEL
+        return self.p < LEVEL / self.tests
 
 
 def chi_square(difference: Array, covariance: Array) -> tuple[float, int]:
@@ -64,29 +68,32 @@ def probability(chi2: float, dof: int) -> float:
     return float(chdtrc(dof, chi2)) if dof else 1.0
 
 
-def change_of(difference: Array, covariance: Array) -> Change:
+def change_of(difference: Array, covariance: Array, tests: int = 1) -> Change:
     """Judge a difference by its covariance."""
     variance = np.diag(covariance)
     known = variance > 1e-30
     if not known.any():
-        return Change(0.0, 0.0, 1.0)
+        return Change(0.0, 0.0, 1.0, tests)
     part = np.ix_(known, known)
     chi2, dof = chi_square(difference[known], covariance[part])
     return Change(
         math.sqrt(float(np.mean(difference[known] ** 2))),
         math.sqrt(float(np.mean(variance[known]))),
         probability(chi2, dof),
+        tests,
     )
 
 
 def changes(series: Series, a: int, b: int) -> dict[str, Change]:
     """What changed from run a to run b, by motion and squareness error."""
     difference = series.values[b] - series.values[a]
-    covariance = series.covariances[a] + series.covariances[b]
-    return {
-        name: change_of(difference[part], covariance[part, part])
-        for name, part in series.parts.items()
-    }
+    return by_motion(series, difference, series.covariances[a] + series.covariances[b])
+
+
+def by_motion(series: Series, difference: Array, covariance: Array) -> dict[str, Change]:
+    """Judge a difference of vectors of a series, motion by motion."""
+    parts = series.parts
+    return {n: change_of(difference[p], covariance[p, p], len(parts)) for n, p in parts.items()}
 
 
 def volume_change(series: Series, a: int, b: int) -> Change:

@@ -1,16 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The history of one machine: control chart, what changed when, drift, next calibration."""
+"""The history of one machine: control chart, what changed when, drift, next calibration.
+
+A machine is steady only where that was judged: at least two runs since the last event, no change
+beyond chance between them, no drift, and none of them before an event that no run has followed.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.history.change import Change, changes, volume_change
 from otf_core.history.drift import Drift, Due, drift_of, due
 from otf_core.history.series import Series, series_of
 from otf_core.history.store import Store, StoredEvent
+
+Array = NDArray[np.float64]
+
+
+class Standing(Enum):
+    """What is known of a machine; the value is said of it."""
+
+    STEADY = 'steady'
+    DRIFT = 'drift'
+    BENT = 'not linear'
+    CHANGED = 'changed'
+    UNJUDGED = 'not judged'
 
 
 @dataclass(frozen=True)
@@ -38,6 +56,11 @@ class Step:
         found = [name for name, change in self.motions.items() if change.significant]
         return sorted(found, key=lambda n: -self.motions[n].size / self.motions[n].expected)
 
+    @property
+    def significant(self) -> bool:
+        """Tell whether anything changed beyond chance, one motion or all together."""
+        return self.volume.significant or bool(self.changed)
+
 
 @dataclass(frozen=True)
 class History:
@@ -48,25 +71,58 @@ class History:
     machine : str
     series : Series
     chart : tuple of mapping
-        For every run the change of each motion since the reference.
+        For every run the change of each motion since the first run.
     volume : tuple of Change
         The same over the volume.
+    error : ndarray, shape (r,), m
+        Mean length of the errors over the volume by every run, best rigid motion taken out.
+    u_error : ndarray, shape (r,), m
+        Mean standard uncertainty of these errors.
     steps : tuple of Step
+    events : tuple of StoredEvent
+        From the first run on.
     reference : int
-        First run since the last event.
+        First run since the last event that a run followed.
     drift : Drift, optional
         Since then; None from fewer than two runs.
+    last : Drift, optional
+        Of the last step alone, if no event lies in it.
     due : Due, optional
+        None without a drift, and where an event has no run after it.
     """
 
     machine: str
     series: Series
     chart: tuple[dict[str, Change], ...]
     volume: tuple[Change, ...]
+    error: Array
+    u_error: Array
     steps: tuple[Step, ...]
+    events: tuple[StoredEvent, ...]
     reference: int
     drift: Drift | None
+    last: Drift | None
     due: Due | None
+
+    @property
+    def open_events(self) -> tuple[StoredEvent, ...]:
+        """Events that no run has followed: what they changed is not known."""
+        return tuple(e for e in self.events if e.at > self.series.runs[-1].at)
+
+    @property
+    def standing(self) -> Standing:
+        """What is known of the machine now."""
+        if self.open_events or len(self.series.runs) < 2:
+            return Standing.UNJUDGED
+        if self.drift is None:
+            return Standing.CHANGED if self.steps[-1].significant else Standing.UNJUDGED
+        if self.drift.bent:
+            return Standing.BENT
+        if self.drift.runs > 2 and self.drift.significant:
+            return Standing.DRIFT
+        if any(s.significant for s in self.steps[self.reference :]):
+            return Standing.CHANGED
+        return Standing.STEADY
 
 
 def _between(store: Store, series: Series, run: int) -> tuple[StoredEvent, ...]:
@@ -75,10 +131,10 @@ def _between(store: Store, series: Series, run: int) -> tuple[StoredEvent, ...]:
     return tuple(e for e in store.events if low < e.at <= high)
 
 
-def uncertainty(series: Series) -> float:
-    """Mean standard uncertainty of the latest tables over the grid, m."""
+def uncertainty(series: Series, run: int) -> float:
+    """Mean standard uncertainty of the tables of a run over the grid, m."""
     rows = series.field_rows
-    variance = np.einsum('ij,ij->i', rows @ series.covariances[-1], rows)
+    variance = np.einsum('ij,ij->i', rows @ series.covariances[run], rows)
     return float(np.mean(np.sqrt(np.maximum(variance.reshape(-1, 3).sum(axis=1), 0.0))))
 
 
@@ -102,16 +158,24 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
         for k in range(1, count)
     )  # fmt: skip
     reference = max((s.after for s in steps if s.events), default=0)
-    later = series.since(reference)
-    drift = drift_of(later)
-    allowed = 2.0 * uncertainty(series) if limit is None else limit
+    drift = drift_of(series.since(reference))
+    last = None if drift is None else drift_of(series.since(count - 2)) or drift
+    error = np.array([series.lengths(v).mean() for v in series.values])
+    u_error = np.array([uncertainty(series, k) for k in range(count)])
+    allowed = 2.0 * float(u_error[-1]) if limit is None else limit
+    events = tuple(e for e in own.events if e.at > series.runs[0].at)
+    open_ = any(e.at > series.runs[-1].at for e in events)
     return History(
         machine,
         series,
-        tuple(changes(series, reference, k) for k in range(count)),
-        tuple(volume_change(series, reference, k) for k in range(count)),
+        tuple(changes(series, 0, k) for k in range(count)),
+        tuple(volume_change(series, 0, k) for k in range(count)),
+        error,
+        u_error,
         steps,
+        events,
         reference,
         drift,
-        None if drift is None else due(drift, allowed),
+        last,
+        None if drift is None or last is None or open_ else due(drift, last, allowed),
     )

@@ -82,10 +82,11 @@ class Series:
             unseen = [m for m in self.common.folded if not tables.motions[m].identifiable]
             if unseen and not np.allclose(tables.machine.target_offset, offset, atol=NEAR):
                 words.append(
-                    f'{run.name} was measured with the target offset '
-                    f'{_metres(tables.machine.target_offset)}, the latest run with '
-                    f'{_metres(offset)}: {", ".join(unseen)}, which it did not see, act there as '
-                    f'other translations; what seems to have changed may be the target alone'
+                    f'the run {run.name} of {run.at:%Y-%m-%d} was measured with the target '
+                    f'offset {_millimetres(tables.machine.target_offset)}, the latest run with '
+                    f'{_millimetres(offset)}: {", ".join(unseen)}, which it did not see, act '
+                    f'there as other translations; what seems to have changed may be the target '
+                    f'alone'
                 )
         return words
 
@@ -114,8 +115,8 @@ class Series:
         )
 
 
-def _metres(offset: Array) -> str:
-    return f'({", ".join(f"{v:.3f}" for v in offset)}) m'
+def _millimetres(offset: Array) -> str:
+    return f'({", ".join(f"{1e3 * v:.1f}" for v in offset)}) mm'
 
 
 def _grid(common: Common) -> Array:

@@ -6,31 +6,59 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.files.writing import write_text
 from otf_core.history.change import Change
-from otf_core.history.judged import History, Step
-from otf_core.history.series import DAY
+from otf_core.history.drift import FACTOR, Due
+from otf_core.history.judged import History, Standing, Step
+from otf_core.history.store import StoredEvent
 from otf_core.model.motions import unit_of
 from otf_core.reports.drawing.panel import Panel
-from otf_core.reports.drawing.scale import Scale, around
+from otf_core.reports.drawing.scale import around, dates
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Picture, Section, State, Table
+from otf_core.reports.quantities import micro_unit, quantity
+from otf_core.reports.section import Cell, Picture, Section, State, Table
+
+Array = NDArray[np.float64]
 
 SCHEMA = 'otf-history/1'
 FILE, PAGE = 'history.json', 'history.html'
+FASTER = 1.5
+"""A pace that departs from another by less than this factor is not worth a word."""
 NAMED = 6
 """Motions named in a line."""
-MONTH = 30.0
-"""days; rates are stated per month."""
+MONTH, YEAR = 30.0, 365.25
+"""days; rates are stated per year where the runs span one, else per month."""
+BADGE = {Standing.STEADY: 'good'}
+"""Classes of badges; all other states are open questions."""
 
 
 def _day(at: datetime) -> str:
-    return at.strftime('%Y-%m-%d %H:%M')
+    return at.strftime('%Y-%m-%d')
+
+
+def _moment(at: datetime) -> str:
+    return at.strftime('%Y-%m-%d %H:%M' if (at.hour, at.minute) != (0, 0) else '%Y-%m-%d')
+
+
+def _period(history: History) -> tuple[float, str]:
+    """Days of which rates are stated, and their name."""
+    return (YEAR, 'a year') if history.series.days[-1] >= YEAR else (MONTH, 'in 30 days')
+
+
+def _probability(p: float) -> str:
+    return 'p < 0.001' if p < 0.001 else f'p = {p:.2g}'
+
+
+def _pair(value: float, u: float, times: float = 1.0) -> str:
+    """Value and expanded uncertainty (95 %) with two digits of it, um."""
+    return quantity(times * value, 0.5 * FACTOR * times * u, 'm')
 
 
 def _change(change: Change) -> dict[str, Any]:
@@ -48,11 +76,15 @@ def history_to_dict(history: History) -> dict[str, Any]:
     drift, due = history.drift, history.due
     return {
         'machine': history.machine,
+        'state': history.standing.value,
+        'sentence': state_words(history),
         'runs': [
             {
                 'name': run.name,
                 'at': run.at.isoformat(),
-                'since_reference': _change(history.volume[k]),
+                'volumetric_error': float(history.error[k]),
+                'u_volumetric_error': float(history.u_error[k]),
+                'since_first': _change(history.volume[k]),
                 'motions': {n: _change(c) for n, c in history.chart[k].items()},
             }
             for k, run in enumerate(runs)
@@ -66,6 +98,10 @@ def history_to_dict(history: History) -> dict[str, Any]:
             }
             for step in history.steps
         ],
+        'events': [
+            {'at': e.at.isoformat(), 'words': e.words, 'followed': e not in history.open_events}
+            for e in history.events
+        ],
         'reference': runs[history.reference].name,
         'warnings': history.series.warnings,
         'drift': None
@@ -75,7 +111,10 @@ def history_to_dict(history: History) -> dict[str, Any]:
             'u_volume_per_day': drift.u_volume,
             'significant': drift.significant,
             'p': drift.p,
+            'runs': drift.runs,
             'birge': drift.birge,
+            'p_line': drift.p_line,
+            'not_linear': drift.bent,
             'motions_per_day': {n: _change(c) for n, c in drift.motions.items()},
         },
         'next_calibration': None
@@ -86,6 +125,7 @@ def history_to_dict(history: History) -> dict[str, Any]:
             'not_before': _after(history, due.earliest),
             'not_after': None if due.latest is None else _after(history, due.latest),
             'confidence': 0.95,
+            'withheld': due.withheld or None,
         },
     }
 
@@ -113,131 +153,305 @@ def _sized(name: str, change: Change, times: float = 1.0) -> str:
     return f'{name} {scale * change.size:.2f} {unit} (expected {scale * change.expected:.2f})'
 
 
+def _most(names: Sequence[str]) -> str:
+    """Names, the first ones only."""
+    more = f' and {len(names) - NAMED} more' if len(names) > NAMED else ''
+    return ', '.join(names[:NAMED]) + more
+
+
+def _events(events: Sequence[StoredEvent]) -> str:
+    return '; '.join(f'{e.words} ({_day(e.at)})' for e in events)
+
+
 def _step_words(history: History, step: Step) -> str:
     run = history.series.runs[step.after]
-    events = f' after {"; ".join(e.words for e in step.events)}' if step.events else ''
-    names = step.changed
-    what = ', '.join(_sized(n, step.motions[n]) for n in names[:NAMED])
-    more = f' and {len(names) - NAMED} more' if len(names) > NAMED else ''
+    events = f' after {_events(step.events)}' if step.events else ''
+    what = _most([_sized(n, step.motions[n]) for n in step.changed])
     return (
-        f'{_day(run.at)} {run.name}{events}: volume {1e6 * step.volume.size:.2f} um '
-        f'(expected {1e6 * step.volume.expected:.2f}); '
-        + (f'changed: {what}{more}' if names else 'no motion changed significantly')
+        f'{_moment(run.at)} {run.name}{events}: changed by {1e6 * step.volume.size:.2f} um in the '
+        f'volume (expected without change {1e6 * step.volume.expected:.2f}); '
+        + (f'changed: {what}' if what else _unnamed(step))
     )
+
+
+def _unnamed(step: Step) -> str:
+    """What is said where no motion changed significantly."""
+    return 'no single motion, all together did' if step.significant else 'no motion beyond chance'
+
+
+def _last_change(history: History) -> str:
+    """The last step as a clause: when, how far, what."""
+    step, runs = history.steps[-1], history.series.runs
+    parts = [f'{1e6 * step.volume.size:.2f} um in the volume']
+    for name in step.changed[:2]:
+        unit = micro_unit(unit_of(name))
+        parts.append(f'{name} by {1e6 * step.motions[name].size:.2f} {unit} (rms over the axis)')
+    when = f'from {_day(runs[step.after - 1].at)} to {_day(runs[step.after].at)}'
+    after = f', after {_events(step.events)}' if step.events else ''
+    if not step.significant:
+        return f'no change beyond chance {when}{after}'
+    return f'{", ".join(parts)} {when}{after}'
+
+
+def _pace(history: History) -> str:
+    """How the last step compares with the steps since the reference before it; or nothing."""
+    first, last = history.reference, history.steps[-1]
+    days = history.series.days
+    before = [
+        s.volume.size / (days[s.after] - days[s.after - 1])
+        for s in history.steps[first:-1]
+        if days[s.after] > days[s.after - 1]
+    ]
+    if not before or days[-1] <= days[-2]:
+        return ''
+    ratio = last.volume.size / (days[-1] - days[-2]) / max(float(np.mean(before)), 1e-300)
+    if ratio >= FASTER:
+        return f', {ratio:.1f} times as fast as before'
+    return f', {ratio:.2f} times as fast as before' if ratio <= 1.0 / FASTER else ''
+
+
+def state_words(history: History) -> str:
+    """What is known of a machine, in a sentence that begins with its state."""
+    runs, drift = history.series.runs, history.drift
+    if history.open_events:
+        return (
+            f'Not judged: {_events(history.open_events)}, and no run since; what it changed is '
+            f'not known, and whether the tables hold is not either.'
+        )
+    if len(runs) < 2:
+        return 'Not judged: there is one run, and none to compare it with.'
+    since = f'since {_day(runs[history.reference].at)}'
+    change = _last_change(history)
+    if drift is None:
+        return (
+            f'{history.standing.value.capitalize()}: {change}. Whether the machine drifts cannot '
+            f'be judged yet: one run since then.'
+        )
+    if history.standing is Standing.BENT:
+        return (
+            f'Not linear: a straight line does not describe {_most(drift.bent)} over the '
+            f'{drift.runs} runs {since}. Last change: {change}{_pace(history)}.'
+        )
+    days, name = _period(history)
+    if history.standing is Standing.DRIFT:
+        return (
+            f'Drifts by {_pair(drift.volume, drift.u_volume, days)} {name} in the volume (95 %) '
+            f'{since}, {drift.runs} runs. Last change: {change}.'
+        )
+    if history.standing is Standing.CHANGED:
+        words = (
+            'two runs cannot tell a drift from a jump'
+            if drift.runs < 3
+            else f'no drift beyond chance over the {drift.runs} runs {since}'
+        )
+        return f'Changed: last change {change}; {words}.'
+    return f'Steady: no change and no drift beyond chance in the {drift.runs} runs {since}.'
 
 
 def drift_words(history: History) -> list[str]:
     """Say drift and next calibration in sentences."""
     drift, due = history.drift, history.due
-    if drift is None or due is None:
-        return ['drift: at least two runs since the last event are needed']
+    if drift is None:
+        return ['Drift: at least two runs since the last event are needed']
+    days, name = _period(history)
+    if drift.bent:
+        seen = f'not linear: {_most(drift.bent)}; the line alone says'
+    elif drift.runs < 3:
+        seen = 'of two runs, if it goes on evenly:'
+    else:
+        seen = 'significant:' if drift.significant else 'not significant:'
     lines = [
-        f'drift since {_day(history.series.runs[history.reference].at)}: '
-        f'{1e6 * MONTH * drift.volume:.2f} +/- {1.96e6 * MONTH * drift.u_volume:.2f} um in 30 '
-        f'days in the volume '
-        f'({"significant" if drift.significant else "not significant"}, p = {drift.p:.2g})'
+        f'Drift since {_day(history.series.runs[history.reference].at)}, {drift.runs} runs, '
+        f'{seen} {_pair(drift.volume, drift.u_volume, days)} {name} in the volume (95 %, '
+        f'{_probability(drift.p)})'
     ]
     moving = sorted(
         (n for n, c in drift.motions.items() if c.significant),
         key=lambda n: -drift.motions[n].size / drift.motions[n].expected,
     )
-    if moving:
+    if moving and not drift.bent:
         lines.append(
-            'drifting (in 30 days): '
-            + ', '.join(_sized(n, drift.motions[n], MONTH) for n in moving[:NAMED])
+            f'Drifting ({name}): ' + _most([_sized(n, drift.motions[n], days) for n in moving])
         )
-    earliest = _date(history, due.earliest)
-    limit = f'{1e6 * due.limit:.2f} um mean drift'
+    return [*lines, *([] if due is None else [_due_words(history, due)])]
+
+
+def _due_words(history: History, due: Due) -> str:
+    """When to calibrate again."""
+    earliest, limit = _date(history, due.earliest), f'{1e6 * due.limit:.2f} um mean drift'
+    if due.withheld:
+        return (
+            f'Calibrate again: no date, {due.withheld}; at the pace of the last step or of the '
+            f'line, whichever is faster, {limit} not before {earliest} (95 %), and sooner if it '
+            f'goes on speeding up'
+        )
     if due.days is None:
-        lines.append(f'calibrate again: no drift is seen; {limit} not before {earliest} (95 %)')
-    else:
-        latest = None if due.latest is None else _date(history, due.latest)
-        lines.append(
-            f'calibrate again: {limit} on {_date(history, due.days)}; 95 %: not before '
-            f'{earliest}, {f"not after {latest}" if latest else "no latest date"}'
-        )
-    return lines
+        return f'Calibrate again: no drift is seen; {limit} not before {earliest} (95 %)'
+    latest = None if due.latest is None else _date(history, due.latest)
+    return (
+        f'Calibrate again: {limit} on {_date(history, due.days)}; 95 %: not before {earliest}, '
+        + (f'not after {latest}' if latest else 'no latest date')
+    )
 
 
 def format_history(history: History) -> str:
     """Return the text for a terminal."""
     series = history.series
     lines = [
-        f'{history.machine}: {len(series.runs)} runs, {_day(series.runs[0].at)} to '
-        f'{_day(series.runs[-1].at)}; reference {series.runs[history.reference].name}',
-        *(f'WARNING {words}' for words in history.series.warnings),
+        f'{history.machine}: {len(series.runs)} runs, {_moment(series.runs[0].at)} to '
+        f'{_moment(series.runs[-1].at)}; reference {series.runs[history.reference].name}',
+        state_words(history),
+        *(f'WARNING {words}' for words in series.warnings),
         *(_step_words(history, step) for step in history.steps),
         *drift_words(history),
     ]
     return '\n'.join(lines)
 
 
-def _chart(history: History, name: str, changes: Sequence[Change]) -> str:
-    """Control chart: change since the reference, and what is expected without one."""
-    days = history.series.days
-    unit = 'um' if name == 'volume' or unit_of(name) == 'm' else 'urad'
-    size = np.array([1e6 * c.size for c in changes])
-    expected = np.array([1e6 * c.expected for c in changes])
+def _chart(
+    history: History, name: str, size: Array, band: tuple[Array, Array], changes: Sequence[Change]
+) -> str:
+    """Something over the dates of the runs: events as lines, a line is not drawn across them."""
+    days, runs = history.series.days, history.series.runs
+    unit = 'um' if 'volum' in name or unit_of(name) == 'm' else 'urad'
     panel = Panel(
-        Scale(0.0, max(float(days[-1]), 1.0 / DAY), 'days'),
-        around(np.concatenate([size, 2 * expected]), unit.replace('u', '\N{MICRO SIGN}', 1),
-               zero=True),
-    )  # fmt: skip
+        dates(runs[0].at, max([runs[-1].at, *(e.at for e in history.events)])),
+        around(np.concatenate([size, *band]), unit.replace('u', '\N{MICRO SIGN}', 1), zero=True),
+    )
     flagged = np.array([c.significant for c in changes])
+    ends = [0, *(s.after for s in history.steps if s.events), len(runs)]
     marks = [
-        panel.band(days, 0.0 * size, 2 * expected, 'noise band'),
-        panel.line(days, size, 'after'),
+        panel.upright((e.at - runs[0].at) / timedelta(days=1), str(k), 'open dash')
+        for k, e in enumerate(history.events, start=1)
+    ]
+    for a, b in pairwise(ends):
+        marks += [
+            panel.band(days[a:b], band[0][a:b], band[1][a:b], 'noise band')
+            if b - a > 1
+            else panel.ranges(days[a:b], band[0][a:b], band[1][a:b], 'noise'),
+            panel.line(days[a:b], size[a:b], 'after'),
+        ]
+    marks += [
         panel.dots(days, size, 'after node'),
+        panel.boxes(days[history.reference], size[history.reference]),
     ]
     if flagged.any():
         marks.append(panel.rings(days[flagged], size[flagged]))
-    return panel.draw(marks, f'change of {name} since the reference', name)
+    return panel.draw(marks, f'{name} over the dates of the runs', name)
 
 
-def _sections(history: History) -> list[Section]:
-    names = list(history.series.parts)
-    words = (*history.series.warnings, *drift_words(history))
-    head = ('run', 'measured', 'volume (um)', 'expected (um)', 'what happened', 'changed')
-    rows = tuple(
-        (
-            history.series.runs[s.after].name,
-            _day(history.series.runs[s.after].at),
-            f'{1e6 * s.volume.size:.2f}',
-            f'{1e6 * s.volume.expected:.2f}',
-            '; '.join(e.words for e in s.events),
-            ', '.join(s.changed),
-        )
-        for s in history.steps
+def _change_chart(history: History, name: str, changes: Sequence[Change]) -> str:
+    """Control chart: change since the first run, and what is expected without one."""
+    size = np.array([1e6 * c.size for c in changes])
+    expected = np.array([2e6 * c.expected for c in changes])
+    return _chart(history, name, size, (0.0 * size, expected), changes)
+
+
+def _error_chart(history: History) -> str:
+    """Size of the errors themselves."""
+    size, spread = 1e6 * history.error, 1e6 * FACTOR * history.u_error
+    return _chart(history, 'volumetric error', size, (size - spread, size + spread), ())
+
+
+def _marks_words(history: History) -> str:
+    """What the marks of the charts are."""
+    events = '; '.join(
+        f'{k}: {e.words}, {_day(e.at)}' for k, e in enumerate(history.events, start=1)
+    )
+    reference = history.series.runs[history.reference]
+    return f'Square: {_moment(reference.at)}, the run from which on drift is judged. ' + (
+        f'Dashed lines are events ({events}); no line leads across them. ' if events else ''
     )
 
-    def pictures() -> Sequence[Picture]:
-        caption = (
-            'Change since the reference (line), what the uncertainties of both runs let expect '
-            'without change, twice (area), and changes beyond chance (rings, 0.27 %).'
+
+def _sections(history: History, *, alone: bool) -> list[Section]:
+    state = () if alone else (state_words(history),)  # the headline says it of one machine
+    words = (*state, *history.series.warnings, *drift_words(history))
+    head = ('measured', 'volume (um)', 'expected (um)', 'what happened', 'changed')
+    runs = history.series.runs
+    rows: list[tuple[Cell, ...]] = [
+        ((_moment(runs[0].at), f'run {runs[0].name}'), '', '', '', 'first run')
+    ]
+    rows += [
+        (
+            (_moment(runs[s.after].at), f'run {runs[s.after].name}'),
+            f'{1e6 * s.volume.size:.2f}',
+            f'{1e6 * s.volume.expected:.2f}',
+            _events(s.events),
+            State(', '.join(s.changed) or _unnamed(s), 'open') if s.significant else _unnamed(s),
         )
-        parts = [_chart(history, 'volume', history.volume)]
-        parts += [_chart(history, n, [c[n] for c in history.chart]) for n in names]
-        return [Picture(tuple(parts), caption, columns=3)]
+        for s in history.steps
+    ]
+
+    def pictures() -> Sequence[Picture]:
+        error = (
+            'Mean length of the error vectors in the volume by every run, best rigid motion taken '
+            'out, with its uncertainty (area, 95 %). '
+        )
+        change = (
+            'Change since the first run, root mean square over the axis (line), and twice what is '
+            'expected of the uncertainties of both runs without a change (area). Rings: beyond '
+            'chance (0.27 % for all motions of a run together). A change that is undone falls '
+            'back to zero: that says nothing of the size of the errors. '
+        )
+        marks = _marks_words(history)
+        volume = (
+            _error_chart(history),
+            _change_chart(history, 'change in the volume', history.volume),
+        )
+        motions = tuple(
+            _change_chart(history, n, [c[n] for c in history.chart]) for n in history.series.parts
+        )
+        return [
+            Picture(volume, error + marks, columns=2, title='Volume: error, and change'),
+            Picture(motions, change + marks, columns=3, title='Change of every motion'),
+        ]
 
     anchor = ''.join(c if c.isalnum() else '-' for c in history.machine)
     return [
         Section(f'{anchor}-drift', history.machine, words),
-        Section(f'{anchor}-runs', 'From run to run', tables=(Table(head, rows, (2, 3)),)),
-        Section(f'{anchor}-chart', 'Control chart', draw=pictures),
+        Section(f'{anchor}-runs', 'From run to run', tables=(Table(head, tuple(rows), (1, 2)),)),
+        Section(f'{anchor}-chart', 'Control charts', draw=pictures),
     ]
+
+
+def _tiles(history: History) -> tuple[tuple[str, str, str], ...]:
+    """Numbers of one machine: error, last change, next calibration."""
+    error = _pair(float(history.error[-1]), float(history.u_error[-1]))
+    tiles = [('volumetric error, latest run', error, 'mean in the volume, 95 %')]
+    if history.steps:
+        step = history.steps[-1].volume
+        expected = f'{1e6 * step.expected:.2f} um expected without change'
+        tiles.append(('last change in the volume', f'{1e6 * step.size:.2f} um', expected))
+    if history.due is not None:
+        limit = f'{1e6 * history.due.limit:.2f} um mean drift'
+        tiles.append(('calibrate again: not before', _date(history, history.due.earliest), limit))
+    return tuple(tiles)
+
+
+def _heading(histories: Sequence[History]) -> Heading:
+    """The state of one machine in its words; of several how many are in which."""
+    tiles: tuple[tuple[str, str, str], ...] = ()
+    if len(histories) == 1:
+        tiles = _tiles(histories[0])
+        state, sentence = histories[0].standing, state_words(histories[0])
+        title = f'History of {histories[0].machine}'
+    else:
+        named = {s: [h.machine for h in histories if h.standing is s] for s in Standing}
+        state = max((s for s in Standing if named[s]), key=list(Standing).index)
+        sentence = '; '.join(f'{s.value}: {", ".join(m)}' for s, m in named.items() if m) + '.'
+        title = f'History of {len(histories)} machines'
+    badge = State(state.value, BADGE.get(state, 'open'))
+    return Heading(title, sentence, (badge,), tiles)
 
 
 def history_page(histories: Sequence[History]) -> str:
     """Return the page: self-contained HTML."""
-    moving = [h.machine for h in histories if h.drift is not None and h.drift.significant]
-    sentence = f'{", ".join(moving)} drift' if moving else 'No machine drifts beyond chance.'
-    heading = Heading(
-        f'History of {len(histories)} machine{"s" if len(histories) > 1 else ""}',
-        sentence if not moving else f'Beyond chance: {sentence}.',
-        (State('drift', 'open') if moving else State('steady', 'good'),),
-    )
-    sections = [Section('top', ''), *(s for h in histories for s in _sections(h))]
-    return page_html(heading, sections)
+    sections = [
+        Section('top', ''),
+        *(s for h in histories for s in _sections(h, alone=len(histories) == 1)),
+    ]
+    return page_html(_heading(histories), sections)
 
 
 def write_history(histories: Sequence[History], folder: Path) -> list[Path]:

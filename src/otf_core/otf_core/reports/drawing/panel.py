@@ -118,6 +118,19 @@ class Panel:
             for a, b in self.points(x, y)
         )
 
+    def boxes(self, x: ArrayLike, y: ArrayLike) -> str:
+        """Open squares around points."""
+        return ''.join(
+            f'<rect class="line ink" x="{a - 5.5:.1f}" y="{b - 5.5:.1f}" width="11" height="11"/>'
+            for a, b in self.points(x, y)
+        )
+
+    def upright(self, x: float, said: str, kind: str) -> str:
+        """Vertical line across the panel, with a word or two at its top."""
+        line = self.line([x, x], [self.y.low, self.y.high], kind)
+        place = float(self.points(x, self.y.high)[0, 0])
+        return line + words(place, self.top - 3.0, said, 'middle soft')
+
     def ranges(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, kind: str) -> str:
         """Vertical strokes from low to high."""
         ends = np.concatenate([self.points(x, low), self.points(x, high)], axis=1)

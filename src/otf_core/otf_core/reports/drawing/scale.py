@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,11 @@ FINE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
 MOST, FEWEST = 7, 2
 """Marks on a logarithmic scale beyond which only powers of ten are marked, below which
 more of them; intervals on a linear one below which there are more."""
+
+DAY = timedelta(days=1)
+MONTHS = (1, 2, 3, 6, 12, 24, 60, 120)
+DAYS = (0.125, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+"""Steps of dates."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,8 @@ class Scale:
     logarithmic : bool
     marks : int
         Marks wished for on a linear scale.
+    named : tuple of (value, text)
+        Marks in place of round values.
     """
 
     low: float
@@ -38,6 +46,7 @@ class Scale:
     label: str
     logarithmic: bool = False
     marks: int = 4
+    named: tuple[tuple[float, str], ...] = ()
 
     def place(self, values: ArrayLike) -> Array:
         """Share of the scale below values of any shape."""
@@ -52,6 +61,8 @@ class Scale:
     @property
     def ticks(self) -> list[tuple[float, str]]:
         """Round values on the scale, and how they are written."""
+        if self.named:
+            return list(self.named)
         if self.logarithmic:
             powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
             found = [(m, m * 10.0**k) for k in powers for m in ROUND[:3]]
@@ -92,6 +103,45 @@ def around(values: ArrayLike, label: str, *, zero: bool = False, marks: int = 4)
     below = 0.0 if zero and low == 0.0 else room
     above = 0.0 if zero and high == 0.0 else room
     return Scale(low - below, high + above, label, marks=marks)
+
+
+def dates(first: datetime, last: datetime, marks: int = 5) -> Scale:
+    """Scale of days since ``first``, marked at the beginnings of years, months or days.
+
+    Parameters
+    ----------
+    first, last : datetime
+        With the same time zone; what is drawn lies between them.
+    marks : int
+        At most; two at least where the days do not leave more.
+    """
+    span = max((last - first) / DAY, 1.0 / 24.0)
+    low, high = -0.04 * span, 1.04 * span
+    ends = first + low * DAY, first + high * DAY
+    for step in MONTHS:
+        count = (ends[1].year - ends[0].year) * 12 + ends[1].month - ends[0].month
+        if count // step <= marks and count // step >= FEWEST:
+            text = '%Y' if step % 12 == 0 else '%Y-%m'
+            found = _months(ends[0], ends[1], step)
+            break
+    else:
+        text = '%m-%d' if span > FEWEST else '%H:%M'
+        days = next((d for d in DAYS if span / d <= marks), count * 31 / marks)
+        start = ends[0].replace(hour=0, minute=0, second=0, microsecond=0)
+        count = int((ends[1] - start) / (days * DAY)) + 1
+        found = [start + k * days * DAY for k in range(count)]
+    named = [((m - first) / DAY, m.strftime(text)) for m in found if m >= ends[0]]
+    label = {'%Y': 'year', '%Y-%m': 'month', '%m-%d': f'{first:%Y}, month-day'}
+    return Scale(low, high, label.get(text, f'{first:%Y-%m-%d}'), named=tuple(named))
+
+
+def _months(low: datetime, high: datetime, step: int) -> list[datetime]:
+    """Beginnings of every so many months between two moments."""
+    start = low.replace(day=1, hour=0, minute=0, second=0, microsecond=0)
+    whole = start.year * 12 + start.month - 1
+    numbers = range(-(-whole // step) * step, high.year * 12 + high.month, step)
+    moments = [start.replace(year=n // 12, month=n % 12 + 1) for n in numbers]
+    return [m for m in moments if low <= m <= high]
 
 
 def decades(values: ArrayLike, label: str) -> Scale:

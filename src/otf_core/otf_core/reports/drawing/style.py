@@ -108,7 +108,8 @@ li { margin: 0.25rem 0; overflow-wrap: anywhere; }
   td.number { white-space: normal; } .facts td { overflow-wrap: anywhere; }
   .cards thead { display: none; } .cards tr { display: block; padding: 0.4rem 0;
   border-bottom: 1px solid var(--line); } .cards td { display: block; border: none;
-  padding: 0.1rem 0; text-align: left; } .cards td[data-head]::before { font-size: 0.8rem;
+  padding: 0.1rem 0; text-align: left; } .cards td:empty { display: none; }
+  .cards td[data-head]::before { font-size: 0.8rem;
   content: attr(data-head) ": "; color: var(--soft); } }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; } nav, .screen,
   .screen-only { display: none; } h2 { margin-top: 1rem; padding-top: 0.5rem; }
