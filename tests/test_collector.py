@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from cells import write_machine
 
-from otf_calibrator.collector import SILENT, Collector
-from otf_calibrator.losses import SequenceWatch
+from otf_calibrator.collector import SILENT, Collector, PathTaken
+from otf_calibrator.losses import Publisher, SequenceWatch
 from otf_calibrator.params import CalibratorConfig
+from otf_calibrator.publishers import GONE, GONE_BESIDE, Choice
 from otf_calibrator.session import LAST_SAMPLES, Session
 from otf_calibrator.stream import LATE
 from otf_core.config import CalibrationConfig
@@ -338,8 +339,8 @@ def test_silence_after_the_path_completes_a_run_without_status(collector):
 
 def test_silence_completes_nothing_while_the_driver_says_that_its_stream_goes_on(collector):
     announce(collector, 'a', 0, 'STREAMING')
-    add(collector, 200)
-    announce(collector, 'a', 200, 'STREAMING')
+    add(collector, 190)
+    announce(collector, 'a', 190, 'STREAMING')
     assert not complete(collector, now=1000.0)
     collector.publishers = 0  # it is gone
     assert complete(collector, now=1000.0)
@@ -363,32 +364,83 @@ def test_path_that_comes_late_keeps_the_samples():
     collector = Collector(CalibrationConfig)
     add(collector, 100)
     assert not complete(collector, now=100.0)
-    assert collector.set_path(PATH) and not collector.set_path(PATH)
+    assert collector.set_path(PATH) == PathTaken.USED
+    assert collector.set_path(PATH) == PathTaken.KNOWN
     assert len(collector.buffer) == 100
     assert collector.travelled == pytest.approx(0.099)
 
 
-@pytest.mark.parametrize('taken', [True, False])
-def test_another_path_starts_over_and_sets_aside_what_was_driven(collector, taken):
+@pytest.mark.parametrize('over', [True, False])
+def test_another_path_before_the_target_drives_starts_over(collector, over):
+    add(collector, 100 if over else 5)
+    collector.taken = over
+    assert collector.set_path(NominalPath(PATH.points + 1e-9)) == PathTaken.KNOWN
+    assert collector.set_path(NominalPath(PATH.points + 0.1), b'2') == PathTaken.USED
+    assert (len(collector.buffer), collector.taken, collector.remarks) == (0, False, [])
+    assert collector.path_message == b'2' and collector.other.path is PATH
+
+
+def test_another_path_in_mid_run_waits_and_is_that_of_the_next_run(collector):
+    other = NominalPath(PATH.points + 0.1)
     add(collector, 100)
-    collector.taken = taken
-    assert not collector.set_path(NominalPath(PATH.points + 1e-9))
-    assert collector.set_path(NominalPath(PATH.points + 0.1))
-    assert (len(collector.buffer), collector.taken) == (0, False)
-    assert collector.remarks == ([] if taken else [
-        'the 100 samples before were set aside: another path was published'
-    ])  # fmt: skip
+    assert collector.set_path(other, b'2') == PathTaken.WAITS
+    assert collector.set_path(other) == collector.set_path(PATH) == PathTaken.KNOWN
+    add(collector, 100, start=100)
+    assert len(collector.buffer) == 200 and collector.path is PATH
+    assert not collector.run_over()
+    collector.taken = True
+    assert collector.run_over() and (collector.path, collector.path_message) == (other, b'2')
+    assert collector.other.path is PATH and not collector.run_over()
+
+
+def test_silence_after_nearly_the_whole_path_completes_a_run_whatever_the_driver_says(collector):
+    announce(collector, 'a', 0, 'STREAMING')
+    add(collector, 196)
+    assert not complete(collector, now=100.0)  # 97.5 %
+    add(collector, 3, start=196)
+    assert not complete(collector, now=9.0)
+    assert complete(collector, now=11.0) == 'no sample for 11 s'
+
+
+def missed(watch, *numbers):
+    return sum(count for _, count in watch.publishers(numbers))
 
 
 def test_missing_numbers_of_one_publisher_are_counted():
     watch = SequenceWatch()
-    assert watch.missed([7, 8, 9]) == 0
-    assert watch.missed([10, 14, 15, 17]) == 4
-    assert watch.missed([1, 2]) == 0  # another publisher
-    assert watch.missed([None, 9, None]) == 0
+    assert missed(watch, 7, 8, 9) == 0
+    assert missed(watch, 10, 14, 15, 17, 5018) == 4 + 5000
+    assert missed(watch, 1, 2) == 0  # another publisher
+    assert missed(watch, None, 9, None) == 0
 
 
 def test_numbers_of_two_publishers_at_once_are_told_apart():
-    watch = SequenceWatch()
-    assert watch.missed([4000, 1, 4001, 2, 3, 4002]) == 0
-    assert watch.missed([6, 4003]) == 2
+    watch = SequenceWatch(lambda: 2)
+    found = watch.publishers([1, 4001, 2, 4002, 3, 5, 4004])
+    assert [count for _, count in found] == [0, 0, 0, 0, 0, 1, 1]
+    one, two = found[0][0], found[1][0]
+    assert [p is one for p, _ in found] == [True, False, True, False, True, True, False]
+    assert found[-1][0] is two
+
+
+def chosen(choice, publishers, now):
+    """What is used, and what is beside it, of messages named like their publishers."""
+    used, beside = choice.take([(p, 0) for p in publishers], publishers, now)
+    return [message for message, _ in used], beside
+
+
+def test_samples_of_a_second_publisher_are_beside_the_run_however_long_it_goes_on():
+    one, two, choice = Publisher(1), Publisher(2), Choice()
+    assert chosen(choice, [one], 0.0) == ([one], [])
+    assert chosen(choice, [two, two], 0.1) == ([], []) and choice.waiting
+    assert chosen(choice, [one, two], 0.2) == ([one], [two, two, two])
+    assert chosen(choice, [two], 0.2 + 0.9 * GONE_BESIDE) == ([], [two])
+    assert chosen(choice, [one], 0.2 + 0.9 * GONE_BESIDE) == ([one], [])
+
+
+def test_publisher_that_comes_after_the_one_before_has_ended_goes_on_with_all_its_samples():
+    one, two, choice = Publisher(1), Publisher(2), Choice()
+    chosen(choice, [one], 0.0)
+    assert chosen(choice, [two], 0.9 * GONE) == ([], [])
+    assert chosen(choice, [], 1.1 * GONE) == ([two], [])
+    assert chosen(choice, [two], 1.2 * GONE) == ([two], [])

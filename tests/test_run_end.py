@@ -61,7 +61,7 @@ def ended(folder, samples, batch, late, ends, given_up=None):
     due = {}
     for number, at in enumerate(range(0, len(stamps) + batch * (late + 2), batch)):
         rows = slice(at, at + batch)
-        session.take(Batch({'tracker': (stamps[rows], xyz[rows])}, []))
+        session.take(Batch({'tracker': (stamps[rows], xyz[rows])}))
         for verdict, count in asked:
             if due.setdefault(count, number + late) == number:
                 verdict.set_result(count in ends)

@@ -3,9 +3,10 @@
 
 A run begins with the first sample after the stream before it was over, with a new stream of the
 driver, with stamps that jump back, with another path, when the target moves on after a calibrated
-run, or by request. A pause does not end it while the driver says that its stream goes on, or the
-path is not nearly driven. Samples and status come on different topics, so nothing here depends on
-which of the two comes first.
+run, or by request. A path that is published while the target drives begins one only if the target
+turns out to follow it (``OtherPath``). A pause does not end it while the driver says that its
+stream goes on, or the path is not nearly driven. Samples and status come on different topics, so
+nothing here depends on which of the two comes first.
 
 Stamps that jump back begin a run only if the clock before has fallen silent: single wrong stamps
 and a second tracker do not.
@@ -14,15 +15,19 @@ and a second tracker do not.
 from __future__ import annotations
 
 from collections.abc import Callable
+from enum import Enum
 
 import numpy as np
 
+from otf_calibrator.other_path import OtherPath
 from otf_calibrator.stream import LATE, Stream
 from otf_core.bags.clock import Clock
 from otf_core.bags.screening import Screening
+from otf_core.calibration.other_path import TwoPaths
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath
+from otf_core.tracking.path_watch import NEARLY as DRIVEN
 from otf_core.tracking.path_watch import PathWatcher
 
 SILENT = 0.5
@@ -36,11 +41,20 @@ MOTION = 0.01
 MOVED = 5
 """Samples in a row that far from where a calibrated run ended: the target moves on."""
 NEARLY = 0.9
-"""Share of the path that has to be travelled before silence can end a run."""
+"""Share of the path that has to be travelled before silence can end a run; from ``DRIVEN`` on it
+does so whatever the driver says."""
 BEGUN = 0.05
 """The same before the state speaks of the next run instead of the last result."""
 SAME_PATH = 1e-6
 """m; paths that differ by less are the same."""
+
+
+class PathTaken(Enum):
+    """What becomes of a path that arrives."""
+
+    KNOWN = 'it is known already'
+    USED = 'the samples are compared with it from now on'
+    WAITS = 'the run goes on along the path before unless the target turns out to follow this one'
 
 
 class Collector:
@@ -56,6 +70,10 @@ class Collector:
     Attributes
     ----------
     path : NominalPath or None
+    path_message : bytes
+        In which it came.
+    other : OtherPath or None
+        Another path, which the target may turn out to follow.
     buffer : SampleBuffer
         Samples of the present run.
     screening : Screening
@@ -81,6 +99,8 @@ class Collector:
     ) -> None:
         self._config, self._set_aside = config, set_aside
         self.path: NominalPath | None = None
+        self.path_message = b''
+        self.other: OtherPath | None = None
         self.buffer = SampleBuffer()
         self.screening = Screening()
         self.remarks: list[str] = []
@@ -150,15 +170,58 @@ class Collector:
             return not self._stream.over(now)
         return self._heard > since - UNDER_WAY and now - since < UNDER_WAY
 
-    def set_path(self, path: NominalPath) -> bool:
-        """Take a path; samples that came before the first are kept. False if it is the same."""
-        if self.path is not None and _same(path, self.path):
-            return False
-        if self.path is not None and (self.taken or len(self.buffer)):
-            self._next_run('another path was published')
-        self.path = path
+    def set_path(self, path: NominalPath, message: bytes = b'') -> PathTaken:
+        """Take a path; samples that came before the first are kept."""
+        before, config = self.path, self._config()
+        if before is not None and _same(path, before):
+            return PathTaken.KNOWN
+        if before is not None and not self.taken and self.travelled > MOTION:
+            if self.other is not None and _same(path, self.other.path):
+                return PathTaken.KNOWN
+            self.other = OtherPath(path, config, True, len(self.buffer), message)
+            return PathTaken.WAITS
+        if before is not None:
+            self.other = OtherPath(before, config, False, message=self.path_message)
+            if self.taken or len(self.buffer):
+                self._next_run('another path was published')
+        self.path, self.path_message = path, message
         self._watch()
+        return PathTaken.USED
+
+    def two_paths(self, at_the_end: bool) -> TwoPaths | None:
+        """Return what tells which of two paths is driven, if it should be asked now; once."""
+        other, path = self.other, self.path
+        if path is None or other is None or self.taken or not other.worth_asking(at_the_end):
+            return None
+        other.asked()
+        samples, since = self.buffer.snapshot(), other.watcher.travelled
+        return TwoPaths(samples, other.since, path, other.path, self.travelled, since)
+
+    def follow_the_other(self) -> Samples:
+        """Begin a run along the other path with the samples since it came, and return these."""
+        other = self.other
+        assert other is not None, 'asked before'
+        rest = self.buffer.snapshot(other.since)
+        self.buffer.cut(other.since)
+        self._next_run('the target follows the path that was published later' if other.newer
+                       else 'the target follows the path that was published before')  # fmt: skip
+        self._exchange()
+        self._take_again(rest)
+        return rest
+
+    def run_over(self) -> bool:
+        """Use the path that was published last for the next run; tell whether it is another."""
+        if not self.taken or self.other is None or not self.other.newer:
+            return False
+        self._exchange()
         return True
+
+    def _exchange(self) -> None:
+        """The other path becomes that of the run; the one before may still be meant."""
+        other, path = self.other, self.path
+        assert other is not None and path is not None, 'asked before'
+        self.other = OtherPath(path, self._config(), False, message=self.path_message)
+        self.path, self.path_message = other.path, other.message
 
     def of_another(self, until_ns: int, why: str) -> Samples | None:
         """Set samples up to a stamp aside; return those that stay, None if nothing is changed."""
@@ -170,10 +233,15 @@ class Collector:
         )
         self._next_run(why)
         self.remarks.clear()  # nothing of this machine's was set aside
-        for stamp_ns, (x, y, z) in zip(rest.stamp_ns.tolist(), rest.xyz.tolist(), strict=True):
+        self._take_again(rest)
+        return rest
+
+    def _take_again(self, samples: Samples) -> None:
+        """Put samples into a run that has begun."""
+        rows = zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True)
+        for stamp_ns, (x, y, z) in rows:
             self.buffer.append(stamp_ns, x, y, z)
         self._watch()
-        return rest
 
     def reset(self) -> None:
         """Forget the samples; a stream that the driver has told of goes on."""
@@ -281,8 +349,10 @@ class Collector:
         stream = self._stream
         goes_on = stream.name and not stream.ended and self.publishers
         stopped = stream.ended and not stream.finished
-        driven = self.travelled > max(MOTION, NEARLY * self.path.length)
-        if idle_timeout and idle > idle_timeout and driven and not goes_on and not stopped:
+        over = self.travelled >= DRIVEN * self.path.length
+        if not goes_on and not stopped:
+            over |= self.travelled > max(MOTION, NEARLY * self.path.length)
+        if idle_timeout and idle > idle_timeout and over:
             return f'no sample for {idle:.0f} s'
         return ''
 
@@ -299,6 +369,8 @@ class Collector:
         self.buffer.append(stamp_ns, x, y, z)
         if self.watcher:
             self.watcher.add(stamp_ns, x, y, z)
+        if self.other:
+            self.other.watcher.add(stamp_ns, x, y, z)
 
     def _off(self, stamps_ns: list[int], newest_ns: int) -> None:
         if not self.taken:
@@ -360,11 +432,17 @@ class Collector:
         self.run += 1
         self._lap_taken = False
         self.watcher = PathWatcher(self.path, self._config()) if self.path else None
+        watchers = [self.watcher] if self.watcher else []
+        if self.other:
+            other = self.other
+            self.other = OtherPath(other.path, self._config(), other.newer, 0, other.message)
+            watchers.append(self.other.watcher)
         samples = self.buffer.snapshot()
-        if self.watcher:
-            rows = zip(samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True)
-            for stamp_ns, (x, y, z) in rows:
-                self.watcher.add(stamp_ns, x, y, z)
+        for stamp_ns, (x, y, z) in zip(
+            samples.stamp_ns.tolist(), samples.xyz.tolist(), strict=True
+        ):
+            for watcher in watchers:
+                watcher.add(stamp_ns, x, y, z)
 
 
 def _same(a: NominalPath, b: NominalPath) -> bool:

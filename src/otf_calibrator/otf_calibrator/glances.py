@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from otf_calibrator.collector import Collector
-from otf_core.model.path import NominalPath
+from otf_core.calibration.first_sight import first_legs
 
 EVERY = 30.0
 """s of driving between two looks."""
@@ -12,8 +12,6 @@ SHARE = 0.05
 """Share of the path that is driven between two looks, if that is sooner."""
 MOST = 4
 """Looks at a run; after that the first lap will tell."""
-LEGS = 3
-"""Legs that have to be driven: fewer do not fix a tracker."""
 PATIENT = 1
 """Looks that may fail unsaid: the first legs often do not determine anything yet."""
 
@@ -43,7 +41,7 @@ class Glances:
             return False
         if collector.run != self._run:
             self._run, self._began, self._looks, self._found = collector.run, now, 0, False
-            self._least = _reach(collector.path)
+            self._least = first_legs(collector.path)
         if self._found or self._looks >= MOST or collector.travelled < self._least:
             return False
         driven = collector.travelled / (SHARE * collector.path.length)
@@ -51,9 +49,3 @@ class Glances:
             return False
         self._looks += 1
         return True
-
-
-def _reach(path: NominalPath) -> float:
-    """Length of the first legs of a path, m."""
-    last = path.corners()[1][: LEGS + 1][-1]
-    return float(path.leg_lengths[:last].sum())

@@ -5,28 +5,32 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_calibrator.beside import Beside
-from otf_calibrator.collector import Collector
+from otf_calibrator.collector import Collector, PathTaken
 from otf_calibrator.losses import SequenceWatch
+from otf_calibrator.publishers import Choice
 from otf_calibrator.request import Request
 from otf_core.bags.cdr import DecodedPoints, decode_path
 from otf_core.bags.journal import Journal
 from otf_core.bags.screening import judged
 from otf_core.bags.signal_messages import topic_of
 from otf_core.bags.signals import read_signals
-from otf_core.bags.topics import PATH, POINT, STATUS
+from otf_core.bags.topics import GAP, OTHER_POINT, PATH, POINT, STATUS
 from otf_core.errors import InputError
 from otf_core.model.declared_signals import SignalSpec
+from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
 
+A = TypeVar('A')
 TAKEN_UP = 600.0
 """s; a run that was written longer ago is not the running measurement."""
 
@@ -43,18 +47,18 @@ class Status:
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples that arrived together.
+    """Samples of one publisher that arrived together.
 
     Attributes
     ----------
     points : mapping of frame to (stamps, points)
         ndarray of int64, shape (n,), ns, and ndarray, shape (n, 3), m.
-    sequence : list of int or None
-        Numbers that the publisher gave them, where the transport tells.
+    missed : int
+        Samples of the same publisher that the transport lost among them.
     """
 
     points: dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]
-    sequence: list[int | None]
+    missed: int = 0
 
 
 class Intake:
@@ -65,23 +69,96 @@ class Intake:
     collector : Collector
     warn : callable
         Takes messages for the user.
+    publishers : callable
+        Returns how many publishers of samples the graph knows at this moment.
     """
 
-    def __init__(self, collector: Collector, warn: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        collector: Collector,
+        warn: Callable[[str], None],
+        publishers: Callable[[], int] = lambda: 1,
+    ) -> None:
         self._collector, self._warn = collector, warn
         self.journal: Journal | None = None
         self.beside = Beside()
-        self._sequence = SequenceWatch()
+        self._sequence, self._choice = SequenceWatch(publishers), Choice()
+        self._apart = 0
+        self._gaps: set[bytes] = set()
         self._stamp_ns, self._xyz = np.zeros(0, np.int64), np.zeros((0, 3))  # in no run yet
         self._size = np.zeros(0, np.int64)  # of the run with each of them
         self._at = self._held_at = 0
 
-    def path(self, path: NominalPath, message: bytes) -> bool:
-        """Take a path and its message; False if it is the present one."""
-        new = self._collector.set_path(path)
-        if new and self.journal:
+    def path(self, path: NominalPath, message: bytes) -> PathTaken:
+        """Take a path and its message; the journal has that of the run only."""
+        taken = self._collector.set_path(path, message)
+        if taken == PathTaken.USED and self.journal:
             self.journal.message(PATH, message)
-        return new
+        return taken
+
+    def follow_the_other_path(self) -> None:
+        """The samples since another path came follow that one: they are a run of their own."""
+        self._write_known()
+        if self.journal and not (self._collector.other and self._collector.other.since):
+            self.journal.end('set aside: the samples are in the next run, with the path driven')
+        rest = self._collector.follow_the_other()
+        self._warn('the target follows the other path: its samples are a run along that')
+        if self.journal:
+            self.journal.message(PATH, self._collector.path_message)
+        self._take_again(rest)
+
+    def _take_again(self, samples: Samples) -> None:
+        """Count and journal samples that begin a run after another one was set aside."""
+        if len(samples):
+            self._collector.screening.good(samples.stamp_ns, samples.xyz)
+            if self.journal:
+                self.journal.points(samples.stamp_ns, samples.xyz, POINT.frame)
+
+    def gap(self, message: bytes) -> None:
+        """Take a break of the stream, as the driver states it; again after a restart."""
+        if self.journal and message not in self._gaps:
+            self._gaps.add(message)
+            self.journal.event(GAP, message)
+
+    def sorted_out(
+        self, messages: Sequence[A], numbers: Sequence[int | None]
+    ) -> tuple[list[A], int, list[A]]:
+        """Tell apart the samples of the run and those of a second publisher.
+
+        Parameters
+        ----------
+        messages : sequence
+            May be empty: what was held is decided on then.
+        numbers : sequence of int or None
+            Numbers that the publishers gave them, where the transport tells.
+
+        Returns
+        -------
+        used : list
+        missed : int
+            Samples of the same publisher that are missing among them.
+        beside : list
+            Samples of another publisher.
+        """
+        publishers = self._sequence.publishers(numbers)
+        used, beside = self._choice.take(publishers, messages, time.monotonic())
+        return [message for message, _ in used], sum(missed for _, missed in used), beside
+
+    @property
+    def waiting(self) -> bool:
+        """Whether samples are held of a publisher that may be the successor of the one before."""
+        return self._choice.waiting
+
+    def held(self) -> list[Any]:
+        """Return these samples, at the end."""
+        return self._choice.rest()
+
+    def of_another_publisher(self, batch: Batch) -> None:
+        """Keep samples of a second publisher apart."""
+        for frame, (stamp_ns, xyz) in batch.points.items():
+            self._apart += 0 if self._collector.taken else len(stamp_ns)
+            if self.journal and self.journal.folder:
+                self.journal.points(stamp_ns, xyz, frame, OTHER_POINT)
 
     def status(self, status: Status, message: bytes) -> None:
         """Take a status of the driver."""
@@ -108,10 +185,7 @@ class Intake:
             A standstill is looked at soon: what comes after it is not of the run until then.
         """
         collector = self._collector
-        if collector.publishers > 1:  # their numbers are mixed
-            self._sequence = SequenceWatch()
-        else:
-            collector.missed += self._sequence.missed(batch.sequence)
+        collector.missed += batch.missed
         for frame, (stamp_ns, xyz) in batch.points.items():
             if frame == POINT.frame:
                 self._take(stamp_ns, xyz)
@@ -127,6 +201,9 @@ class Intake:
         self._write_known()
         state = 'complete' if collector.taken else f'set aside: {why}'
         folder = self.journal.end(state) if self.journal else None
+        self._apart = 0
+        if collector.run_over() and self.journal:
+            self.journal.message(PATH, collector.path_message)
         if not collector.taken:
             place = f'; they are in {folder}' if folder else ''
             self._warn(f'{len(collector.buffer)} samples set aside, {why}{place}')
@@ -134,10 +211,8 @@ class Intake:
     def of_another(self, until_ns: int, why: str) -> None:
         """Set samples up to a stamp aside: they were of another machine's run."""
         rest = self._collector.of_another(until_ns, why)
-        if rest is not None and len(rest):
-            self._collector.screening.good(rest.stamp_ns, rest.xyz)
-            if self.journal:
-                self.journal.points(rest.stamp_ns, rest.xyz, POINT.frame)
+        if rest is not None:
+            self._take_again(rest)
 
     def decide(self, may_end: bool = True) -> None:
         """Look whether it is known by now to which run the latest samples belong."""
@@ -156,6 +231,7 @@ class Intake:
         self._write(self._at)
         folder = self.journal.end('set aside: reset') if self.journal else None
         self._collector.reset()
+        self._apart = 0
         return f' here; they stay in {folder}' if folder else ''
 
     def settle(self, request: Request, results: Path | None) -> None:
@@ -168,13 +244,23 @@ class Intake:
         folder = self.journal.folder if self.journal else None
         return f'; the samples are in {folder}' if folder else ''
 
+    def remarks(self) -> tuple[str, ...]:
+        """What the reader of a result should know of the samples, beside what was left out."""
+        if not self._apart:
+            return ()
+        place = f' on {OTHER_POINT.name} of the journal' if self.journal else ' and not kept'
+        return (
+            f'{self._apart} samples of a second publisher on {POINT.name} are no part of the run; '
+            f'they are{place}: end that publisher',
+        )
+
     def troubles(self) -> list[str]:
         """What the user should know of the samples and the journal at present."""
         said = [self.journal.trouble] if self.journal and self.journal.trouble else []
         collector = self._collector
         if collector.missed:
             said.append(f'{collector.missed} samples were lost on the way')
-        return [*said, *collector.remarks, *collector.screening.remarks()]
+        return [*said, *self.remarks(), *collector.remarks, *collector.screening.remarks()]
 
     def close(self) -> None:
         """Write what has come to the journal."""
@@ -206,7 +292,8 @@ class Intake:
                     self._take(content.stamp_ns, content.xyz)
                     self._write_known()
                 elif topic == PATH:
-                    self._collector.set_path(NominalPath(decode_path(content, PATH.frame)))
+                    path = NominalPath(decode_path(content, PATH.frame))
+                    self._collector.set_path(path, content)
                     journal.message(PATH, content)
                 else:
                     self.status(status(content), content)

@@ -16,7 +16,7 @@ from otf_calibrator.intake import Intake, Status, journal_place
 from otf_calibrator.params import CalibratorConfig
 from otf_core.bags.journal import Journal
 from otf_core.bags.signal_messages import topic_of
-from otf_core.bags.topics import STATUS
+from otf_core.bags.topics import GAP, STATUS
 from otf_core.model.declared_signals import PLAIN, SignalSpec
 from otf_core.model.machine import load_machine
 from otf_msgs.msg import TrackerStatus
@@ -70,7 +70,10 @@ def _keep_journal(node: Node, intake: Intake, files: CalibratorConfig) -> None:
     if place is None:
         logger.warning('no journal is kept: until a calibration is done, samples are in memory')
         return
-    texts = {STATUS.type: message_text('otf_msgs', 'TrackerStatus')}
+    texts = {
+        STATUS.type: message_text('otf_msgs', 'TrackerStatus'),
+        GAP.type: message_text('otf_msgs', 'TrackerGap'),
+    }
     intake.journal = Journal(place, texts, [topic_of(s) for s in intake.beside.specs])
     said = intake.take_up(lambda data: status_of(deserialize_message(data, TrackerStatus)))
     if said:

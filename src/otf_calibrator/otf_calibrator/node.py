@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from otf_calibrator.action import CalibrateAction
+from otf_calibrator.collector import PathTaken
 from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.diagnostics import tell
@@ -23,18 +24,21 @@ from otf_calibrator.results import ResultPublishers
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
 from otf_core.config import CalibrationConfig
+from otf_core.contradictions.units import check_path
 from otf_core.errors import Cancelled, OtfError
-from otf_msgs.msg import TrackerStatus
+from otf_core.model.machine import load_machine
+from otf_msgs.msg import TrackerGap, TrackerStatus
 from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer
-from otf_ros.topic_watch import TopicWatch
+from otf_ros.topic_watch import TopicWatch, senders
 
 PERIOD = 0.1
 """s; how often the run and a calibration under way are looked at if nothing happens to them."""
 POINT, PATH, STATUS = 'tracker/point', 'planner/path', 'tracker/status'
-READ = {POINT: qos.MEASUREMENT, PATH: qos.PATH, STATUS: qos.STATUS}
+GAP = 'tracker/gap'
+READ = {POINT: qos.MEASUREMENT, PATH: qos.PATH, STATUS: qos.STATUS, GAP: qos.EVENTS}
 
 
 class Calibrator(Node):
@@ -54,13 +58,20 @@ class Calibrator(Node):
         check_files(files := self._read_settings()[0])
         self._settings.check_also(CalibratorConfig, check_files)
         wake = self.create_guard_condition(self._tick).trigger
-        self._session = Session(self._read_settings, self.get_logger().warning, wake)
+        topic = self.resolve_topic_name(POINT)
+        self._session = Session(
+            self._read_settings,
+            self.get_logger().warning,
+            wake,
+            lambda: self.count_publishers(topic),
+        )
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
         self._results = ResultPublishers(self, self._session.intake)
         self.create_subscription(Path, PATH, self._on_path, qos.PATH)
         self.create_subscription(TrackerStatus, STATUS, self._on_status, qos.STATUS)
+        self.create_subscription(TrackerGap, GAP, self._on_gap, qos.EVENTS)
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
         services.offer(self, 'calibrator/reset', self._session.forget)
         services.offer(self, 'calibrator/diagnose', self._session.diagnose)
@@ -72,6 +83,9 @@ class Calibrator(Node):
 
     def close(self) -> None:
         """End a calibration or a diagnosis under way; files are whole or not there."""
+        held = self._session.intake.held()
+        if held:
+            self._session.intake.of_another_publisher(Batch(convert.points_from_messages(held)))
         self._session.close()
         self._action.close()
 
@@ -79,23 +93,41 @@ class Calibrator(Node):
         return self._settings.read(CalibratorConfig), self._settings.read(CalibrationConfig)
 
     def _on_path(self, message: Path) -> None:
+        sender = senders(self, PATH)
         try:
             path = convert.path_from_message(message)
+            check_path(path, load_machine(self._read_settings()[0].machine_file))
         except OtfError as error:
-            self.get_logger().error(f'planner/path ignored: {error}')
+            self.get_logger().error(f'planner/path of {sender} ignored: {error}')
             return
-        if self._session.intake.path(path, serialize_message(convert.path_for_journal(message))):
-            kept, points = len(self._session.collector.buffer), len(message.poses)
+        data = serialize_message(convert.path_for_journal(message))
+        taken = self._session.intake.path(path, data)
+        collector, points = self._session.collector, len(message.poses)
+        if taken == PathTaken.USED:
+            kept = len(collector.buffer)
             self.get_logger().info(f'new path of {points} points, for {kept} samples so far')
+        elif taken == PathTaken.WAITS:
+            text = f'another path, of {points} points, was published in mid-run by {sender}'
+            collector.remarks.append(text)
+            self.get_logger().warning(f'{text}; {taken.value}')
 
     def _on_status(self, message: TrackerStatus) -> None:
         self._session.intake.status(status_of(message), serialize_message(message))
 
+    def _on_gap(self, message: TrackerGap) -> None:
+        self._session.intake.gap(serialize_message(message))
+
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
-        if self._session.take(Batch(convert.points_from_messages(messages), numbers)):
+        intake = self._session.intake
+        used, missed, beside = intake.sorted_out(messages, numbers)
+        if beside:
+            intake.of_another_publisher(Batch(convert.points_from_messages(beside)))
+        if used and self._session.take(Batch(convert.points_from_messages(used), missed)):
             self._tick()
 
     def _tick(self) -> None:
+        if self._session.intake.waiting:
+            self._on_points([], [])
         self._watch.look()
         self._session.collector.publishers = self._watch.publishers
         if job := self._session.finished():

@@ -35,8 +35,8 @@ class CalibratorConfig(Parameters):
         True, 'calibrate when tracker/status says FINISHED and all its samples have arrived'
     )
     idle_timeout: float = parameter(
-        10.0, 'calibrate when no sample has come for so long, the path is driven and the driver '
-        'does not say that its stream goes on; 0: never', 's', 0, 3600,
+        10.0, 'calibrate when no sample has come for so long and 98 % of the path are driven, or '
+        '90 % and the driver does not say that its stream goes on; 0: never', 's', 0, 3600,
     )  # fmt: skip
     save_bag: bool = parameter(
         True, 'keep the samples of every calibration as a bag beside its results'

@@ -20,6 +20,7 @@ from otf_calibrator.job import Calibrated, Wake, Worker
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
 from otf_core.calibration.first_sight import FirstSight, first_sight
+from otf_core.calibration.other_path import TwoPaths, follows_the_other
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import Samples
@@ -42,6 +43,8 @@ class Session:
         Takes messages for the user.
     wake : callable, optional
         Called, by another thread, as soon as there is something to look at.
+    publishers : callable, optional
+        Returns how many publishers of samples the graph knows at this moment.
 
     Attributes
     ----------
@@ -53,17 +56,22 @@ class Session:
     """
 
     def __init__(
-        self, settings: Settings, warn: Callable[[str], None], wake: Wake = lambda: None
+        self,
+        settings: Settings,
+        warn: Callable[[str], None],
+        wake: Wake = lambda: None,
+        publishers: Callable[[], int] = lambda: 1,
     ) -> None:
         self._settings = settings
         self.collector = Collector(lambda: settings()[1], lambda why: self.intake.set_aside(why))
-        self.intake = Intake(self.collector, warn)
+        self.intake = Intake(self.collector, warn, publishers)
         self.worker = Worker(warn, wake)
         self._job: Future[Calibrated] | None = None
         self._saving: Future[Calibrated] | None = None
         self._ahead: Future[Ahead] | None = None
         self._glances = Glances()
         self._verdict: Future[bool] | None = None
+        self._which: tuple[int, Future[bool]] | None = None
         self._judged: tuple[PathWatcher | None, int | None] = None, None
         self.diagnosis: DiagnosisJob | None = None
         self._last: Calibrated | None = None
@@ -122,6 +130,8 @@ class Session:
         self.intake.decide(not self.busy)
         since = self._waits_since
         if since is None:
+            if not self.busy:
+                self._judge_paths()
             reason = self.complete()
             return self.start(reason) if reason else ''
         if self.collector.on_the_way(time.monotonic(), since):
@@ -169,7 +179,7 @@ class Session:
             collector.path,
             *self._settings(),
             collector.lost_for_sure(time.monotonic()),
-            (*collector.remarks, *remarks),
+            (*collector.remarks, *self.intake.remarks(), *remarks),
             copy.deepcopy(collector.screening),
             self.intake.journal.folder if self.intake.journal else None,
             final,
@@ -287,7 +297,22 @@ class Session:
         if self._verdict and watcher and watcher.stood:
             return ''  # whatever else ends it, it may end there
         now = time.monotonic()
-        return collector.complete(now, files.finish_at_stream_end, files.idle_timeout)
+        reason = collector.complete(now, files.finish_at_stream_end, files.idle_timeout)
+        return '' if reason and self._judge_paths(at_the_end=True) else reason
+
+    def _judge_paths(self, at_the_end: bool = False) -> bool:
+        """Find out which of two paths is driven, and go on with that; tell whether it is asked."""
+        if self._which is None:
+            run = self.collector.two_paths(at_the_end)
+            if run is not None:
+                look = partial(_follows_the_other, run, self._settings()[1])
+                self._which = self.collector.run, self.worker.ask(look, run.samples)
+        elif self._which[1].done():
+            (number, answer), self._which = self._which, None
+            same = number == self.collector.run and not self.collector.taken
+            if same and answer.exception() is None and answer.result():
+                self.intake.follow_the_other_path()
+        return self._which is not None
 
     def _at_the_end(self) -> bool:
         """Tell whether the target has stood at the end point for long enough, once."""
@@ -307,3 +332,8 @@ class Session:
             return False  # it may move on
         self._verdict = None
         return True
+
+
+def _follows_the_other(run: TwoPaths, config: CalibrationConfig, samples: Samples) -> bool:
+    """Ask for a worker, which hands over samples."""
+    return follows_the_other(run, config)

@@ -13,6 +13,13 @@ PERIOD = 1.0
 """s; the graph is looked at so often."""
 
 
+def senders(node: Node, topic: str) -> str:
+    """Name the nodes that publish on a topic; which of them sent a message rclpy does not say."""
+    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    names = sorted({publisher.node_name for publisher in found})
+    return ' or '.join(names) or 'an unknown node'
+
+
 class TopicWatch:
     """Looks at the graph now and then.
 
@@ -58,6 +65,6 @@ class TopicWatch:
                 if len(found) > 1:
                     names = ', '.join(sorted(publisher.node_name for publisher in found))
                     self.troubles.append(
-                        f'{len(found)} publishers on {topic} ({names}): end all but one, their '
-                        f'samples are mixed'
+                        f'{len(found)} publishers on {topic} ({names}): only samples of the first '
+                        f'are of the run; end the others'
                     )

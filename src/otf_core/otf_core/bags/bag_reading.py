@@ -172,7 +172,8 @@ def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:
         raise InputError(f'{where}: no path was published while it was recorded')
     if len(paths) > 1:
         raise InputError(
-            f'{where}: {len(paths)} different paths were published; record each run in its own bag'
+            f'{where}: {len(paths)} different paths were published; give the one that '
+            f'was driven with --path CSV, or record each run in its own bag'
         )
     return usable_path(where, paths[0])
 

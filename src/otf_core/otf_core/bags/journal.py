@@ -96,7 +96,13 @@ class Journal:
         """Folder of the present run; None before its first sample."""
         return self._run.folder if self._run else None
 
-    def points(self, stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64], frame: str) -> None:
+    def points(
+        self,
+        stamp_ns: NDArray[np.int64],
+        xyz: NDArray[np.float64],
+        frame: str,
+        topic: Topic = POINT,
+    ) -> None:
         """Take points of one frame as they arrived; the first begin a run.
 
         Parameters
@@ -104,13 +110,19 @@ class Journal:
         stamp_ns : ndarray of int64, shape (n,), ns
         xyz : ndarray of float64, shape (n, 3), m
         frame : str
+        topic : Topic
         """
         run = self._run or self._begin()
-        self._put(run, Rows(POINT, encode_points(stamp_ns, xyz, frame), self._now()))
+        self._put(run, Rows(topic, encode_points(stamp_ns, xyz, frame), self._now()))
 
     def message(self, topic: Topic, data: bytes) -> None:
         """Take a serialized message that stays valid: it is part of every run from now on."""
         self._latched[topic] = data
+        if self._run:
+            self._put(self._run, one_message(topic, data, self._now()))
+
+    def event(self, topic: Topic, data: bytes) -> None:
+        """Take a serialized message of what has happened: it is part of this run only."""
         if self._run:
             self._put(self._run, one_message(topic, data, self._now()))
 

@@ -22,11 +22,14 @@ from otf_core.bags.cdr import DecodedPoints, decode_points
 from otf_core.bags.journal_file import JournalFile, Rows, repair
 from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.rosbag2_metadata import Part, bag_metadata, metadata_text
-from otf_core.bags.topics import PATH, POINT, STATUS, Topic
+from otf_core.bags.topics import GAP, OTHER_POINT, PATH, POINT, STATUS, Topic
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_yaml
 
 TOPICS = (PATH, STATUS, POINT)
+"""Of which a run consists, and what it is taken up from."""
+ASIDE = (GAP, OTHER_POINT)
+"""Kept beside it."""
 RECORDING = 'recording'
 """State of a run to which samples may be added."""
 STATE = 'otf_state'
@@ -48,7 +51,7 @@ class Definitions:
     @property
     def all(self) -> tuple[Topic, ...]:
         """Topics of a journal."""
-        return (*TOPICS, *self.beside)
+        return (*TOPICS, *ASIDE, *self.beside)
 
     @cached_property
     def both(self) -> tuple[dict[Topic, str], dict[Topic, str]]:

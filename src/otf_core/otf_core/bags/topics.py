@@ -31,6 +31,10 @@ POINT = Topic('/tracker/point', 'geometry_msgs/msg/PointStamped', 'tracker', 100
 PATH = Topic('/planner/path', 'nav_msgs/msg/Path', 'machine', 1, 'transient_local')
 STATUS = Topic('/tracker/status', 'otf_msgs/msg/TrackerStatus', 'tracker', 1, 'transient_local')
 """Only in journals; nothing depends on it offline."""
+GAP = Topic('/tracker/gap', 'otf_msgs/msg/TrackerGap', 'tracker', 1000, 'transient_local')
+"""The same: breaks of the stream as the driver states them."""
+OTHER_POINT = Topic('/tracker/point_other', POINT.type, POINT.frame, POINT.depth, POINT.durability)
+"""Only in journals: samples of a second publisher, which are no part of the run."""
 
 
 def called(topic: Topic, name: str | None) -> Topic:

@@ -20,6 +20,8 @@ ASKED = 500
 """So many samples, evenly spread, are asked for their distance from the path."""
 FOLLOWED = 0.8
 """Share of the path driven so far that the track has to follow."""
+LEGS = 3
+"""Legs that have to be driven: fewer do not fix a tracker."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,12 @@ class FirstSight:
             f'{1e6 * self.distance:.3g} um from it in the mean on {100 * self.share:.0f} % '
             f'of its length; errors come after the first lap'
         )
+
+
+def first_legs(path: NominalPath) -> float:
+    """Length of the legs of a path without which nothing is seen, m."""
+    last = path.corners()[1][: LEGS + 1][-1]
+    return float(path.leg_lengths[:last].sum())
 
 
 def first_sight(

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from otf_core.errors import InputError
+from otf_core.model.machine import Machine
+from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import Recording, blamed
 
 BEYOND = 30.0
@@ -20,11 +22,12 @@ def check_path_in_machine(recordings: Sequence[Recording]) -> None:
     """Refuse a path that the machine cannot drive; InputError says why."""
     for recording in recordings:
         with blamed(recording.name):
-            _check(recording)
+            check_path(recording.path, recording.machine)
 
 
-def _check(recording: Recording) -> None:
-    machine, points = recording.machine, recording.path.points
+def check_path(path: NominalPath, machine: Machine) -> None:
+    """Refuse a path that a machine cannot drive; InputError names the unit or the axis."""
+    points = path.points
     low, high = points.min(axis=0), points.max(axis=0)
     travel, size = high - low, machine.upper - machine.lower
     reach = np.abs(points).max() / max(np.abs([machine.lower, machine.upper]).max(), 1e-9)
