@@ -34,7 +34,7 @@ ARGUMENTS = [
     ('params_file', str(CONFIG / 'params.yaml'), 'all other parameters'),
     ('namespace', '', 'namespace of nodes and topics'),
     ('output_directory', 'calibrations', 'where results go'),
-    ('path_file', '', 'CSV with corner points (x,y,z) to drive instead of a created path'),
+    ('path_file', '', 'CSV x,y,z, plan.json or NC program to drive instead of a created path'),
     ('backend', 'simulated', f'source of the samples: {" or ".join(BACKENDS)}'),
     ('time_scale', '1.0', 'how many times as fast as measured to simulate or replay'),
     ('diagnose', 'false', 'diagnose every run after its calibration'),

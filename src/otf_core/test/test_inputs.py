@@ -239,10 +239,10 @@ def test_a_text_is_a_recording_with_a_path_beside_it(tmp_path, capsys):
 def test_paths_are_plans_or_corner_points_in_m_or_mm(tmp_path):
     plan = {'schema': 'otf-plan/1', 'path': CORNERS.tolist(), 'feed': [0.1] * 3, 'dwell': [0] * 4}
     (tmp_path / 'plan.json').write_text(json.dumps(plan))
-    np.testing.assert_array_equal(read_path(tmp_path / 'plan.json'), CORNERS)
+    np.testing.assert_array_equal(read_path(tmp_path / 'plan.json')[0], CORNERS)
     rows = '\n'.join(comma(';'.join(mm(*p))) for p in CORNERS.tolist())
     (tmp_path / 'path.csv').write_text(f'X [mm];Y [mm];Z [mm]\n{rows}\n')
-    np.testing.assert_allclose(read_path(tmp_path / 'path.csv'), CORNERS, atol=1e-12)
+    np.testing.assert_allclose(read_path(tmp_path / 'path.csv')[0], CORNERS, atol=1e-12)
 
 
 @pytest.mark.parametrize(

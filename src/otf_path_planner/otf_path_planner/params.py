@@ -14,6 +14,6 @@ class PlannerFiles(Parameters):
 
     machine_file: str = parameter('', 'machine description (machine.yaml); required')
     path_file: str = parameter(
-        '', 'corner points to drive instead of a created path: CSV with the header x,y,z, in m; '
-        'empty: create the path',
+        '', 'path to drive instead of a created one: CSV of corner points with the header x,y,z, '
+        'in m, plan.json or NC program; empty: create the path',
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.csv_points import read_points_csv
+from otf_core.inputs.path_file import read_path
 from otf_core.model.machine import Machine, load_machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan, check_inside, plan_for_path
@@ -34,7 +34,7 @@ def make_plan(files: PlannerFiles, config: PlannerConfig) -> tuple[Machine, Plan
     if not files.path_file:
         return machine, plan_path(machine, config), config.passes
     try:
-        path = NominalPath(read_points_csv(files.path_file))
+        path = NominalPath(read_path(files.path_file)[0])
         check_inside(path, machine)
     except InputError as error:
         raise ConfigError(f'{files.path_file}: {error}') from None

@@ -206,9 +206,7 @@ def add_planning_verbs(verb: AddVerb) -> None:
     sub = verb('plan', run_plan)
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'folder for path, forecast and program')
-    sub.add_argument(
-        '--path', help='CSV with the header x,y,z, or a plan.json: take this path instead'
-    )
+    sub.add_argument('--path', help='CSV x,y,z, plan.json or NC program: take this path instead')
     sub.add_argument(
         '--after', metavar='DIR',
         help='folder of a diagnosis: the shortest path, up to --time-budget, that tells apart '
@@ -224,7 +222,7 @@ def add_planning_verbs(verb: AddVerb) -> None:
     sub.add_argument('--tables', help='error_tables.json of the truth; drawn if not given')
     sub.add_argument(
         '--path',
-        help='CSV with the header x,y,z; or plan.json of otf plan: its feeds and dwells, and the '
+        help='CSV x,y,z or NC program; or plan.json of otf plan: its feeds and dwells, and the '
         'tracker where its forecast puts it; planned if not given',
     )
     sub.add_argument('--effects', help='effects.yaml: what to add to the cell')

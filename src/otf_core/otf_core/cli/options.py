@@ -61,8 +61,9 @@ def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
     if path:
         group.add_argument(
             '--path', action='append', metavar='FILE',
-            help='plan.json, or CSV x,y,z of the corner points, where the recording holds no path '
-            'or another is meant; once for all, or once per recording',
+            help='plan.json, CSV x,y,z of the corner points, or the NC program that was driven, '
+            'where the recording holds no path or another is meant; once for all, or once per '
+            'recording',
         )  # fmt: skip
         group.add_argument('--path-topic', metavar='NAME', help='topic of the path in a bag')
     group.add_argument(

@@ -23,8 +23,8 @@ MOST_CELLS = 1000
 
 def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any) -> Any:
     """Plan, and the place of the tracker that it assumes or None; as plan.json has them."""
+    from otf_core.inputs.path_file import read_path
     from otf_core.inputs.plan_json import PlanFile, looks_like_json, read_plan
-    from otf_core.inputs.points_file import read_points
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import check_inside, plan_for_path
     from otf_core.planning.creator import plan_path
@@ -36,8 +36,10 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
         if looks_like_json(name):
             file = _with_dwells(read_plan(name), arguments, config)
         else:
-            path = NominalPath(read_points(name)[0])
-            file = PlanFile(plan_for_path(path, config), None)
+            corners, words = read_path(name)
+            if words:
+                note(f'otf {arguments.verb}: {words}')
+            file = PlanFile(plan_for_path(NominalPath(corners), config), None)
         check_inside(file.plan.path, machine)
     except ConfigError as error:
         if 'x,y,z' not in str(error):

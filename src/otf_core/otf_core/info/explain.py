@@ -12,6 +12,7 @@ from otf_core.info.bag_kind import BAG, TABLE
 from otf_core.info.folder_kind import FOLDER
 from otf_core.info.json_kinds import JSON_KINDS, OTHER
 from otf_core.info.kind import Explained, Kind
+from otf_core.info.program_kind import PROGRAM
 from otf_core.info.yaml_kinds import EFFECTS, MACHINE
 
 KINDS: tuple[Kind, ...] = (
@@ -24,6 +25,7 @@ KINDS: tuple[Kind, ...] = (
     RESIDUALS,
     DIRECT,
     POINTS,
+    PROGRAM,
     TABLE,
 )
 """The first that fits counts; a further one is one file and one line here."""

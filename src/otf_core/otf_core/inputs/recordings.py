@@ -28,7 +28,8 @@ class Given:
     Attributes
     ----------
     path : str or Path, optional
-        A plan.json or a CSV of corner points; takes the place of a path in the recording.
+        A plan.json, a CSV of corner points or an NC program; takes the place of a path in the
+        recording.
     topic, path_topic : str, optional
         Other names of the two topics of a bag.
     columns : str, optional
@@ -80,7 +81,10 @@ def open_reading(source: str | Path, given: Given = AS_IT_IS) -> AnyReading:
         path = None if given.path is not None else called(PATH, given.path_topic)
         reading = BagReading(source, called(POINT, given.topic), path, recover=given.recover)
     if given.path is not None:
-        reading.paths = [read_path(given.path)]
+        corners, words = read_path(given.path)
+        reading.paths = [corners]
+        if words:
+            reading.said.append(words)
     return reading
 
 

@@ -12,6 +12,7 @@ from programs import arc, drive, helix, programs, record, rounded, without
 
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
+from otf_core.inputs.nc_program import read_program
 from otf_core.tracking.alignment import align
 
 CONFIG = CalibrationConfig()
@@ -142,3 +143,27 @@ def test_circles_twice_and_back_are_followed(lines_only):
     path = np.concatenate([P, circles(1e-3)])
     found = left(np.concatenate([path, path[::-1][1:]]), path)[1]
     assert found.left_percent < 1.2 * lines_only.left_percent
+
+
+def program_of(lines, radius=0.09, begin=0.3):
+    """G-code of lines and of the arcs that ``circles`` has as chords."""
+    rows = ['G21 G90 G1 F9000', *('X{:.9f} Y{:.9f} Z{:.9f}'.format(*(1e3 * p)) for p in lines)]
+    unit = np.eye(3)
+    for a, b, c in PLANES:
+        word, sense = {(0, 1): ('G17', 3), (0, 2): ('G18', 2), (1, 2): ('G19', 3)}[a, b]
+        for level in (-0.06, 0.06):
+            from_centre = radius * (np.cos(begin) * unit[a] + np.sin(begin) * unit[b])
+            start = 1e3 * (CENTRE + level * unit[c] + from_centre)
+            rows.append('{} G1 X{:.9f} Y{:.9f} Z{:.9f}'.format(word, *start))
+            back = -1e3 * from_centre
+            rows.append(f'G{sense} {"IJK"[a]}{back[a]:.9f} {"IJK"[b]}{back[b]:.9f}')
+    return '\n'.join([*rows, 'M30', ''])
+
+
+def test_an_nc_program_with_arcs_is_the_path_that_was_driven(tmp_path, lines_only):
+    (tmp_path / 'run.nc').write_text(program_of(P))
+    program = read_program(tmp_path / 'run.nc')
+    assert program.arcs == 6 and len(program.points) > 3000
+    run, found = left(np.concatenate([P, circles(1e-4)]), program.points)
+    assert found.left_percent < 1.2 * lines_only.left_percent
+    assert not run.warnings[1:]  # the first says what u contains
