@@ -12,7 +12,17 @@ from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_step
 from otf_core.reports.drawing.panel import Panel, arrow_path
 from otf_core.reports.drawing.scale import Scale, around, dates, decades
-from otf_core.reports.drawing.scene import Label, Strokes, box, scene
+from otf_core.reports.drawing.scene import (
+    ELEVATION,
+    HEIGHT,
+    WIDTH,
+    Label,
+    Strokes,
+    box,
+    magnification,
+    scene,
+    tracker_items,
+)
 from otf_core.reports.drawing.sheet import write_sheet
 from otf_core.reports.drawing.style import MARKS, STYLE
 from otf_core.reports.drawing.typography import text, typeset
@@ -108,6 +118,62 @@ def test_seen_from_the_front_x_runs_right_and_z_up():
     assert bx > ax
     assert rest[3] < rest[1] and rest[2] == rest[0]
     assert sum(isinstance(item, Label) for item in box(low, high)) == 3
+
+
+LABEL = re.compile(
+    r'<text dx="([-\d.]+)" dy="([-\d.]+)" x="([\d.]+)" y="([\d.]+)" class="([^"]*)">([^<]+)<'
+)
+
+
+@pytest.mark.parametrize('place', [[0.1, -0.3, 0.0], [0.6, 0.0, -0.01], [-0.1, -0.1, 0.1]])
+def test_no_label_of_a_scene_stands_over_another_or_leaves_the_picture(place):
+    low, high = np.zeros(3), np.array([1.2, 0.8, 0.5])
+    picture = scene([*box(low, high), *tracker_items(np.array(place), low, high)], low, high, '')
+    found = []
+    for dx, dy, x, y, css, said in LABEL.findall(picture):
+        left, wide = float(x) + float(dx), 5.5 * len(said)
+        left -= wide if 'end' in css else wide / 2 if 'middle' in css else 0
+        found.append((left, float(y) + float(dy) - 9, left + wide, float(y) + float(dy)))
+    assert len(found) == 4
+    for k, a in enumerate(found):
+        assert a[0] >= 0 and a[2] <= WIDTH and a[3] <= HEIGHT
+        for b in found[:k]:
+            assert min(a[2], b[2]) <= max(a[0], b[0]) or min(a[3], b[3]) <= max(a[1], b[1])
+
+
+def test_labels_are_drawn_over_arrows_on_paper():
+    low, high = np.zeros(3), np.ones(3)
+    arrow = Strokes('heat arrow h1', np.array([[low, high]]), arrows=True)
+    picture = scene([*box(low, high), arrow], low, high, '')
+    assert picture.index('heat arrow') < picture.index('<text')
+    assert picture.count('soft over"') == 3
+    assert 'text.over { paint-order: stroke; stroke: var(--paper)' in MARKS
+
+
+@pytest.mark.parametrize(('longest', 'reach', 'factor'), [(4.6e-5, 0.09, 1000), (1e-6, 0.2, 2e5)])
+def test_errors_are_magnified_by_a_round_number_and_an_arrow_states_it(longest, reach, factor):
+    shown = magnification(longest, reach)
+    assert shown.factor == pytest.approx(factor)
+    assert shown.factor * longest <= reach
+    low, high = np.zeros(3), np.ones(3)
+    picture = scene(box(low, high), low, high, '', shown=shown)
+    assert f'{1e6 * shown.reference:g}\u00a0µm, errors ×' in picture
+    ax, _, bx = numbers(re.search(r'<path class="line ink" d="([^"]+)"', picture)[1])[:3]
+    long = shown.factor * shown.reference
+    drawn = scene(
+        [Strokes('soft', np.array([[low, [0, 0, long]]])), *box(low, high)], low, high, ''
+    )
+    _, top, _, foot = numbers(re.search(r'line soft" d="([^"]+)"', drawn)[1])
+    assert (top - foot) / np.cos(ELEVATION) == pytest.approx(bx - ax, abs=0.3)
+
+
+def test_words_of_bars_have_room_at_their_ends():
+    said = ['38.2 ± 1.1 µm, limit 15', 'not known', '7.1 µm']
+    rows = [Bar('EXX', ((38.2, 'bad'),), said[0], 15.0, (37.1, 39.3)), Bar('EYX', (), said[1]),
+            Bar('EZX', ((7.1, 'after'),), said[2], 60.0)]  # fmt: skip
+    places = re.findall(r'<text x="([\d.]+)" y="[\d.]+">', bars(rows, 'errors', width=300.0))
+    assert len(places) == 3
+    assert all(float(x) + 5.5 * len(w) <= 300.0 for x, w in zip(places, said, strict=True))
 
 
 def test_a_sheet_is_a_whole_file(tmp_path):

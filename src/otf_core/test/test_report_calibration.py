@@ -18,9 +18,10 @@ from otf_core.model.circumstances import Circumstances
 from otf_core.model.declared import DeclaredUncertainty
 from otf_core.model.limits import Limits
 from otf_core.model.machine import AXES
-from otf_core.model.motions import MOTIONS
+from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import facts_of, format_result, write_calibration
+from otf_core.reports.calibration_pictures import error_sizes
 from otf_core.reports.calibration_report import SECTIONS, calibration_sections
 from otf_core.reports.calibration_sections.diagonals import deviations, diagonals
 from otf_core.reports.calibration_sections.drift import drift
@@ -158,7 +159,7 @@ TEN_QUESTIONS = {
         r'Volumetric error up to [\d.]+ µm\. Compensated .* errors within [\d.]+ µm are to be',
     'Where is it worst, and which motion is to blame?':
         r'longest error vector of the grid, [\d.]+ µm, lies at X [\d.−]+, Y .* Most is due to E'
-        r'.* Largest displacement: E[XYZ]{2}, [a-z]+, [\d.−]+ ± [\d.]+ µm at [XYZ] [\d.−]+ m',
+        r'.* Largest displacement: E[XYZ]{2}, [a-z]+, [\d.−]+ ± [\d.]+ µm at [XYZ] [\d.−]+ mm',
     'What is not known?': r'Not known: ',
     'Is Y square to X, which way does it lean, and how sure is that?':
         r'C0Y: angle between \+X and \+Y is 90° [+−-] [\d.]+ µrad.* U, 95 % \(µrad\) k C0Y',
@@ -197,7 +198,7 @@ def test_nodes_in_the_page_are_those_of_json_and_csv(page, tables, folder, motio
     for k, (row, line) in enumerate(zip(shown, csv, strict=True)):
         for column, key in ((1, 'value'), (2, 'u'), (3, 'U')):
             assert abs(number(row[column]) - 1e6 * entry[key][k]) < 5.1e-4
-        assert number(row[0]) == pytest.approx(entry['position'][k], abs=1e-6)
+        assert number(row[0]) == pytest.approx(1e3 * entry['position'][k], abs=1e-3)
         known = [f'{entry["k"] or 0:.2f}', str(entry['dof'] or 'infinite')]
         assert row[4:6] == (['-', '-'] if entry['k'] is None else known)
         assert float(line[2]) == pytest.approx(entry['position'][k], abs=1e-15)
@@ -330,14 +331,15 @@ def test_largest_motions_are_said_with_place_and_uncertainty(page, tables):
     said = page.text.replace('\u00a0', ' ')
     for kind, unit in (('displacement', 'm'), ('rotation', 'rad')):
         name, value, u, axis, at = re.search(
-            rf'Largest {kind}: (E..), [a-z A-Z]+, ([\d.−]+) ± ([\d.]+) \S+ at ([XYZ]) ([\d.−]+) m',
+            rf'Largest {kind}: (E..), [a-z A-Z]+, ([\d.−]+) ± ([\d.]+) \S+ '
+            r'at ([XYZ]) ([\d.−]+) mm',
             said,
         ).groups()
         motions = {m: e for m, e in tables['motions'].items() if e['unit'] == unit}
         sizes = {m: max(map(abs, e['value'])) for m, e in motions.items()}
         assert name == max(sizes, key=sizes.get) and axis == name[2]
         entry = motions[name]
-        k = entry['position'].index(pytest.approx(number(at)))
+        k = entry['position'].index(pytest.approx(1e-3 * number(at)))
         assert number(value) == pytest.approx(1e6 * entry['value'][k], abs=5.1e-3)
         assert float(u) == pytest.approx(1e6 * entry['U'][k], abs=5.1e-3)
 
@@ -346,3 +348,94 @@ def test_a_tracker_that_moved_is_said_beside_the_drift(result):
     moved = replace(result, warnings=('moved: tracker or target moved 20 s after the start',))
     drift_words = {s.name: s.words for s in calibration_sections(facts_of(moved))}['drift']
     assert 'Moved: tracker or target moved 20 s after the start.' in drift_words
+
+
+# ---------------------------------------------------------------- order, units, pictures
+
+
+def part(source, name):
+    """A section of the page."""
+    return re.search(rf'<section id="{name}">(.*?)</section>', source, re.DOTALL)[1]
+
+
+def test_page_one_is_volume_and_all_errors_then_motions_then_conventions(source):
+    names = re.findall(r'<section id="([^"]+)"', source)
+    assert names[:4] == ['overview', 'limits', 'motions', 'squareness']
+    assert names.index('conventions') > names.index('volume')
+    first = part(source, 'overview')
+    drawn = re.findall(r'aria-label="([^"]+)"', first)
+    assert drawn == [
+        'error vectors in the volume', 'uncertainty after compensation in the volume',
+        'size of all errors in µm', 'size of all errors in µrad',
+    ]  # fmt: skip
+    assert first.index('<svg') < first.index('Worst:')
+
+
+def test_volume_before_and_after_stand_at_one_magnification_with_a_tracker(source):
+    scenes = re.findall(r'<svg class="turn".*?</svg>', part(source, 'overview'), re.DOTALL)
+    before, after = (re.search(r'>(\d+)\u00a0µm, errors × ([\d\u202f]+)<', s) for s in scenes)
+    assert before.groups() == after.groups()
+    assert all('>tracker' in s for s in scenes)
+
+
+def test_all_21_errors_are_bars_with_u_and_the_limits_that_are_stated(page, result, source):
+    sizes = {one.name: one for one in error_sizes(facts_of(result))}
+    assert list(sizes) == [*MOTIONS, *SQUARENESS]
+    first = part(source, 'overview')
+    for name, one in sizes.items():
+        assert f'>{name}</text>' in first
+        if one.known:
+            table = result.tables.motions.get(name)
+            value = abs(result.tables.squareness[name].value) if table is None else (
+                table.value.max() - table.value.min()
+            )  # fmt: skip
+            assert one.value == pytest.approx(value)
+            assert one.U > 0
+    judged = {one.name: one for one in result.verdict.judged}
+    for name in ('EXX', 'C0Y'):
+        assert (sizes[name].value, sizes[name].U, sizes[name].state) == (
+            judged[name].value, judged[name].U, judged[name].state,
+        )  # fmt: skip
+    assert ', limit 2</text>' in first
+    assert ', limit 1000</text>' in first
+    assert 'class="area bad"' in first and 'class="area good"' in first
+
+
+def test_a_limit_is_drawn_in_the_picture_of_its_motion(source):
+    motions = part(source, 'motions')
+    (own,) = re.findall(r'<svg(?:(?!<svg).)*EXX positioning, limit 2.*?</svg>', motions, re.DOTALL)
+    assert own.count('line bad dash') == 2
+    assert motions.count('bad dash') == 2
+
+
+def test_states_of_limits_are_coloured(source):
+    assert '<b class="bad">fail</b>' in part(source, 'limits')
+    assert '<b class="good">pass</b>' in part(source, 'limits')
+
+
+def test_positions_are_in_mm_wherever_people_read(source, page):
+    heads = [cell for _, rows in page.tables for cell in rows[0]]
+    assert 'Position (mm)' in heads and 'Travel (mm)' in heads and 'Length (mm)' in heads
+    assert [head for head in heads if '(m)' in head or 'm/s' in head] == []
+    labels = re.findall(r'<text[^>]*>([^<]+)</text>', source)
+    assert [said for said in labels if re.search(r'\(m\)|\d[\s]m$|m/s', said)] == []
+    assert 'X 0 to 300\u00a0mm' in labels
+    said = page.text
+    assert not re.search(r'[XYZ] [−\d.]+ m\b', said)
+    assert re.search(r'tracker at X [−\d.]+, Y [−\d.]+, Z [−\d.]+ mm', said)
+    assert not re.search(r'\dum\b|\bum\b|\burad\b', said)
+
+
+def test_no_correlation_is_coloured_for_a_motion_that_is_not_known(result, source):
+    hidden = set(result.not_identifiable)
+    names = [*SQUARENESS, *MOTIONS]
+    pairs = [(a, b) for k, a in enumerate(names) for b in names[:k]]
+    shown = [p for p in pairs if not hidden & set(p)]
+    assert hidden
+    assert part(source, 'correlations').count('class="area heat') == len(shown) < len(pairs)
+
+
+def test_paper_has_machine_run_and_date_in_its_head(source, result):
+    rule = re.search(r'@top-left \{ content: "([^"]*)"', source)[1]
+    assert rule.startswith(f'small, run {result.run_id}, ')
+    assert 'counter(page)' in source

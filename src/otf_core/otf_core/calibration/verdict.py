@@ -161,7 +161,7 @@ def judge(
         elif name == UNCERTAINTY:
             value, wide = _uncertainty(volume, budget), 0.0
         else:
-            value, wide = _span(name, tables, budget, prior)
+            value, wide = size_and_expanded(name, tables, budget, prior)
         judged.append(Judged(name, unit, limit, value, wide, _with_guard(value, wide, limit)))
     return Verdict(tuple(judged))
 
@@ -192,7 +192,7 @@ def _uncertainty(volume: VolumetricError, budget: Budget) -> float:
     return k * float(volume.u_size.max())
 
 
-def _span(
+def size_and_expanded(
     name: str, tables: ErrorTables, budget: Budget, prior: Mapping[str, MotionPrior]
 ) -> tuple[float, float]:
     """Size of a squareness error, or largest less smallest value of a motion, and its U."""

@@ -150,7 +150,7 @@ def correlations(tables: ErrorTables, covariance: Array) -> list[Correlation]:
 def _at_node(tables: ErrorTables, name: str, node: int) -> str:
     if name in SQUARENESS:
         return name
-    return f'{name} at {tidy(float(tables.motions[name].position[node])):g}'
+    return f'{name} at {tidy(1e3 * float(tables.motions[name].position[node])):g} mm'
 
 
 def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> dict[str, Any]:

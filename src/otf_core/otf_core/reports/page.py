@@ -104,11 +104,13 @@ def _words(lines: Sequence[str]) -> str:
 
 
 def _section(section: Section) -> str:
+    """A section; on the first screen, which has no title, pictures come before words."""
     title = f'<h2>{text(section.title)}</h2>' if section.title else ''
     words = _words(section.words)
     pictures = ''.join(map(_picture, section.draw()))
     tables = _tables(section.tables)
-    return f'<section id="{text(section.name)}">{title}{words}{pictures}{tables}</section>'
+    order = f'{words}{pictures}' if title else f'{pictures}{words}'
+    return f'<section id="{text(section.name)}">{title}{order}{tables}</section>'
 
 
 def page_html(heading: Heading, sections: Sequence[Section]) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of reports as text: micrometres and microradians, places in metres."""
+"""Numbers of reports as text: micrometres and microradians, positions in millimetres."""
 
 from __future__ import annotations
 
@@ -34,8 +34,13 @@ def dof_words(dof: float) -> str:
 
 
 def place(point: Iterable[float]) -> str:
-    """A point in words, m."""
-    return ', '.join(f'{a} {tidy(v):.3f}' for a, v in zip('XYZ', point, strict=True)) + ' m'
+    """A point, m, in words, in mm."""
+    return ', '.join(f'{a} {millimetres(v)}' for a, v in zip('XYZ', point, strict=True)) + ' mm'
+
+
+def millimetres(value: float) -> str:
+    """A position, m, in mm to 0.1 mm, without zeros at its end."""
+    return f'{tidy(round(1e3 * value, 1)):g}'
 
 
 def listed(names: Iterable[str]) -> str:

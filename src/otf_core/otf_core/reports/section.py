@@ -114,4 +114,4 @@ def sections_to_dict(sections: Iterable[Section]) -> dict[str, Any]:
 
 def sections_to_text(sections: Iterable[Section]) -> str:
     """Return what a terminal shows."""
-    return '\n'.join(line for s in sections for line in s.text)
+    return '\n'.join(line for s in sections for line in s.text).rstrip('\n')

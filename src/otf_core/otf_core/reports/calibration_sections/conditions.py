@@ -6,6 +6,7 @@ from __future__ import annotations
 from otf_core.calibration.result import RunResult
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.circumstances import run_table, stated
+from otf_core.reports.quantities import millimetres
 from otf_core.reports.section import Section
 
 
@@ -21,10 +22,10 @@ def section(facts: Facts) -> Section:
 
 def _run_line(number: int, run: RunResult) -> str:
     where, offset = (
-        ', '.join(f'{v:.3f}' for v in vector)
+        ', '.join(map(millimetres, vector))
         for vector in (run.T_machine_tracker.translation, run.target_offset)
     )
     return (
         f'run {number}{f" ({run.name})" if run.name else ""}: {run.samples} samples, '
-        f'{100 * run.coverage:.1f} % driven, tracker at ({where}) m, target offset ({offset}) m'
+        f'{100 * run.coverage:.1f} % driven, tracker at ({where}) mm, target offset ({offset}) mm'
     )

@@ -6,7 +6,7 @@ from __future__ import annotations
 from otf_core.calibration.result import GAUGE
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.circumstances import measured
-from otf_core.reports.quantities import dof_words
+from otf_core.reports.quantities import dof_words, millimetres
 from otf_core.reports.section import Section
 from otf_core.version import __version__
 
@@ -27,7 +27,7 @@ def section(facts: Facts) -> Section:
         'table': ', '.join(machine.chain.table_side) or 'none',
         'target': ', '.join(machine.chain.target_side) or 'none',
     }
-    offset = ', '.join(f'{v:.3f}' for v in machine.target_offset)
+    offset = ', '.join(map(millimetres, machine.target_offset))
     k, dof = facts.by_name['grid'].k, facts.by_name['grid'].dof
     words = (
         'Names are those of ISO 230-1: E, the direction of the error, the axis that moves; EXX is '
@@ -37,7 +37,7 @@ def section(facts: Facts) -> Section:
         'opposite sign.',
         f'Kinematic chain {machine.chain}, from workpiece to tool: axes that carry the table: '
         f'{carried["table"]}; axes that carry the target: {carried["target"]}. Reference point of '
-        f'the angular errors is the target, offset ({offset}) m from the last axis frame.',
+        f'the angular errors is the target, offset ({offset}) mm from the last axis frame.',
         f'Gauge: {GAUGE}. At these reference positions U is zero by definition: U is that of a '
         f'difference to the reference.',
         'The volumetric error is stated without the best-fitting rigid motion of the whole '

@@ -79,12 +79,15 @@ def _strongest(facts: Facts) -> Array:
 
 
 def _pictures(facts: Facts) -> Sequence[Picture]:
-    r, marks = _strongest(facts), []
+    r, unknown = _strongest(facts), set(facts.result.not_identifiable)
+    marks: list[str] = []
     for i, name in enumerate(NAMES):
         y = ROOM + i * CELL
         marks.append(words(ROOM - 4.0, y + 12.0, name, 'end'))
         marks.append(words(ROOM + i * CELL + 12.0, ROOM - 4.0, name, '', turned=True))
         for j in range(i):
+            if {name, NAMES[j]} & unknown:
+                continue
             level = int(min(r[i, j], 0.999) * 5)
             marks.append(
                 f'<rect class="area heat h{level}" x="{ROOM + j * CELL:.0f}" y="{y:.0f}" '
@@ -98,4 +101,6 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
     picture = svg(size, size, marks, 'largest correlation between tables')
     key = f'<p class="soft keys">{keys}</p>'
     caption = 'Largest correlation in size between the nodes of every two tables.'
+    if unknown:
+        caption += ' No colour: a motion that the data do not show.'
     return [Picture((picture + key,), caption)]

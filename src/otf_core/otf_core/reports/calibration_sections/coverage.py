@@ -12,7 +12,7 @@ from otf_core.prediction.driven_volume import table_ranges
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.quantities import micro_unit
+from otf_core.reports.quantities import micro_unit, millimetres
 from otf_core.reports.section import Picture, Section, Table
 
 Array = NDArray[np.float64]
@@ -29,14 +29,15 @@ def section(facts: Facts) -> Section:
     for k, axis in enumerate(facts.machine.axis_names):
         own = facts.machine.axes[axis]
         share = 100.0 * (high[k] - low[k]) / (own.max - own.min)
-        rows.append((axis, f'{own.min:.3f} to {own.max:.3f}', f'{low[k] + 0.0:.3f} to '
-                     f'{high[k] + 0.0:.3f}', f'{share:.0f}'))  # fmt: skip
+        rows.append((axis, f'{millimetres(own.min)} to {millimetres(own.max)}',
+                     f'{millimetres(float(low[k]))} to {millimetres(float(high[k]))}',
+                     f'{share:.0f}'))  # fmt: skip
         data[axis] = {'travel': [own.min, own.max], 'tables': [float(low[k]), float(high[k])]}
     words = (
         'Tables are constant beyond what was driven; what is predicted there is extrapolated.',
         f'Nodes of the tables: {spacing(facts)}.',
     )
-    head = ('Axis', 'Travel (m)', 'Covered by tables (m)', 'Share (%)')
+    head = ('Axis', 'Travel (mm)', 'Covered by tables (mm)', 'Share (%)')
     table = Table(head, tuple(rows), numbers=(3,))
     return Section('coverage', 'Coverage of the axes', words, data, (table,),
                    draw=lambda: _pictures(facts))  # fmt: skip
@@ -64,14 +65,14 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
 def _panel(facts: Facts, k: int) -> str:
     runs, axis = facts.result.runs, facts.machine.axis_names[k]
     own = facts.machine.axes[axis]
-    edges = np.linspace(own.min, own.max, BINS + 1)
-    q = np.concatenate([run.q[:, k] for run in runs])
+    edges = 1e3 * np.linspace(own.min, own.max, BINS + 1)
+    q = 1e3 * np.concatenate([run.q[:, k] for run in runs])
     count = np.concatenate([run.pieces.count for run in runs])
     moves = np.concatenate([np.abs(run.pieces.direction[:, k]) > MOVES for run in runs])
     total = np.histogram(q, edges, weights=count)[0] / 1e3
     moving = np.histogram(q[moves], edges, weights=count[moves])[0] / 1e3
     panel = Panel(
-        Scale(own.min, own.max, f'{axis} (m)'), around(total, 'samples (thousands)', zero=True)
+        Scale(edges[0], edges[-1], f'{axis} (mm)'), around(total, 'samples (thousands)', zero=True)
     )
     marks = [panel.columns(edges, total, 'noise'), panel.columns(edges, moving, 'after')]
     return panel.draw(marks, f'samples along {axis}', axis)

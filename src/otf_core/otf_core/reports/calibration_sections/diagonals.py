@@ -74,14 +74,21 @@ def section(facts: Facts) -> Section:
         value, u = deviations(facts, one)
         span, wide = float(np.ptp(value)), k * float(u[-1])
         length = float(np.linalg.norm(one.b - one.a))
-        rows.append((one.kind, one.name, f'{length:.3f}', micro(span), micro(float(value[-1])),
-                     micro(wide)))  # fmt: skip
+        rows.append((one.kind, one.name, f'{1e3 * length:.0f}', micro(span),
+                     micro(float(value[-1])), micro(wide)))  # fmt: skip
         data.append({'kind': one.kind, 'direction': one.name, 'length': length, 'span': span,
                      'end': float(value[-1]), 'U_end': wide})  # fmt: skip
     words = (
         'Predicted from the error tables, not measured along the diagonals: deviation along each '
         'diagonal from its start. Face diagonals lie in the middle planes of the volume.',
     )
-    head = ('Predicted', 'Direction', 'Length (m)', 'Span (um)', 'At the end (um)', 'U, 95 % (um)')
+    head = (
+        'Predicted',
+        'Direction',
+        'Length (mm)',
+        'Span (um)',
+        'At the end (um)',
+        'U, 95 % (um)',
+    )
     table = Table(head, tuple(rows), numbers=(2, 3, 4, 5))
     return Section('diagonals', 'Diagonals, predicted', words, {'predicted': data}, (table,))

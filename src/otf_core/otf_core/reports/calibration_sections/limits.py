@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
-from otf_core.calibration.verdict import UNKNOWN, WHAT, Judged
+from otf_core.calibration.verdict import FAIL, OPEN, PASS, UNKNOWN, WHAT, Judged
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.quantities import listed, micro, micro_unit
-from otf_core.reports.section import Section, Table
+from otf_core.reports.section import Cell, Section, State, Table
+
+MOODS = {PASS: 'good', FAIL: 'bad', OPEN: 'open', UNKNOWN: 'open'}
 
 
 def section(facts: Facts) -> Section:
@@ -28,9 +30,9 @@ def section(facts: Facts) -> Section:
     return Section('limits', 'Verdict', tuple(words), verdict.to_dict(), (table,))
 
 
-def _row(one: Judged) -> tuple[str, ...]:
+def _row(one: Judged) -> tuple[Cell, ...]:
     what = WHAT.get(one.name, f'{one.name}')
     unit = micro_unit(one.unit)
     value = '' if one.state == UNKNOWN else micro(one.value)
     wide = micro(one.U) if one.U else ''
-    return what, value, wide, micro(one.limit), unit, one.state
+    return what, value, wide, micro(one.limit), unit, State(one.state, MOODS[one.state])

@@ -6,17 +6,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.calibration.result import GAUGE, CalibrationResult
 from otf_core.files.csv_points import tidy
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, MOTIONS, ErrorMotion
 from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.calibration_pictures import STATE_KINDS
 from otf_core.reports.drawing.panel import Panel, words
 from otf_core.reports.drawing.scale import Scale, around
 from otf_core.reports.quantities import dof_words, micro, micro_unit
 from otf_core.reports.section import Picture, Section, Table
 
+Array = NDArray[np.float64]
+
+HIGHEST = 4.0
+"""Height of a limit, in that of what is drawn, up to which it is drawn."""
 ROLES = {True: 'positioning', False: 'straightness'}
 
 
@@ -35,8 +41,7 @@ def section(facts: Facts) -> Section:
     table = Table(head, rows, numbers=tuple(range(3, 11)))
     words_ = (
         *_largest(facts),
-        'Each picture shows one error motion over the position of its axis: line and nodes, and '
-        'the band of the expanded uncertainty (k = 2). Scales differ from picture to picture.',
+        'One picture for each error motion, over the position of its axis. Scales differ.',
     )
     text = ('motion  unit  nodes       min       max    mean u, k = 1',
             *(_text(facts, name) for name in MOTIONS),
@@ -56,10 +61,10 @@ def _largest(facts: Facts) -> list[str]:
         motion, table = ErrorMotion.of(name), facts.tables.motions[name]
         k = int(np.abs(table.value).argmax())
         wide = facts.by_name[name].k * float(table.u[k])
-        at, value = tidy(float(table.position[k])), micro(float(table.value[k]))
+        at, value = tidy(1e3 * float(table.position[k])), micro(float(table.value[k]))
         found.append(
             f'Largest {kind}: {name}, {role(motion)}, {value} +/- {micro(wide)} '
-            f'{micro_unit(unit)} at {motion.axis} {at:g} m (U, 95 %).'
+            f'{micro_unit(unit)} at {motion.axis} {at:g} mm (U, 95 %).'
         )
     return found
 
@@ -122,9 +127,15 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
         if facts.both_ways
         else ''
     )
+    limits = (
+        'Dashed level lines: a band as high as the limit of the span. '
+        if facts.machine.limits
+        else ''
+    )
     caption = (
         f'The last letter is the axis that moves; a wide page has its motions one below the '
-        f'other. Line with nodes: mean of both senses of travel; band: U = 2 u, pointwise. {both}'
+        f'other. Line with nodes: mean of both senses of travel; band: U (95 %), pointwise. '
+        f'{both}{limits}'
         f'Rings: nodes that the data do not determine, continued smoothly.'
     )
     return [Picture(panels, caption, columns=3)]
@@ -133,21 +144,26 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
 def _panel(facts: Facts, name: ErrorMotion) -> str:
     table = facts.tables.motions[name]
     unit = 'µm' if name.is_translation else 'µrad'
-    x, y, u = table.position, 1e6 * table.value, 2e6 * table.u
     heading = f'{name} {role(name)}'
-    along = Scale(*_ends(x), f'{name.axis} (m)')
+    along = Scale(*_ends(1e3 * table.position), f'{name.axis} (mm)')
     if not table.identifiable:
         panel = Panel(along, Scale(-1.0, 1.0, f'{name} ({unit})', marks=1))
         marks = [words(190.0, 100.0, 'not identifiable in these data', 'middle soft')]
         return panel.draw(marks, f'{name}: not identifiable', heading)
+    x, y = 1e3 * table.position, 1e6 * table.value
+    u = 1e6 * facts.by_name[name].k * table.u
     reversal = facts.result.reversal.motions.get(name)
     half = 0.5e6 * reversal.value if reversal is not None and reversal.identifiable else None
     sides = [y] if half is None else [y, y + half, y - half]
-    scale = around(np.concatenate([*sides, y - u, y + u]), f'{name} ({unit})')
+    reach = np.concatenate([*sides, y - u, y + u])
+    limit, edges = _limit(facts, name, np.concatenate(sides), reach)
+    scale = around(np.concatenate([reach, edges]), f'{name} ({unit})')
+    heading += limit
     panel = Panel(along, scale)
     marks = [panel.band(x, y - u, y + u, 'after band')]
     if scale.low < 0 < scale.high:
         marks.append(panel.level(0.0, 'soft'))
+    marks += [panel.level(float(edge), f'{_state_kind(facts, name)} dash') for edge in edges]
     if half is not None:
         marks.append(panel.line(x, y + half, 'before dash'))
         marks.append(panel.line(x, y - half, 'before dot'))
@@ -158,6 +174,30 @@ def _panel(facts: Facts, name: ErrorMotion) -> str:
     return panel.draw(marks, f'{name} over {name.axis}, with uncertainty', heading)
 
 
-def _ends(position: np.typing.NDArray[np.float64]) -> tuple[float, float]:
+def _limit(facts: Facts, name: ErrorMotion, values: Array, reach: Array) -> tuple[str, Array]:
+    """Words on the limit of a motion, and the edges (0 or 2,) of a band as high as it.
+
+    The limit is on the span, so the band lies about the middle of the values (n,); where it is
+    much higher than what is drawn, ``reach`` (n,), it is in words alone.
+    """
+    limits = facts.machine.limits
+    limit = limits.values.get(name) if limits else None
+    if limit is None:
+        return '', np.zeros(0)
+    wide, middle = 1e6 * limit, 0.5 * (values.max() + values.min())
+    words_ = f', limit {wide:g} {micro_unit(name.unit)}'
+    if wide > HIGHEST * np.ptp(reach):
+        return f'{words_}, beyond the scale', np.zeros(0)
+    return words_, middle + 0.5 * wide * np.array([-1.0, 1.0])
+
+
+def _state_kind(facts: Facts, name: ErrorMotion) -> str:
+    """Class of the limit of a motion by its state."""
+    verdict = facts.result.verdict
+    found = [one.state for one in verdict.judged if one.name == name] if verdict else []
+    return STATE_KINDS.get(found[0], '') if found else ''
+
+
+def _ends(position: Array) -> tuple[float, float]:
     low, high = float(position[0]), float(position[-1])
     return (low, high) if high > low else (low - 0.5, high + 0.5)

@@ -21,7 +21,7 @@ def section(facts: Facts) -> Section:
     counts = {axis: node_counts(facts, axis) for axis in facts.machine.axis_names}
     tables = tuple(_table(facts, name, counts[name.axis]) for name in MOTIONS)
     words = (
-        'Position in m, value, u (k = 1) and U (95 %) in um or urad, as in error_tables.csv '
+        'Position in mm, value, u (k = 1) and U (95 %) in um or urad, as in error_tables.csv '
         '(there in m and rad). n_obs: samples nearer to this node than to its neighbours.',
     )
     return Section('nodes', 'All nodes', words, {}, tables)
@@ -54,7 +54,7 @@ def _table(facts: Facts, name: ErrorMotion, counts: NDArray[np.int64]) -> Table:
     flags = np.ones(len(table.position), dtype=bool) if known is None else known
     rows = tuple(
         (
-            f'{tidy(float(x)):.6g}',
+            f'{tidy(1e3 * float(x)):.6g}',
             micro(float(v), 3),
             micro(float(u), 3),
             micro(k * float(u), 3),
@@ -66,5 +66,5 @@ def _table(facts: Facts, name: ErrorMotion, counts: NDArray[np.int64]) -> Table:
             table.position, table.value, table.u, counts, flags, strict=True
         )
     )
-    head = ('Position (m)', 'Value', 'u (k = 1)', 'U', 'k', 'v_eff', 'n_obs', 'Flag')
+    head = ('Position (mm)', 'Value', 'u (k = 1)', 'U', 'k', 'v_eff', 'n_obs', 'Flag')
     return Table(head, rows, numbers=tuple(range(7)), folded=f'{name} ({micro_unit(name.unit)})')

@@ -8,7 +8,9 @@ import numpy as np
 from otf_core.budget.typical import typical_warnings
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.calibration_pictures import error_bars, volume_pictures
 from otf_core.reports.circumstances import measured
+from otf_core.reports.drawing.scene import SCRIPT
 from otf_core.reports.page import Heading
 from otf_core.reports.quantities import listed, micro, place
 from otf_core.reports.section import Section, State
@@ -49,6 +51,8 @@ def section(facts: Facts) -> Section:
             **({'verdict': result.verdict.to_dict()} if result.verdict else {}),
         },
         text=_text(facts),
+        draw=lambda: (volume_pictures(facts), error_bars(facts)),
+        script=SCRIPT,
     )
 
 

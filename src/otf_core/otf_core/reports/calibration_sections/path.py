@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from otf_core.calibration.result import RunResult
 from otf_core.model.path import leg_bounds
 from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.calibration_pictures import trackers
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
@@ -69,7 +70,7 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
 def _space(facts: Facts, run: RunResult) -> str:
     low, high = facts.machine.lower, facts.machine.upper
     length = 1e6 * np.linalg.norm(run.residual, axis=0)
-    items: list[Item] = box(low, high)
+    items: list[Item] = [*box(low, high), *trackers(facts)]
     if run.pieces.standstill:
         size, points, ends = length, run.q, None
     else:

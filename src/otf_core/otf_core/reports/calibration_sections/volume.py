@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The volume before and after: arrows on a grid, histograms, what each motion adds."""
+"""The volumetric error in numbers, by direction, and what each motion adds."""
 
 from __future__ import annotations
 
@@ -13,19 +13,13 @@ from otf_core.model.frames import XYZ
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_sections.overview import contributions
 from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.drawing.scene import SCRIPT, TURNED, Dots, Item, Strokes, box, scene
 from otf_core.reports.quantities import micro
 from otf_core.reports.section import Picture, Section, Table
 
 Array = NDArray[np.float64]
 
-DRAWN = 4
-"""Points of the grid per axis that are drawn: every other of seven."""
-ARROW = 0.9
-"""Length of the longest arrow, in distances between arrows along the shortest edge."""
 BINS = 24
 
 
@@ -54,23 +48,10 @@ def section(facts: Facts) -> Section:
     head = ('Volumetric error (um)', 'Mean', '95 % below', 'Largest')
     table = Table(head, tuple(rows), numbers=(1, 2, 3))
     return Section('volume', 'Volumetric error', words, data, (table,),
-                   draw=lambda: _pictures(facts), script=SCRIPT)  # fmt: skip
+                   draw=lambda: _pictures(facts))  # fmt: skip
 
 
 def _pictures(facts: Facts) -> Sequence[Picture]:
-    length, u = facts.volume.length, facts.k_volume * facts.volume.u_size
-    steps = heat_step(1e6 * length), heat_step(1e6 * u)
-    before = _arrows(facts, steps[0]) + heat_key(steps[0], 1e6 * float(length.max()), 'µm')
-    after = _cloud(facts, steps[1]) + heat_key(steps[1], 1e6 * float(u.max()), 'µm')
-    size = 1e6 * float(length.max())
-    spaces = Picture(
-        (before, after),
-        f'Left: error vectors as the machine stands, the longest {size:.2f} um. Right: what '
-        f'is to be expected after compensation, U (95 %) of the vector, on a scale of its own. '
-        f'{TURNED}',
-        columns=2,
-        title='In space',
-    )
     spread = Picture(
         (*(_histogram(facts, k) for k in range(3)), *(_expected(facts, k) for k in range(3))),
         'Share of the grid points by the component of the error along X, Y and Z. Above: as the '
@@ -86,44 +67,7 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
         'makes alone; the largest ones. They partly cancel, so they do not add up.',
         title='By motion',
     )
-    return [spaces, spread, adds]
-
-
-def _drawn(facts: Facts) -> NDArray[np.int64]:
-    """Which points of the grid are drawn."""
-    count = round(len(facts.volume.grid) ** (1 / 3))
-    use = np.unique(np.linspace(0, count - 1, DRAWN).round().astype(int))
-    every = np.arange(count**3).reshape(count, count, count)
-    return np.asarray(every[np.ix_(use, use, use)].ravel())
-
-
-def _arrows(facts: Facts, step: float) -> str:
-    low, high = facts.machine.lower, facts.machine.upper
-    at = _drawn(facts)
-    grid, error = facts.volume.grid[at], facts.volume.error[at]
-    length = facts.volume.length
-    reach = ARROW * float((high - low).min()) / (DRAWN - 1)
-    tips = grid + error * (reach / max(float(length.max()), 1e-300))
-    classes = heat_classes(1e6 * length[at], step)
-    items: list[Item] = box(low, high)
-    for level in range(LEVELS):
-        own = classes == level
-        if own.any():
-            ends = np.stack([grid[own], tips[own]], axis=1)
-            items.append(Strokes(f'heat arrow h{level}', ends, arrows=True))
-    return scene(items, low, high, 'error vectors in the volume')
-
-
-def _cloud(facts: Facts, step: float) -> str:
-    low, high = facts.machine.lower, facts.machine.upper
-    at = _drawn(facts)
-    classes = heat_classes(1e6 * facts.k_volume * facts.volume.u_size[at], step)
-    items: list[Item] = box(low, high)
-    for level in range(LEVELS):
-        own = classes == level
-        if own.any():
-            items.append(Dots(f'heat big h{level}', facts.volume.grid[at][own]))
-    return scene(items, low, high, 'uncertainty after compensation in the volume')
+    return [adds, spread]
 
 
 def _histogram(facts: Facts, axis: int) -> str:

@@ -10,6 +10,8 @@ from otf_core.reports.drawing.panel import svg, words
 
 ROW, THICK = 19.0, 12.0
 """px; distance and thickness of bars."""
+LETTER = 6.2
+"""px; about the width of a letter."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,12 @@ class Bar:
         return sum(size for size, _ in self.parts)
 
 
+def _scale(row: Bar, room: float) -> float:
+    """Largest scale at which a bar and its words have room, px of a unit."""
+    reach = max(row.size, row.mark or 0.0, *(row.ends or ()), 1e-300)
+    return max(room - LETTER * len(row.words) - 14.0, 0.2 * room) / reach
+
+
 def bars(rows: Sequence[Bar], title: str, *, names: float = 50.0, width: float = 400.0) -> str:
     """Picture of bars on one scale.
 
@@ -53,10 +61,7 @@ def bars(rows: Sequence[Bar], title: str, *, names: float = 50.0, width: float =
         Room for the names.
     width : float, px
     """
-    right = 84.0
-    reach = (max(row.size, row.mark or 0.0, *(row.ends or ())) for row in rows)
-    top = max([1e-300, *reach])
-    scale = (width - names - right) / top
+    scale = min([_scale(row, width - names) for row in rows], default=1.0)
     marks = []
     for k, row in enumerate(rows):
         y, x = k * ROW + 3.0, names

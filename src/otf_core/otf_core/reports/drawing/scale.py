@@ -90,6 +90,12 @@ def round_step(wished: float) -> float:
     return next(m * power for m in ROUND if m * power >= wished * (1.0 - 1e-9))
 
 
+def round_below(wished: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above a wished size."""
+    power = 10.0 ** math.floor(math.log10(max(wished, 1e-300)) + 1e-12)
+    return next(m * power for m in ROUND[2::-1] if m * power <= wished * (1.0 + 1e-9))
+
+
 def around(values: ArrayLike, label: str, *, zero: bool = False, marks: int = 4) -> Scale:
     """Scale around values (NaN left out) with a little room; ``zero``: begins or ends there."""
     given = np.asarray(values, dtype=float)

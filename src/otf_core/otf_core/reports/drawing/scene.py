@@ -14,12 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.reports.drawing.panel import arrow_path, svg, words
+from otf_core.reports.drawing.scale import round_below
 
 Array = NDArray[np.float64]
 
-WIDTH, HEIGHT, MARGIN = 480.0, 330.0, 28.0
+WIDTH, HEIGHT, MARGIN = 480.0, 320.0, 22.0
+SIDE = 100.0
+"""px; room for labels left and right of the scene."""
 AZIMUTH, ELEVATION = math.radians(-58.0), math.radians(24.0)
 """From where the picture is seen first: from the front, a little from the right and above."""
+LETTER, LINE = 5.9, 13.0
+"""px; about the width of a letter and the height of a line of labels."""
+NEAR = 0.3
+"""Distance of a tracker from the volume, in its diagonals, up to which it stands in the scene."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +48,19 @@ class Strokes:
 
 @dataclass(frozen=True)
 class Dots:
-    """Dots of one class at points, shape (n, 3), m."""
+    """Dots of one class.
+
+    Attributes
+    ----------
+    kind : str
+    points : ndarray, shape (n, 3), m
+    radius : float, m
+        As they are drawn, magnified if they are; 0: the size of the class.
+    """
 
     kind: str
     points: Array
+    radius: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -68,6 +84,33 @@ class Label:
     dy: float = 0.0
 
 
+@dataclass(frozen=True)
+class Magnification:
+    """How much larger than the volume errors are drawn.
+
+    Attributes
+    ----------
+    factor : float
+        A round number.
+    reference : float, m
+        An error of round size, whose arrow stands beside the scene.
+    """
+
+    factor: float
+    reference: float
+
+    @property
+    def words(self) -> str:
+        """In words."""
+        return f'errors × {self.factor:,.0f}'.replace(',', '\u202f')
+
+
+def magnification(longest: float, reach: float) -> Magnification:
+    """A round magnification that draws the longest error at most ``reach`` long, m."""
+    size = max(longest, 1e-12)
+    return Magnification(round_below(reach / size), round_below(size))
+
+
 TURNED = 'On a screen, drag it or use the arrow keys to turn it; Home turns it back.'
 """For captions."""
 Item = Strokes | Dots | Label
@@ -88,22 +131,117 @@ def box(low: Array, high: Array) -> list[Item]:
     size = high - low
     items: list[Item] = [Strokes('grid', low + np.array(pairs) * size)]
     for k, (name, shares, kind, dx, dy) in enumerate(EDGES):
-        ends = (round(float(end[k]), 2) + 0.0 for end in (low, high))
-        text = f'{name} ' + ' to '.join(f'{end:.2f}' for end in ends) + ' m'
+        ends = (round(1e3 * float(end[k]), 1) + 0.0 for end in (low, high))
+        text = f'{name} ' + ' to '.join(f'{end:g}' for end in ends) + ' mm'
         items.append(Label(low + np.array(shares) * size, text, kind, dx, dy))
     return items
 
 
-def _projected(points: Array) -> Array:
-    """Places in the picture of points (n, 3) of the unit sphere, px."""
+def tracker_items(place: Array, low: Array, high: Array) -> list[Item]:
+    """Mark of a tracker at place (3,), m; of one far from the box an arrow towards it."""
+    edge = np.clip(place, low, high)
+    away = place - edge
+    far, reach = float(np.linalg.norm(away)), NEAR * float(np.linalg.norm(high - low))
+    if far <= reach:
+        return [Dots('z big', place[None]), Label(place, 'tracker', 'end', -9.0, 4.0)]
+    tip = edge + away * (0.5 * reach / far)
+    said = f'tracker, {far:.1f} m away'
+    return [Strokes('z', np.array([[edge, tip]]), arrows=True), Label(tip, said, 'middle', dy=12)]
+
+
+def _axes() -> tuple[Array, Array]:
+    """Directions right and up in the picture, shape (3,)."""
     ca, sa = math.cos(AZIMUTH), math.sin(AZIMUTH)
     ce, se = math.cos(ELEVATION), math.sin(ELEVATION)
-    right = np.array([-sa, ca, 0.0])
-    up = np.array([-ca * se, -sa * se, ce])
-    half = 0.5 * HEIGHT - MARGIN
+    return np.array([-sa, ca, 0.0]), np.array([-ca * se, -sa * se, ce])
+
+
+HALF = 0.5 * HEIGHT - MARGIN
+"""px of the unit sphere."""
+
+
+def _projected(points: Array) -> Array:
+    """Places in the picture of points (n, 3) of the unit sphere, px."""
+    right, up = _axes()
     return np.column_stack(
-        [0.5 * WIDTH + half * (points @ right), 0.5 * HEIGHT - half * (points @ up)]
+        [0.5 * WIDTH + HALF * (points @ right), 0.5 * HEIGHT - HALF * (points @ up)]
     )
+
+
+def _fitted(items: Sequence[Item], low: Array, high: Array) -> tuple[Array, float]:
+    """Centre (3,) and radius, m, with which box and marks fill the picture as it is seen first."""
+    corners = np.array(list(product(*zip(low, high, strict=True))))
+    ends = [i.points if isinstance(i, Dots) else i.ends.reshape(-1, 3)
+            for i in items if not isinstance(i, Label)]  # fmt: skip
+    places = np.concatenate([corners, *ends]) @ np.stack(_axes(), axis=1)
+    near, far = places.min(axis=0), places.max(axis=0)
+    room = np.array([WIDTH - 2.0 * SIDE, HEIGHT - 2.0 * MARGIN])
+    scale = float((room / np.maximum(far - near, 1e-12)).min())
+    middle = 0.5 * (low + high)
+    shift = 0.5 * (near + far) - middle @ np.stack(_axes(), axis=1)
+    return middle + np.stack(_axes(), axis=1) @ shift, HALF / scale
+
+
+def _label_spots(item: Label) -> list[tuple[str, float, float]]:
+    """Class and offset of a label, the one wished for first."""
+    own = (item.kind, item.dx, item.dy)
+    others = [('', 9.0, 4.0), ('end', -9.0, 4.0), ('middle', 0.0, -9.0), ('middle', 0.0, 18.0),
+              ('', 9.0, 18.0), ('end', -9.0, 18.0), ('', 9.0, -10.0),
+              ('end', -9.0, -10.0)]  # fmt: skip
+    return [own, *others]
+
+
+def _label_box(item: Label, kind: str, x: float, y: float) -> tuple[float, float, float, float]:
+    """Left, top, right and bottom of a label whose anchor lies at x, y, px."""
+    wide = LETTER * len(item.text)
+    left = x - wide if 'end' in kind else x - 0.5 * wide if 'middle' in kind else x
+    return left, y - LINE + 3.0, left + wide, y + 3.0
+
+
+Box = tuple[float, float, float, float]
+
+
+def _overlap(a: Box, b: Box) -> float:
+    wide = min(a[2], b[2]) - max(a[0], b[0])
+    high = min(a[3], b[3]) - max(a[1], b[1])
+    return max(wide, 0.0) * max(high, 0.0)
+
+
+def _crowd(items: Sequence[Item], centre: Array, size: float) -> Array:
+    """Places (n, 2), px, that labels should leave free: along lines and arrows, and dots."""
+    share = np.linspace(0.0, 1.0, 7)[:, None]
+    found = [np.zeros((0, 3))]
+    for item in items:
+        if isinstance(item, Dots):
+            found.append(item.points)
+        elif isinstance(item, Strokes):
+            a, b = item.ends[:, None, 0], item.ends[:, None, 1]
+            found.append((a + share * (b - a)).reshape(-1, 3))
+    return _projected((np.concatenate(found) - centre) / size)
+
+
+def _spot(
+    item: Label, x: float, y: float, taken: Sequence[Box], crowd: Array
+) -> tuple[str, float, float, Box]:
+    """Where a label overlaps nothing that stands there already, and the box it takes."""
+    best, least = ('', 0.0, 0.0, (0.0, 0.0, 0.0, 0.0)), math.inf
+    for kind, dx, dy in _label_spots(item):
+        own = _label_box(item, kind, x + dx, y + dy)
+        outside = max(0.0, -own[0]) + max(0.0, own[2] - WIDTH) + max(0.0, own[3] - HEIGHT)
+        covered = np.all((crowd > own[:2]) & (crowd < own[2:]), axis=1).sum()
+        cost = sum(_overlap(own, other) for other in taken) + LINE * (outside + float(covered))
+        if cost < least:
+            best, least = (kind, dx, dy, own), cost
+    return best
+
+
+def _reference(shown: Magnification, scale: float) -> list[str]:
+    """Arrow of an error of round size, and what it is; ``scale`` in px of a metre."""
+    long = shown.reference * shown.factor * scale
+    y = HEIGHT - 9.0
+    ends = np.array([[[10.0, y], [10.0 + long, y]]])
+    said = f'{1e6 * shown.reference:g} µm, {shown.words}'
+    return [f'<path class="line ink" d="{arrow_path(ends)}"/>', words(18.0 + long, y + 4.0, said)]
 
 
 def _path(item: Strokes | Dots, points: Array) -> str:
@@ -117,27 +255,51 @@ def _path(item: Strokes | Dots, points: Array) -> str:
 
 
 def scene(
-    items: Sequence[Item], low: Array, high: Array, title: str, *, turns: bool = True
+    items: Sequence[Item],
+    low: Array,
+    high: Array,
+    title: str,
+    *,
+    turns: bool = True,
+    shown: Magnification | None = None,
 ) -> str:
-    """Picture of items in a box from low to high (3,), m; ``SCRIPT`` lets the reader turn it."""
-    centre = 0.5 * (low + high)
-    size = 0.5 * float(np.linalg.norm(high - low))
+    """Picture of items in a box; ``SCRIPT`` lets the reader turn it.
+
+    Parameters
+    ----------
+    items : sequence of Item
+        Labels are drawn last, none over another.
+    low, high : ndarray, shape (3,), m
+    title : str
+        For readers who cannot see it.
+    turns : bool
+    shown : Magnification, optional
+        Of arrows and radii among the items; stated with an arrow of reference.
+    """
+    centre, size = _fitted(items, low, high)
     marks, data = [], []
-    for item in items:
+    fixed = _reference(shown, HALF / size) if shown else []
+    crowd = _crowd(items, centre, size)
+    taken: list[Box] = [(0.0, HEIGHT - 20.0, 0.6 * WIDTH, HEIGHT)] if shown else []
+    for item in sorted(items, key=lambda i: isinstance(i, Label)):
         if isinstance(item, Label):
             point = (item.point - centre) / size
             x, y = _projected(point[None])[0]
-            mark = words(x, y, item.text, f'{item.kind} soft')
-            marks.append(mark.replace('<text', f'<text dx="{item.dx:g}" dy="{item.dy:g}"', 1))
+            kind, dx, dy, own = _spot(item, x, y, taken, crowd)
+            taken.append(own)
+            mark = words(x, y, item.text, f'{kind} soft over')
+            marks.append(mark.replace('<text', f'<text dx="{dx:g}" dy="{dy:g}"', 1))
             data.append([3, *np.round(point, 3).tolist()])
             continue
         where = item.points if isinstance(item, Dots) else item.ends
         points = (where - centre) / size
-        kind = 'dots' if isinstance(item, Dots) else 'line'
-        marks.append(f'<path class="{kind} {item.kind}" d="{_path(item, points)}"/>')
+        kind, style = ('dots', '') if isinstance(item, Dots) else ('line', '')
+        if isinstance(item, Dots) and item.radius > 0:
+            style = f' style="stroke-width:{max(2.0 * item.radius * HALF / size, 2.5):.1f}"'
+        marks.append(f'<path class="{kind} {item.kind}"{style} d="{_path(item, points)}"/>')
         code = 0 if isinstance(item, Dots) else 2 if item.arrows else 1
         data.append([code, *np.round(points, 4).reshape(-1).tolist()])
-    picture = svg(WIDTH, HEIGHT, marks, title)
+    picture = svg(WIDTH, HEIGHT, [*fixed, *marks], title)
     if not turns:
         return picture
     numbers = html.escape(json.dumps(data, separators=(',', ':')), quote=True)
@@ -149,7 +311,7 @@ SCRIPT = """
 for (const svg of document.querySelectorAll('svg.turn')) {
   const items = JSON.parse(svg.dataset.scene);
   const marks = [...svg.children].slice(-items.length);
-  const box = svg.viewBox.baseVal, half = box.height / 2 - 28;
+  const box = svg.viewBox.baseVal, half = box.height / 2 - 22;
   const front = [-58 * Math.PI / 180, 24 * Math.PI / 180];
   let [azimuth, elevation] = front, last = null;
   const draw = () => {

@@ -14,6 +14,8 @@ MARKS = """
 svg text { fill: var(--ink); font: 11px system-ui, "Segoe UI", "DejaVu Sans", sans-serif; }
 svg text.soft { fill: var(--soft); font-size: 11px; } svg text.end { text-anchor: end; }
 svg text.middle { text-anchor: middle; } svg text.strong { font-weight: 600; font-size: 12px; }
+svg text.over { paint-order: stroke; stroke: var(--paper); stroke-width: 3px;
+  stroke-linejoin: round; } .dots.disc { opacity: 0.55; }
 .line { fill: none; stroke-width: 1.6; stroke-linejoin: round; } .area { stroke: none; }
 .dots { fill: none; stroke-width: 3; stroke-linecap: round; }
 .grid { fill: none; stroke: var(--line); stroke-width: 0.8; }
@@ -26,8 +28,11 @@ svg text.middle { text-anchor: middle; } svg text.strong { font-weight: 600; fon
 .line.x, .dots.x { stroke: var(--x); } .area.x { fill: var(--x); }
 .line.y, .dots.y { stroke: var(--y); } .area.y { fill: var(--y); }
 .line.z, .dots.z { stroke: var(--z); } .area.z { fill: var(--z); }
-.area.band { opacity: 0.28; } .line.thin { stroke-width: 1; } .line.dash {
-  stroke-dasharray: 5 3; } .dots.small { stroke-width: 2; } .dots.node { stroke-width: 4.5; }
+.area.good { fill: var(--good); } .area.bad { fill: var(--bad); }
+.area.open { fill: var(--open); } .area.band { opacity: 0.28; } .line.thin { stroke-width: 1; }
+.line.good { stroke: var(--good); } .line.bad { stroke: var(--bad); }
+.line.dash { stroke-dasharray: 5 3; }
+.dots.small { stroke-width: 2; } .dots.node { stroke-width: 4.5; }
 .dots.big { stroke-width: 8; } .line.open { stroke: var(--open); }
 .line.dot { stroke-dasharray: 1.5 3; } .line.thick { stroke-width: 2.4; }
 .s0 { --s: #2c5fa8; } .s1 { --s: #d55e00; } .s2 { --s: #009e73; } .s3 { --s: #cc79a7; }
@@ -38,7 +43,7 @@ svg text.middle { text-anchor: middle; } svg text.strong { font-weight: 600; fon
   fill: var(--s); } .dots.heat { stroke: var(--s); } .line.arrow { stroke-width: 1.8; }
 @media screen and (prefers-color-scheme: dark) { .s0 { --s: #5f8fdc; } .s3 { --s: #dd9abc; }
   .s6 { --s: #b08e52; } .s8 { --s: #c07ab0; } .h4 { --s: #de5830; } .h5 { --s: #d8364a; } }
-.turn { touch-action: pan-y; cursor: grab; } .turn:active { cursor: grabbing; }
+.turn { overflow: visible; touch-action: pan-y; cursor: grab; } .turn:active { cursor: grabbing; }
 """
 """Colours, and the marks of pictures."""
 
@@ -94,11 +99,13 @@ td > b { font-weight: 600; }
   grid-template-columns: 1fr 1fr; } }
 @media print, screen and (min-width: 900px) { .pictures.three {
   grid-template-columns: 1fr 1fr 1fr; } .pictures.two { grid-template-columns: 1fr 1fr; } }
+#overview svg.turn { max-height: 21rem; } #overview figure { margin: 0.5rem 0; }
 svg { width: 100%; height: auto; color: var(--ink); display: block; }
 .keys > span { white-space: nowrap; margin-right: 0.8em; display: inline-block; }
 .key { display: inline-block; width: 0.8em; height: 0.8em; background: var(--s);
-  margin-right: 0.35em; } .key.stroke { width: 2px; height: 1.1em; background: var(--ink);
-  vertical-align: middle; }
+  margin-right: 0.35em; } .good-key { --s: var(--good); } .bad-key { --s: var(--bad); }
+.open-key { --s: var(--open); } .after-key { --s: var(--after); }
+.key.stroke { width: 2px; height: 1.1em; background: var(--ink); vertical-align: middle; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figcaption { font-size: 0.9rem; color: var(--soft); margin-top: 0.2rem; }
 details summary { cursor: pointer; color: var(--soft); }
