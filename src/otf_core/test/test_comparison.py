@@ -322,7 +322,10 @@ def test_error_vectors_of_both_are_those_at_the_target_of_the_first():
     moved = replace(tables, machine=some_machine(offset=(0.1, 0.05, -0.3)))
     result = compared(tables, moved)
     assert result.volume.squareness[2] < 1e-12 < result.volume.squareness[0]
-    assert 'both at the target offset of a, X 20, Y -30, Z -150 mm; that of b is X 100' in format_comparison(result)
+    assert (
+        'both at the target offset of a, X 20, Y -30, Z -150 mm; that of b is X 100'
+        in format_comparison(result)
+    )
     assert 'both at' not in format_comparison(compared(tables, tables))
 
 
