@@ -9,6 +9,7 @@ from geometry_msgs.msg import Point, TransformStamped, Vector3
 
 from otf_core.calibration.first_sight import FirstSight
 from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.verdict import FAIL, NOT_STATED, OPEN, PASS, UNKNOWN
 from otf_core.calibration.volume import motion_sizes
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
@@ -19,6 +20,13 @@ from otf_msgs.msg import VolumeErrors as VolumeMessage
 from otf_ros import frames
 from otf_ros.convert import header, transform_to_message
 
+MACHINE_STATES = {
+    NOT_STATED: ResultMessage.LIMITS_NOT_STATED,
+    PASS: ResultMessage.LIMITS_KEPT,
+    OPEN: ResultMessage.LIMITS_NOT_PROVEN,
+    UNKNOWN: ResultMessage.LIMITS_NOT_PROVEN,
+    FAIL: ResultMessage.LIMITS_BROKEN,
+}
 ZERO_GAUGE = 'zero at axis position 0, else at the minimum'
 STRAIGHTNESS_GAUGE = 'zero at both ends; its slope lies in squareness and alignment'
 
@@ -59,13 +67,25 @@ def alignment_to_message(T_machine_tracker: RigidTransform, stamp: Time) -> Tran
 def result_to_message(result: CalibrationResult, stamp: Time, method: str) -> ResultMessage:
     """Return the summary; what only the node knows (lost samples, folder) is left empty."""
     fit, machine = result.fit, result.tables.machine
-    passed = not result.failed_gates
+    verdicts, first = result.verdicts, result.headline
     sizes = motion_sizes(result)
     message = ResultMessage(
         header=header(stamp),
         run_id=result.run_id,
-        status=ResultMessage.OK if passed else ResultMessage.QUALITY_GATE_FAILED,
+        status=verdicts.exit_code,
         message=summary(result),
+        measurement_good=verdicts.good,
+        measurement_verdict=verdicts.measurement_words,
+        machine_state=MACHINE_STATES[verdicts.machine_state],
+        machine_verdict=verdicts.machine_words,
+        volumetric_error_mean=first.error['mean'],
+        volumetric_error_largest=first.error['max'],
+        expected_mean=first.expanded['mean'],
+        expected_largest=first.expanded['max'],
+        observed_mean=first.observed['mean'],
+        observed_largest=first.observed['max'],
+        coverage_factor=first.k,
+        systematic=first.systematic,
         machine=machine.name,
         chain=str(machine.chain),
         method=method,
@@ -131,14 +151,11 @@ def volume_from_message(message: VolumeMessage) -> VolumeErrors:
 
 def summary(result: CalibrationResult) -> str:
     """Return the outcome in one sentence."""
-    if result.failed_gates:
-        return f'quality gate failed: {"; ".join(result.failed_gates)}'
-    fit = result.fit
-    verdict = f'; {result.verdict.sentence}' if result.verdict else ''
-    return (
-        f'mean distance from the path {1e6 * fit.path_mae_before:.2f} um, '
-        f'compensated {1e6 * fit.path_mae_after:.2f} um{verdict}'
-    )
+    verdicts, first = result.verdicts, result.headline
+    if not verdicts.good:
+        return verdicts.measurement_words
+    error, expected, _ = first.words
+    return '; '.join([error, expected, verdicts.measurement_words, verdicts.machine_words])
 
 
 def failure_to_message(exit_code: int, text: str, stamp: Time) -> ResultMessage:

@@ -10,12 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.freedom import (
-    coverage_factor,
-    residual_freedom,
-    standstill_freedom,
-    welch_satterthwaite,
-)
+from otf_core.budget.freedom import residual_freedom, standstill_freedom, welch_satterthwaite
 from otf_core.budget.noise import NoiseParts
 from otf_core.budget.systematic import (
     SYSTEMATIC,
@@ -23,6 +18,7 @@ from otf_core.budget.systematic import (
     piece_states,
     systematic_sensitivities,
 )
+from otf_core.model.expanded import coverage_factor
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
@@ -36,7 +32,11 @@ Array = NDArray[np.float64]
 
 NOISE, MISFIT, SMOOTHNESS, EFFECTS = 'noise', 'misfit', 'smoothness', 'effects'
 STRAIGHT = 'straight lines'
+TYPICAL_SOURCE = 'typical, not declared'
+"""What typical values add for systematic contributions that nobody declared."""
 NAMES = (*SQUARENESS, *MOTIONS)
+OBSERVED = (NOISE, MISFIT, SMOOTHNESS, EFFECTS, STRAIGHT)
+"""Sources that the run itself shows; all others are systematic."""
 
 
 @dataclass(frozen=True)

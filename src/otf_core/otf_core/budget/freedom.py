@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effective degrees of freedom (GUM annex G) and coverage factors.
+"""Effective degrees of freedom (GUM annex G).
 
 The level of the noise rests on the residuals and on the standstills. Residuals with covariance S
 have (tr S)^2 / tr S^2 degrees of freedom (Welch-Satterthwaite for their mean square), less one for
@@ -13,16 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit  # what scipy.stats calls; importing that costs 0.4 s
 
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills
 from otf_core.pieces.runs import Run
 from otf_core.solving.joint import JointSolution
 
 Array = NDArray[np.float64]
-
-COVERAGE_PROBABILITY = 0.95
-"""Coverage probability of the expanded uncertainties."""
 
 
 def residual_freedom(done: JointSolution, correlation_factor: float) -> float:
@@ -71,8 +67,3 @@ def welch_satterthwaite(variances: Array, freedoms: Array) -> Array:
     share = variances / np.maximum(variances.sum(axis=0), 1e-300)
     slack = np.sum(share**2 / freedoms[:, None], axis=0)
     return np.asarray(1.0 / np.maximum(slack, 1e-300))
-
-
-def coverage_factor(freedom: float) -> float:
-    """Coverage factor for 95 %: Student's t for whole degrees of freedom (GUM G.4.1)."""
-    return float(stdtrit(max(1.0, np.floor(freedom)), 0.5 + 0.5 * COVERAGE_PROBABILITY))

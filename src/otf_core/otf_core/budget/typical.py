@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.budget.budget import TYPICAL_SOURCE, Budget, Source
 from otf_core.budget.systematic import (
     SYSTEMATIC,
     Systematic,
@@ -57,6 +58,8 @@ class TypicalSystematic:
     grid : tuple of two floats, m
         Root mean square over a grid of the u of the error vector, rigid motion taken out: as
         stated and with them.
+    change : ndarray, shape (full, k), m and rad
+        Of all unknowns, per typical standard uncertainty of each coefficient.
     """
 
     missing: tuple[str, ...]
@@ -65,25 +68,16 @@ class TypicalSystematic:
     squareness: Mapping[str, tuple[float, float]]
     motions: Mapping[str, Array]
     grid: tuple[float, float]
+    change: Array
 
     @property
     def warning(self) -> str:
         """One line for the user."""
-        sizes = [f'{n} {_step(pair)} urad' for n, pair in list(self.squareness.items())[:1]]
-        sizes.append(f'grid {_step(self.grid)} um')
-        holds = (
-            'noise and misfit only' if self.nothing_declared else 'only a part of what is known'
-        )
         return (
-            f'u holds {holds}: machine.yaml declares nothing for {", ".join(self.missing)}; '
-            f'with typical values (presets {", ".join(TYPICAL)}) it would be (k = 1) '
-            f'{", ".join(sizes)}; declare them in the section uncertainty, or name a preset'
+            f'machine.yaml declares nothing for {", ".join(self.missing)}: U holds typical values '
+            f'of them (presets {", ".join(TYPICAL)}), u in the files does not; declare them in '
+            f'the section uncertainty'
         )
-
-
-def _step(pair: tuple[float, float]) -> str:
-    """Before and after, in millionths, two digits."""
-    return ' -> '.join(f'{1e6 * v:.0f}' if v > 99.5e-6 else f'{1e6 * v:.2g}' for v in pair)
 
 
 def typical_runs(runs: Sequence[Observed], values: Mapping[str, float]) -> list[Observed]:
@@ -148,7 +142,8 @@ def typical_systematic(
     if not sources:
         return None
     with one_thread():
-        change = rows @ (done.solution.covariance @ pulls)
+        whole = done.solution.covariance @ pulls
+        change = rows @ whole
         stated = np.maximum(np.diag(covariance), 0.0)
         u = np.sqrt(stated + np.sum(change**2, axis=1))
         grid = driven_grid(tables)
@@ -175,7 +170,16 @@ def typical_systematic(
         },
         motions=motions,
         grid=(float(np.sqrt(before)), float(np.sqrt(after))),
+        change=whole,
     )
+
+
+def with_typical(budget: Budget, found: TypicalSystematic | None) -> Budget:
+    """The budget with typical values where nothing is declared: what is stated first."""
+    if found is None:
+        return budget
+    source = Source(TYPICAL_SOURCE, found.change @ found.change.T, np.inf)
+    return replace(budget, sources=(*budget.sources, source))
 
 
 def typical_warnings(found: TypicalSystematic | None) -> tuple[str, ...]:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.aside import Aside
-from otf_core.budget.typical import typical_warnings
+from otf_core.budget.typical import typical_warnings, with_typical
 from otf_core.calibration.assessed import Assessed, assess
+from otf_core.calibration.headline import headline_of
 from otf_core.calibration.mixtures import mixture_warnings
 from otf_core.calibration.result import CalibrationResult, Fit
 from otf_core.calibration.solved import examined_and_solved, solve_on
@@ -32,6 +33,7 @@ from otf_core.model.tables import ErrorTables
 from otf_core.pieces.finding import GATE, WARNING, words_of
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
+from otf_core.prediction.volumetric import VolumetricError
 from otf_core.solving.curve_lag import curve_remarks
 from otf_core.solving.extrapolation import prior_of
 from otf_core.solving.joint import Progress
@@ -177,7 +179,9 @@ def assemble(
     remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
     hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
     prior = prior_of(done, tables, config.unidentifiable_above)
-    verdict = judge(tables, covariance, budget, hidden, prior)
+    stated = with_typical(budget, found.typical)
+    whole = budget.covariance if found.typical is None else stated.covariance
+    volume = VolumetricError(tables, whole, prior, hidden)
     return CalibrationResult(
         run_id=_run_id([r.recording for r in runs], config),
         tables=tables,
@@ -185,6 +189,7 @@ def assemble(
         budget=budget,
         runs=tuple(found.results),
         fit=found.fit,
+        headline=headline_of(volume, stated, found.typical),
         reversal=Reversal(
             solved.choice.model,
             solved.choice.evidence,
@@ -214,10 +219,9 @@ def assemble(
         failed_gates=(
             *words_of(remarks, GATE),
             *_failed_gates(found.fit),
-            *(verdict.failures if verdict else ()),
         ),
         config=config,
         origin=origins(r.recording for r in runs),
         effects=taken.stated if taken is not None else (),
-        verdict=verdict,
+        machine_verdict=judge(tables, whole, stated, hidden, prior),
     )

@@ -5,13 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget
-from otf_core.budget.typical import TypicalSystematic
-from otf_core.calibration.verdict import Verdict
+from otf_core.budget.typical import TypicalSystematic, with_typical
+from otf_core.calibration.headline import Headline
+from otf_core.calibration.verdict import Verdict, Verdicts
 from otf_core.config import CalibrationConfig
 from otf_core.effects.stated import StatedEffect
 from otf_core.model.frames import RigidTransform
@@ -145,6 +147,8 @@ class CalibrationResult:
     budget : Budget
     runs : tuple of RunResult
     fit : Fit
+    headline : Headline
+        What is stated first: volumetric error and its expanded uncertainty.
     reversal : Reversal
         How the motions differ between forward and backward travel; ``tables`` hold the mean.
     fraction : int
@@ -159,7 +163,7 @@ class CalibrationResult:
         What typical systematic contributions would add; None if all are declared.
     warnings : tuple of str
     failed_gates : tuple of str
-        Quality gates that failed; empty for a good calibration.
+        Quality gates of the measurement that failed; empty for a good one.
     config : CalibrationConfig
     origin : tuple of Origin
         The recordings.
@@ -167,7 +171,7 @@ class CalibrationResult:
         Taken off the runs before the tables were solved for.
     effects_sentence : str
         What was found and done about effects; empty where nobody asked.
-    verdict : Verdict, optional
+    machine_verdict : Verdict, optional
         By the limits of machine.yaml; None without any.
     """
 
@@ -177,6 +181,7 @@ class CalibrationResult:
     budget: Budget
     runs: tuple[RunResult, ...]
     fit: Fit
+    headline: Headline
     reversal: Reversal
     fraction: int
     table_costs: Mapping[int, TableCost]
@@ -189,7 +194,22 @@ class CalibrationResult:
     origin: tuple[Origin, ...] = ()
     effects: tuple[StatedEffect, ...] = ()
     effects_sentence: str = ''
-    verdict: Verdict | None = None
+    machine_verdict: Verdict | None = None
+
+    @property
+    def verdicts(self) -> Verdicts:
+        """Is the measurement good; is the machine within its limits."""
+        return Verdicts(self.failed_gates, self.machine_verdict)
+
+    @cached_property
+    def budget_with_typical(self) -> Budget:
+        """The budget with typical values where nothing is declared: that of the headline."""
+        return with_typical(self.budget, self.typical)
+
+    @cached_property
+    def covariance_with_typical(self) -> Array:
+        """Its covariance of squareness and nodes, in the order of ``covariance``."""
+        return self.covariance if self.typical is None else self.budget_with_typical.covariance
 
     @property
     def T_machine_tracker(self) -> RigidTransform:

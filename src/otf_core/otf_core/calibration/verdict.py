@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verdict of a calibration by the limits of machine.yaml, with a guard band (ISO 14253-1).
+"""Two verdicts of a calibration: is the measurement good; is the machine within its limits.
+
+The first is by the quality gates. The second is by the limits of machine.yaml, with a guard band
+(ISO 14253-1); a machine out of tolerance is no failure of the measurement that shows it.
 
 A value y with expanded uncertainty U (95 %) keeps a limit if y + U is at most the limit, breaks
 it if y - U is above; in between lies the zone in which neither is proven. Only kept limits pass.
@@ -22,7 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget
-from otf_core.budget.freedom import coverage_factor
+from otf_core.model.expanded import (
+    coverage_factor,
+    micro_significant,
+    micro_unit,
+    micro_with_expanded,
+)
 from otf_core.model.limits import KEYS, UNCERTAINTY, VOLUMETRIC
 from otf_core.model.motions import SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
@@ -33,6 +41,12 @@ from otf_core.prediction.volumetric import VolumetricError, table_places
 Array = NDArray[np.float64]
 
 PASS, FAIL, OPEN, UNKNOWN = 'pass', 'fail', 'not proven', 'not known'
+SAID = {PASS: 'kept', FAIL: 'broken', OPEN: 'not proven', UNKNOWN: 'not known'}
+"""States of a limit in words."""
+NOT_STATED = 'not stated'
+"""State of a machine without limits."""
+MEASUREMENT_FAILED, LIMIT_NOT_PROVEN = 4, 5
+"""Exit codes: a quality gate failed; the measurement is good, a limit is not proven to hold."""
 WHAT = {
     VOLUMETRIC: 'volumetric error, at the point that decides',
     UNCERTAINTY: 'expanded uncertainty of the volumetric error, largest',
@@ -65,13 +79,13 @@ class Judged:
     @property
     def words(self) -> str:
         """One line."""
-        unit = 'um' if self.unit == 'm' else 'urad'
-        limit = f'limit {1e6 * self.limit:.2f} {unit}: {self.state}'
+        limit = f'limit {1e6 * self.limit:g} {micro_unit(self.unit)}: {SAID[self.state]}'
         what = WHAT.get(self.name, self.name)
         if self.state == UNKNOWN:
             return f'{what}: the data do not show it, {limit}'
-        u = f' +/- {1e6 * self.U:.2f}' if self.U else ''
-        return f'{what} {1e6 * self.value:.2f}{u} {unit}, {limit}'
+        if not self.U:
+            return f'{what} {micro_significant(self.value, self.unit)}, {limit}'
+        return f'{what} {micro_with_expanded(self.value, self.U, self.unit)}, {limit}'
 
 
 @dataclass(frozen=True)
@@ -91,26 +105,96 @@ class Verdict:
         return all(one.state == PASS for one in self.judged)
 
     @property
-    def failures(self) -> tuple[str, ...]:
-        """Why it does not pass, a line a limit."""
-        return tuple(f'limits: {one.words}' for one in self.judged if one.state != PASS)
+    def open(self) -> tuple[str, ...]:
+        """Limits that are not proven to be kept, a line each."""
+        return tuple(one.words for one in self.judged if one.state != PASS)
+
+    @property
+    def state(self) -> str:
+        """Of all limits together: the worst state."""
+        states = {one.state for one in self.judged}
+        return next(s for s in (FAIL, UNKNOWN, OPEN, PASS) if s in states)
 
     @property
     def sentence(self) -> str:
         """The verdict."""
         count = len(self.judged)
+        limits = 'limit' if count == 1 else 'limits'
         if self.passed:
-            return f'verdict: pass, {count} of {count} limits kept with the guard band U (95 %)'
+            return f'{count} of {count} {limits} kept'
         states = [one.state for one in self.judged]
-        parts = [f'{states.count(s)} {s}' for s in (FAIL, OPEN, UNKNOWN, PASS) if s in states]
-        return f'verdict: fail, of {count} limits {", ".join(parts)} (guard band U, 95 %)'
+        found = [(states.count(s), SAID[s]) for s in (FAIL, OPEN, UNKNOWN) if s in states]
+        (first, said), *more = found
+        rest = ''.join(f', {number} {word}' for number, word in more)
+        return f'{first} of {count} {limits} {said}{rest}'
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """The two verdicts of a calibration, which never mix.
+
+    Attributes
+    ----------
+    failed_gates : tuple of str
+        Quality gates of the measurement that failed.
+    machine : Verdict, optional
+        By the limits of machine.yaml; None without any.
+    """
+
+    failed_gates: tuple[str, ...]
+    machine: Verdict | None
+
+    @property
+    def good(self) -> bool:
+        """True if the measurement is good."""
+        return not self.failed_gates
+
+    @property
+    def exit_code(self) -> int:
+        """0, 4 if the measurement is not good, 5 if it is and a limit is not proven to hold."""
+        if not self.good:
+            return MEASUREMENT_FAILED
+        return LIMIT_NOT_PROVEN if self.machine and not self.machine.passed else 0
+
+    @property
+    def machine_state(self) -> str:
+        """'pass', 'fail', 'not proven', 'not known' or 'not stated'."""
+        return self.machine.state if self.machine else NOT_STATED
+
+    @property
+    def measurement_words(self) -> str:
+        """The first verdict in one line."""
+        if self.good:
+            return 'measurement: good, all checks passed'
+        return f'measurement: NOT GOOD, {"; ".join(self.failed_gates)}'
+
+    @property
+    def machine_words(self) -> str:
+        """The second verdict in one line."""
+        if self.machine is None:
+            return 'machine: no limits stated in machine.yaml'
+        return f'machine: {self.machine.sentence} (guard band U, ISO 14253-1)'
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Both, and a line for each limit that is not proven to be kept."""
+        lines = self.machine.open if self.machine else ()
+        return (self.measurement_words, self.machine_words, *(f'  {line}' for line in lines))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the verdict as plain data, SI."""
+        """Entry ``verdicts`` of error_tables.json, SI."""
         return {
-            'passed': self.passed,
-            'rule': 'pass: value + U <= limit; fail: value - U > limit (ISO 14253-1)',
-            'limits': [asdict(one) for one in self.judged],
+            'measurement': {
+                'good': self.good,
+                'failed': list(self.failed_gates),
+                'sentence': self.measurement_words,
+            },
+            'machine': {
+                'state': self.machine_state,
+                'sentence': self.machine_words,
+                'rule': 'pass: value + U <= limit; fail: value - U > limit (ISO 14253-1)',
+                'limits': [asdict(one) for one in self.machine.judged] if self.machine else [],
+            },
         }
 
 

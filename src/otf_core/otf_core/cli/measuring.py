@@ -80,7 +80,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
                 facts=facts,
             )
     _answer_calibration(arguments, facts, files)
-    return _judged(result)
+    return _judged(arguments, result)
 
 
 def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list[Path]) -> None:
@@ -93,11 +93,12 @@ def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list
     answer_from(arguments, f'{sections_to_text(sections)}\n', files, TABLES, report=report)
 
 
-def _judged(result: CalibrationResult) -> int:
-    """Exit code of a calibration; says which quality gates failed."""
-    for gate in result.failed_gates:
-        note(f'otf: quality gate failed: {gate}')
-    return QUALITY_GATE_FAILED if result.failed_gates else 0
+def _judged(arguments: argparse.Namespace, result: CalibrationResult) -> int:
+    """Exit code of a calibration; with --quiet a verdict that is not good stands on stderr."""
+    verdicts = result.verdicts
+    if arguments.quiet and verdicts.exit_code:
+        note(f'otf: {verdicts.machine_words if verdicts.good else verdicts.measurement_words}')
+    return verdicts.exit_code
 
 
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
@@ -122,7 +123,7 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
                 done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
             )
     _answer_calibration(arguments, facts_of(done.result), files)
-    return _judged(done.result)
+    return _judged(arguments, done.result)
 
 
 def run_diagnose(arguments: argparse.Namespace) -> int:

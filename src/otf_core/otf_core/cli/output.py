@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 QUALITY_GATE_FAILED = 4
-
+LIMIT_NOT_PROVEN = 5
 
 LONGEST_MESSAGE = 1000
 BULKY = 'covariance'

@@ -26,6 +26,8 @@ COMMAND = (sys.executable, '-m')
 VERBS = 'otf_core.cli'
 TRIES = 3
 LONGEST_MESSAGE = 1000
+JUDGED = (4, 5)
+"""Exit codes of a command that is done and states a verdict that is not good."""
 DATE = 'SOURCE_DATE_EPOCH'
 
 
@@ -125,7 +127,7 @@ def run_job(job: Job) -> JobResult:
             break
         _clear_half(Path(job.out))
     result = Path(job.out) / job.result
-    worked = code in (0, 4) and result.exists()
+    worked = code in (0, *JUDGED) and result.exists()
     digest = file_digest(result) if worked else None
     return JobResult(code, _message(code, said), digest, time.monotonic() - start)
 
@@ -143,6 +145,7 @@ def _message(code: int, said: str) -> str:
     if code == 0:
         return ''
     lines = [line for line in said.splitlines() if line.strip()]
-    gates = [line for line in lines if 'quality gate failed' in line]
-    text = '; '.join(gates) if code == 4 and gates else (lines[-1] if lines else 'said nothing')
+    text = lines[-1] if lines else 'said nothing'
+    if code in JUDGED:
+        text = text.removeprefix('otf: ')
     return text[:LONGEST_MESSAGE]

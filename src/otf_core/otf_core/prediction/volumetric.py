@@ -58,12 +58,12 @@ def volumetric_error(tables: ErrorTables) -> dict[str, float | int | str]:
     error = without_rigid_motion(displacement(tables, grid), grid)
     return {
         'points': len(grid),
-        **_sizes(np.linalg.norm(error, axis=1)),
+        **length_sizes(np.linalg.norm(error, axis=1)),
         'rigid_motion': 'taken out',
     }
 
 
-def _sizes(length: Array) -> dict[str, float]:
+def length_sizes(length: Array) -> dict[str, float]:
     """Mean, 95 % quantile and largest of lengths (n,)."""
     return {
         'mean': float(length.mean()),
@@ -166,8 +166,8 @@ class VolumetricError:
 
     def sizes(self) -> dict[str, float]:
         """Mean, 95 % quantile and largest length, m."""
-        return _sizes(self.length)
+        return length_sizes(self.length)
 
     def u_sizes(self) -> dict[str, float]:
         """The same of the standard uncertainties of the vectors, m."""
-        return _sizes(self.u_size)
+        return length_sizes(self.u_size)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.budget.budget import NAMES, Budget
-from otf_core.budget.freedom import COVERAGE_PROBABILITY
+from otf_core.budget.budget import NAMES, TYPICAL_SOURCE, Budget
 from otf_core.files.csv_points import tidy
 from otf_core.model.evaluation import driven_grid, free_rows
+from otf_core.model.expanded import COVERAGE_PROBABILITY
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.uncertainty import prediction_rows
@@ -35,6 +35,7 @@ SHORT = {
     'tracker angles': 'angles',
     'machine temperature': 'machine',
     'target offset': 'target',
+    TYPICAL_SOURCE: 'typical',
 }
 """Names of sources as heads of columns."""
 
@@ -156,11 +157,12 @@ def _at_node(tables: ErrorTables, name: str, node: int) -> str:
 def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> dict[str, Any]:
     """Budget and correlations as plain data; see docs/uncertainty.md."""
     strong = correlations(tables, budget.covariance)
-    freedoms = zip(budget.names, budget.freedoms.tolist(), strict=True)
+    freedoms = dict(zip(budget.names, budget.freedoms.tolist(), strict=True))
+    names = lines[-1].parts
     return {
         'budget': {
             'coverage_probability': COVERAGE_PROBABILITY,
-            'dof': {n: whole_dof(v) for n, v in freedoms},
+            'dof': {n: whole_dof(freedoms.get(n, np.inf)) for n in names},
             'not_stated': list(budget.not_stated),
             'u_rms': {n.name: {'unit': n.unit, 'u': n.u, 'sources': n.parts} for n in lines},
         },
@@ -174,7 +176,7 @@ def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine])
 
 def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) -> str:
     """Return the budget as text."""
-    sources = [name for name in budget.names if any(n.parts[name] for n in lines)]
+    sources = [name for name in lines[-1].parts if any(n.parts[name] for n in lines)]
     head = ''.join(f'{SHORT.get(name, name):>9}' for name in sources)
     text = [f'budget, um and urad, rms of nodes{"U (95 %)":>10}{"u, k = 1":>10}{head}']
     for line in lines:
@@ -185,7 +187,7 @@ def format_budget(tables: ErrorTables, budget: Budget, lines: list[BudgetLine]) 
             f'{1e6 * line.k * line.u:>10.3f}{1e6 * line.u:>10.3f}{parts}'
         )
     if budget.not_stated:
-        text.append(f'Not stated in the machine description, not included: '
+        text.append(f'Not declared in machine.yaml, typical values stand for them: '
                     f'{", ".join(budget.not_stated)}.')  # fmt: skip
     strong = correlations(tables, budget.covariance)
     if strong:

@@ -76,7 +76,8 @@ def result_to_dict(
         'effects_sentence': result.effects_sentence,
         'warnings': list(result.warnings),
         'failed_gates': list(result.failed_gates),
-        **({'verdict': result.verdict.to_dict()} if result.verdict else {}),
+        'verdicts': result.verdicts.to_dict(),
+        'headline': result.headline.to_dict(),
         'config': asdict(result.config),
         'volumetric_error': volumetric_error(result.tables),
         'provenance': dict(facts.provenance),
@@ -217,5 +218,5 @@ def facts_of(
         runs=result.origin,
         coverage=f'{STANDARD}; U: expanded uncertainty for 95 %, k beside it',
     )
-    found = budget_lines(result.tables, result.budget) if lines is None else lines
+    found = budget_lines(result.tables, result.budget_with_typical) if lines is None else lines
     return Facts(result, tuple(found), about)

@@ -16,7 +16,7 @@ from otf_core.calibration.result import CalibrationResult
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.volumetric import VolumetricError
-from otf_core.reports.budget import GRID, BudgetLine
+from otf_core.reports.budget import BudgetLine
 
 Array = NDArray[np.float64]
 
@@ -59,9 +59,10 @@ class Facts:
 
     @cached_property
     def volume(self) -> VolumetricError:
-        """Errors on a grid over the whole volume."""
+        """Errors on a grid over the whole volume, with the uncertainty of the headline."""
         own = self.result
-        return VolumetricError(own.tables, own.covariance, own.prior, own.not_identifiable)
+        covariance = own.covariance_with_typical
+        return VolumetricError(own.tables, covariance, own.prior, own.not_identifiable)
 
     @cached_property
     def condition_number(self) -> float:
@@ -78,7 +79,7 @@ class Facts:
     @property
     def k_volume(self) -> float:
         """Coverage factor for 95 % of errors in the volume."""
-        return self.by_name[GRID].k
+        return self.result.headline.k
 
     @property
     def both_ways(self) -> bool:

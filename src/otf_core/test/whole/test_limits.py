@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits of machine.yaml: how they are read, and the verdict with its guard band."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,14 +13,16 @@ from core_cells import error_of, some_machine
 from nature import table_rows
 
 from otf_core.bags.bag import BagContent, write_bag
-from otf_core.calibration.verdict import judge
+from otf_core.calibration.calibrate import calibrate
+from otf_core.calibration.headline import headline_of
+from otf_core.calibration.verdict import Verdicts, judge
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import lattice
 from otf_core.model.limits import KEYS, Limits
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import MotionTable
-from otf_core.reports.calibration_facts import Facts
+from otf_core.prediction.volumetric import VolumetricError
 
 GIVEN = {
     'limits': {'volumetric_error': 2e-5, 'uncertainty': 2e-6, 'EXX': 5e-6, 'C0Y': 1e-5},
@@ -154,11 +157,12 @@ def test_nothing_is_proven_where_the_machine_was_not_driven(calibrated):
     variance = known.slope**2 * reach**2 + known.intensity * reach**3 / 3
     if known.length:
         variance += 2 * known.sd**2 * (1 - np.exp(-0.5 * (reach / known.length) ** 2))
-    assert found.value > 1.96 * np.sqrt(variance) > 2 * inside.value
-    shown = Facts(wide, (), {}).volume  # what a report calls expected after compensation
-    np.testing.assert_allclose(1.96 * shown.u_sizes()['max'], found.value, rtol=0.01)
+    assert found.value > 2 * np.sqrt(variance) > 2 * inside.value
+    volume = VolumetricError(wide.tables, wide.covariance, wide.prior, wide.not_identifiable)
+    shown = headline_of(volume, wide.budget, None)  # what is called expected after compensation
+    assert shown.expanded['max'] == pytest.approx(found.value, rel=1e-9)
     (motion,) = verdict(wide, EXX=1e-2).judged
-    assert 1.96 * np.sqrt(variance) < motion.U
+    assert 2 * np.sqrt(variance) < motion.U
     (found,) = verdict(wide, volumetric_error=1e-2).judged
     assert found.U > 2 * length.U
     assert state(wide, volumetric_error=found.value + 0.9 * found.U) != 'pass'
@@ -169,7 +173,8 @@ def test_what_the_data_do_not_show_does_not_pass(calibrated):
     found = verdict(calibrated, **{hidden: 1e-3, 'volumetric_error': 1e-2})
     assert [one.state for one in found.judged] == ['not known', 'pass']
     assert not found.passed
-    assert 'the data do not show it' in found.failures[0]
+    assert 'the data do not show it' in found.open[0]
+    assert found.sentence == '1 of 2 limits not known'
 
 
 def test_nothing_is_proven_of_a_volume_of_which_an_axis_stood(calibrated):
@@ -187,7 +192,9 @@ def test_nothing_is_proven_of_a_volume_of_which_an_axis_stood(calibrated):
 
 
 def test_without_limits_there_is_no_verdict(calibrated):
-    assert calibrated.verdict is None
+    assert calibrated.machine_verdict is None
+    assert calibrated.verdicts.machine_words == 'machine: no limits stated in machine.yaml'
+    assert calibrated.verdicts.exit_code == 0
     assert verdict(calibrated, volumetric_error=1e-2).passed
 
 
@@ -196,11 +203,39 @@ def test_limits_decide_the_exit_code_and_a_line_of_the_terminal(cell, tmp_path, 
     data = {**cell.machine.to_dict(), 'limits': {'volumetric_error': 1e-2, 'EXX': 1e-6}}
     (tmp_path / 'machine.yaml').write_text(yaml.safe_dump(data))
     given = (tmp_path / 'bag', '--machine', tmp_path / 'machine.yaml', '--no-report')
-    assert run('calibrate', *given, '--out', tmp_path / 'out') == 4
+    assert run('calibrate', *given, '--out', tmp_path / 'out') == 5
     said = capsys.readouterr()
-    assert 'verdict: fail, of 2 limits 1 fail, 1 pass' in said.out
-    assert 'quality gate failed: limits: EXX' in said.err
+    lines = said.out.splitlines()
+    assert 'measurement: good, all checks passed' in lines
+    assert 'machine: 1 of 2 limits broken (guard band U, ISO 14253-1)' in lines
+    assert len([line for line in lines if line.startswith('  EXX ')]) == 1, 'said once'
+    assert 'quality gate' not in said.out + said.err
     assert not (tmp_path / 'out' / 'report.html').exists()
+    data = json.loads((tmp_path / 'out' / 'error_tables.json').read_text())
+    assert data['failed_gates'] == []
+    verdicts = data['verdicts']
+    assert verdicts['measurement']['good'] is True
+    assert verdicts['machine']['state'] == 'fail'
+    assert [one['state'] for one in verdicts['machine']['limits']] == ['pass', 'fail']
+
+
+def test_a_bad_measurement_is_no_verdict_on_the_machine(calibrated):
+    machine = verdict(calibrated, volumetric_error=1e-2, EXX=1e-6)
+    both = Verdicts(('coverage: 62 % of the path driven, 80 % needed',), machine)
+    assert both.exit_code == 4
+    assert both.measurement_words == 'measurement: NOT GOOD, ' + both.failed_gates[0]
+    assert both.machine_words.startswith('machine: 1 of 2 limits broken')
+    assert Verdicts((), machine).exit_code == 5
+    assert Verdicts((), verdict(calibrated, volumetric_error=1e-2)).exit_code == 0
+
+
+def test_limits_are_judged_with_the_uncertainty_of_the_headline(cell, calibrated):
+    limits = Limits({'uncertainty': 2 * calibrated.headline.observed['max']})
+    machine = replace(cell.machine, limits=limits)
+    found = calibrate(cell.recording.measured(cell.truth), cell.path, machine)
+    (one,) = found.machine_verdict.judged
+    assert one.value == pytest.approx(found.headline.expanded['max'], rel=1e-9)
+    assert one.state == 'fail', 'noise alone would keep it'
 
 
 def test_example_of_the_documentation_is_read():

@@ -160,13 +160,10 @@ def test_u_with_typical_contributions_is_that_of_a_calibration_that_declares_the
 
 
 def test_undeclared_contributions_are_a_warning_above_the_table(calibrated):
-    first = format_result(calibrated).splitlines()[0]
+    first = next(t for t in format_result(calibrated).splitlines() if t[:7] == 'WARNING')
     assert first == f'WARNING {calibrated.warnings[0]}'
-    assert first.startswith('WARNING u holds noise and misfit only: machine.yaml declares nothing')
-    assert 'tracker scale, air, tracker range offset, tracker angles, machine temp' in first
-    stated, with_them = (f'{1e6 * v:.2g}' for v in calibrated.typical.grid)
-    assert f'grid {stated} -> {with_them} um' in first
-    assert 'C0Y ' in first
+    assert first.startswith('WARNING machine.yaml declares nothing for tracker scale, air, ')
+    assert 'U holds typical values of them (presets absolute-interferometer, workshop)' in first
     found = result_to_dict(calibrated)
     assert found['warnings'][0] == calibrated.warnings[0]
     entry = found['typical_systematic']
@@ -178,12 +175,24 @@ def test_undeclared_contributions_are_a_warning_above_the_table(calibrated):
     json.dumps(entry, allow_nan=False)
 
 
-def test_large_sizes_are_written_out(calibrated):
-    large = replace(
-        calibrated.typical, grid=(1.1e-3, 1.2345e-3), squareness={'B0Z': (99.4e-6, 99.6e-6)}
-    )
-    assert 'would be (k = 1) B0Z 99 -> 100 urad, grid 1100 -> 1234 um; ' in large.warning
-    assert '(k = 1) grid ' in replace(large, squareness={}).warning
+def test_the_headline_is_the_same_whether_typical_values_are_declared_or_assumed(cell, calibrated):
+    whole = with_declared(cell, typical_values()).headline
+    first = calibrated.headline
+    assert (first.systematic, whole.systematic) == ('typical', 'declared')
+    assert len(first.assumed) == 6 and whole.assumed == ()
+    for own, other in ((first.expanded, whole.expanded), (first.observed, whole.observed)):
+        assert own == pytest.approx(other, rel=0.2)
+    assert first.error == pytest.approx(whole.error, rel=0.01)
+    assert first.of_largest == pytest.approx(whole.of_largest, rel=0.2)
+    assert first.k == whole.k == 2.0
+    assert all(first.observed[k] < 0.3 * first.expanded[k] for k in first.expanded)
+    assert 'typical, not declared' in first.expanded_words
+    assert 'as declared' in whole.expanded_words
+
+
+def test_nothing_systematic_is_assumed_where_it_is_declared_to_be_zero(cell):
+    nothing = with_declared(cell, dict.fromkeys(KEYS, 0.0)).headline
+    assert nothing.expanded == pytest.approx(nothing.observed)
 
 
 def test_what_is_declared_in_part_is_missing_in_part(cell):
@@ -194,7 +203,8 @@ def test_what_is_declared_in_part_is_missing_in_part(cell):
     typical = partly.typical
     assert typical.missing == ('air', 'tracker angles')
     assert set(typical.assumed) == {'tracker_angle', 'air_pressure'}
-    assert partly.warnings[0].startswith('u holds only a part of what is known')
+    assert partly.warnings[0].startswith('machine.yaml declares nothing for air, tracker angles: ')
+    assert partly.headline.systematic == 'partly typical'
     for name in ('EXX', 'EYX', 'EAX'):
         u = whole.tables.motions[name].u
         np.testing.assert_allclose(typical.motions[name], u, rtol=1e-6, atol=1e-15)

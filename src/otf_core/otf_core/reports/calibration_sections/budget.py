@@ -5,9 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.budget.budget import EFFECTS, MISFIT, NOISE, SMOOTHNESS, STRAIGHT
+import numpy as np
+
+from otf_core.budget.budget import (
+    EFFECTS,
+    MISFIT,
+    NOISE,
+    SMOOTHNESS,
+    STRAIGHT,
+    TYPICAL_SOURCE,
+)
 from otf_core.budget.systematic import SYSTEMATIC
 from otf_core.model.declared import KEYS
+from otf_core.model.presets import TYPICAL
 from otf_core.reports.budget import GRID, BudgetLine, format_budget
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.bars import Bar, bars
@@ -32,14 +42,15 @@ def section(facts: Facts) -> Section:
     ]
     if budget.not_stated:
         words.append(
-            f'Not stated in machine.yaml, hence not included: {listed(budget.not_stated)}.'
+            f'Not declared in machine.yaml: {listed(budget.not_stated)}; typical values stand for '
+            f'them as one source (presets {listed(TYPICAL)}).'
         )
     grid = facts.by_name[GRID]
     most = max(grid.parts, key=lambda name: grid.parts[name])
     share = 100.0 * grid.parts[most] ** 2 / max(grid.u**2, 1e-300)
     words.insert(0, f'The largest contribution in the volume is {most}: {share:.0f} % of the '
                     f'variance.')  # fmt: skip
-    rows = tuple(_source(facts, name, grid) for name in budget.names if grid.parts[name] > 0)
+    rows = tuple(_source(facts, name, grid) for name, part in grid.parts.items() if part > 0)
     head = ('Source', 'Type', 'Distribution', 'Standard uncertainty stated',
             'Sensitivity (um per unit)', 'In the volume (um)', 'Share (%)', 'dof',
             'Correlated')  # fmt: skip
@@ -55,7 +66,7 @@ def section(facts: Facts) -> Section:
 
 def _source(facts: Facts, name: str, grid: BudgetLine) -> tuple[str, ...]:
     budget, part = facts.result.budget, grid.parts[name]
-    dof = dict(zip(budget.names, budget.freedoms.tolist(), strict=True))[name]
+    freedoms = dict(zip(budget.names, budget.freedoms.tolist(), strict=True))
     share = 100.0 * part**2 / max(grid.u**2, 1e-300)
     stated, sensitivity = _stated(facts, name, part)
     return (
@@ -66,13 +77,15 @@ def _source(facts: Facts, name: str, grid: BudgetLine) -> tuple[str, ...]:
         sensitivity,
         micro(part, 3),
         f'{share:.1f}',
-        dof_words(dof),
+        dof_words(freedoms.get(name, np.inf)),
         SHARED.get(name, 'yes, all observations'),
     )
 
 
 def _stated(facts: Facts, name: str, part: float) -> tuple[str, str]:
     """What machine.yaml states for a source, and what the volume gets per unit of it."""
+    if name == TYPICAL_SOURCE:
+        return f'typical: presets {listed(TYPICAL)}', '-'
     keys = next((s.keys for s in SYSTEMATIC if s.source == name), ())
     declared = facts.machine.uncertainty
     values = {k: declared.values[k] for k in keys if declared and declared.values.get(k)}
@@ -90,7 +103,7 @@ def _stated(facts: Facts, name: str, part: float) -> tuple[str, str]:
 
 
 def _quantities(facts: Facts) -> Table:
-    names = [n for n in facts.result.budget.names if any(line.parts[n] for line in facts.lines)]
+    names = [n for n in facts.by_name[GRID].parts if any(line.parts[n] for line in facts.lines)]
     rows = tuple(
         (
             'volume' if line.name == GRID else line.name,
@@ -109,7 +122,7 @@ def _quantities(facts: Facts) -> Table:
 
 
 def _pictures(facts: Facts) -> Sequence[Picture]:
-    names = [n for n in facts.result.budget.names if any(line.parts[n] for line in facts.lines)]
+    names = [n for n in facts.by_name[GRID].parts if any(line.parts[n] for line in facts.lines)]
     parts = []
     for unit, label in (('m', 'µm'), ('rad', 'µrad')):
         rows = [_bar(line, names, label) for line in facts.lines if line.unit == unit]

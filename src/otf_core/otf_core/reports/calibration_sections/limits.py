@@ -13,7 +13,7 @@ MOODS = {PASS: 'good', FAIL: 'bad', OPEN: 'open', UNKNOWN: 'open'}
 
 def section(facts: Facts) -> Section:
     """Return the section."""
-    verdict, typical = facts.result.verdict, facts.typical
+    verdict, typical = facts.result.machine_verdict, facts.typical
     rule = (
         'Decision rule (ISO 14253-1): a limit is kept if value + U is at most the limit, broken '
         'if value - U is above it; in between neither is proven, which does not pass.'
@@ -23,11 +23,14 @@ def section(facts: Facts) -> Section:
         return Section('limits', 'Verdict', (lead, rule))
     words = [f'{verdict.sentence[:1].upper()}{verdict.sentence[1:]}.', rule]
     if typical:
-        words.append(f'U does not hold what nobody declared: {listed(typical.missing)}.')
+        words.append(
+            f'U holds typical values for what machine.yaml does not declare: '
+            f'{listed(typical.missing)}.'
+        )
     rows = tuple(_row(one) for one in verdict.judged)
     head = ('Quantity', 'Value', 'U (95 %)', 'Limit', 'Unit', 'State')
     table = Table(head, rows, numbers=(1, 2, 3))
-    return Section('limits', 'Verdict', tuple(words), verdict.to_dict(), (table,))
+    return Section('limits', 'Verdict', tuple(words), facts.result.verdicts.to_dict(), (table,))
 
 
 def _row(one: Judged) -> tuple[Cell, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from otf_core.model.expanded import figure, micro_figure, micro_significant, significant
 from otf_core.model.frames import XYZ
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_sections.overview import contributions
@@ -25,25 +26,33 @@ BINS = 24
 
 def section(facts: Facts) -> Section:
     """Return the section."""
-    volume, k = facts.volume, facts.k_volume
-    now, u = volume.sizes(), volume.u_sizes()
+    first = facts.result.headline
+    wide = first.expanded
     rows = [
-        ('as the machine stands, predicted by the tables', *map(micro, now.values())),
-        ('expected after compensation: u, k = 1', *map(micro, u.values())),
-        ('expected after compensation: U, 95 %', *(micro(k * v) for v in u.values())),
+        (
+            'as the machine stands, predicted by the tables',
+            *(figure(1e6 * v, 1e6 * wide[n]) for n, v in first.error.items()),
+        ),
+        (
+            f'expected after compensation: U, k = {first.k:.3g}, {first.label}',
+            *(significant(1e6 * v) for v in wide.values()),
+        ),
+        (
+            'of it noise and misfit of this run alone: U',
+            *(significant(1e6 * v) for v in first.observed.values()),
+        ),
         ('measured after compensation', 'not measured', '', ''),
     ]
-    largest = float(volume.u_length[int(np.argmax(volume.length))])
     words = (
-        f'Length of the error vector on {len(volume.grid)} points of a regular grid over the '
+        f'Length of the error vector on {first.points} points of a regular grid over the '
         f'whole volume. After compensation with these tables their uncertainty remains, and '
         f'beyond what was driven that of what they cannot know; a validation run after loading '
         f'them would measure it.',
-        f'The largest error, {micro(now["max"])} um, has U = {micro(k * largest)} um.',
+        f'The largest error, {micro_figure(first.error["max"], first.of_largest)}, has U = '
+        f'{micro_significant(first.of_largest)}.',
     )
     data = {
-        'points': len(volume.grid), 'before': now, 'u_after': u, 'k': k,
-        'contributions': dict(contributions(facts)), 'U_of_largest': k * largest,
+        **first.to_dict(), 'contributions': dict(contributions(facts)),
     }  # fmt: skip
     head = ('Volumetric error (um)', 'Mean', '95 % below', 'Largest')
     table = Table(head, tuple(rows), numbers=(1, 2, 3))
