@@ -186,14 +186,17 @@ def test_columns_and_rate_on_request(tmp_path):
         (TEXTS['plain'].replace(SECONDS[3], 'n/a'), ''),
         (lines(lambda s, t, *p: f'{s},1,2,3', 'time,a,b,c\n'), r'the head names no x'),
         (lines(lambda s, t, *p: f'{s},1,2,3', 't [s],x [mm],y [m],z [m]\n'), 'different units'),
-        (lines(lambda s, t, *p: f'{s},1,2,3', 't,x [in],y [in],z [in]\n'), "'in' is no unit of l"),
-        (lines(lambda s, t, *p: f'{s} 1 2 3', '# X Y Z (inches)\n# t X Y Z\n'), "'inches' is no"),
+        (lines(lambda s, t, *p: f'{s},1,2,3', 't,x [ft],y [ft],z [ft]\n'), "'ft' is no unit of l"),
+        (lines(lambda s, t, *p: f'{s} 1 2 3', '# X Y Z (mils)\n# t X Y Z\n'), "'mils' is no"),
         (lines(lambda s, t, *p: f'{s},1,2,3', 't (min),x,y,z\n'), r"t \(min\): 'min' is no unit"),
         (TEXTS['plain'] + 'nan,1,2,3\n', "line 52: time_s: 'nan' is no time"),
         ('time_s,x,y,z\n' + '1e300,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
         ('time_s,x,y,z\n' + '1e999999,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
         ('time,x,y,z\n' + '1e400,1,2,3\n-1e400,1,2,3\n' * 3, 'a time does not fit into 64 bits'),
-        (TEXTS['plain'] + 'a,b\n' * 20, 'line 52 is no line of 4 fields'),
+        (
+            TEXTS['plain'] + 'a,b\n' * 20,
+            r'20 of 70 lines are no samples: 20 lines: 2 columns instead of 4 \(first line 52\)',
+        ),
     ],
 )
 def test_what_is_wrong_with_a_text_is_said_with_its_line(tmp_path, text, words):
@@ -202,7 +205,7 @@ def test_what_is_wrong_with_a_text_is_said_with_its_line(tmp_path, text, words):
             reading(tmp_path, text)
     else:
         assert reading(tmp_path, text).remarks == [
-            'skipped 1 lines that are no samples, the first is line 5'
+            "left out 1 of 50 lines that are no samples: 1 line: time_s is 'n/a' (line 5)"
         ]
 
 
@@ -268,9 +271,9 @@ def test_points_are_read_as_people_have_them(tmp_path, text):
     [
         ('X;Y;Z\n1;2;3\n1;2;a\n4;5;6\n' + '1;1;1\n' * 20, 'line 3: expected numbers'),
         ('X [mm];Y [m];Z [mm]\n1;2;3\n', 'x, y, z are in'),
-        ('x [inch],y [inch],z [inch]\n1,2,3\n', "x, y, z are in 'inch'; expected m or mm"),
+        ('x [ft],y [ft],z [ft]\n1,2,3\n', "x, y, z are in 'ft'; expected m, dm, cm, mm"),
         ('X;Y;Z\n1;nan;3\n', 'line 2: not finite'),
-        ('X;Y;Z\n1;10:11:12;3\n', 'line 2: not finite'),
+        ('X;Y;Z\n1;10:11:12;3\n', r'Y is no number \(line 2\)'),
         ('G1 X0 Y0\n', 'expected the header x,y,z'),
         ('a,b,c\n1,2,3\n', r'names no x, y, z \(it says: a,b,c\); write there what they are'),
     ],

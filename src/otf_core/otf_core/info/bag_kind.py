@@ -9,9 +9,8 @@ from otf_core.bags.bag_reading import BagReading, path_of
 from otf_core.bags.topics import PATH, POINT
 from otf_core.errors import OtfError
 from otf_core.info.kind import Explained, Kind
-from otf_core.inputs.columns import find_columns
+from otf_core.inputs.columns import find_columns, read_table
 from otf_core.inputs.text_points import TextReading, is_text
-from otf_core.inputs.text_table import read_text_table
 from otf_core.model.provenance import moment
 
 SUFFIXES = ('.mcap', '.db3', '.bag')
@@ -53,13 +52,13 @@ def _is_table(path: Path) -> bool:
     if not is_text(path):
         return False
     try:
-        return bool(find_columns(read_text_table(path), None).point)
+        return bool(find_columns(read_table(path), None).point)
     except OtfError:
         return False
 
 
 def _explain_table(path: Path) -> Explained:
-    table = read_text_table(path)
+    table = read_table(path)
     reading = TextReading(path, rate=None if find_columns(table, None).time else 1.0)
     raw = reading.received()
     rows = [('read as', text) for text in reading.said]

@@ -1,39 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which column of a table is what, and in which unit: as named in its head, or on request."""
+"""Which columns of a table are the point and the time, and in which units.
+
+A head may offer several points: nominal and measured, command and actual, two targets. The
+measured one is taken where words say which it is (see ``heading_words``), never because it stands
+first. Polar coordinates are taken where no Cartesian ones are named.
+"""
 
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
 
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.text_table import TextTable, is_value, split
+from otf_core.files.text_dialect import is_missing, is_value
+from otf_core.files.text_table import TextTable, read_text_table
+from otf_core.files.units import LENGTHS, OTHERS, TIMES, is_unit, parted
+from otf_core.inputs.heading_words import AXES, coordinate_of, without_fillers, words_of
 
-LENGTHS = {'m': 0, 'dm': -1, 'cm': -2, 'mm': -3, 'um': -6, 'µm': -6, 'μm': -6}
-TIMES = {
-    's': 0, 'sec': 0, 'secs': 0, 'second': 0, 'seconds': 0, 'ms': -3, 'msec': -3,
-    'us': -6, 'usec': -6, 'µs': -6, 'ns': -9, 'nsec': -9, 'nsecs': -9, 'nanosec': -9,
-}  # fmt: skip
-"""Units and the power of ten that takes them to m and s."""
-OTHER_LENGTHS = ('in', 'inch', 'inches', 'mil', 'mils', 'ft', 'foot', 'feet', 'nm', 'km')
-OTHERS = (*OTHER_LENGTHS, 'deg', 'gon', 'rad', 'min', 'minute', 'minutes', 'h', 'hour', 'hours')
-"""Units that a head may state and nothing is read in: refused, never taken for another."""
-UNIT = re.compile(r'^(?P<name>.*?)\s*[\[({<]\s*(?P<unit>[^\])}>]*)\s*[\])}>]\s*$')
-SUFFIX = re.compile(r'^(?P<name>.+)_(?P<unit>m|mm|cm|um|s|sec|ms|us|ns)$')
-NO_POINT = re.compile(r'rot|quat|orient|cov|std|dif|dev|err|sigma|^u[-_ ]|^r[xyz]$|nominal')
-POINT = re.compile(
-    r'^(?:.*[._:/\s-])?(?P<axis>[xyz])(?:[_ ]?(?:t|coord(?:inate)?|pos(?:ition)?))?$'
-)
-TIME = re.compile(
-    r'^(?:.*[._:/\s])?(?:t|time|zeit|timestamp|time ?stamp|stamp|datetime|date ?time|utc|uhrzeit|'
-    r'secs?|nsecs?|nanosec|seconds|sekunden)$'
-)
+TIME_WORDS = (
+    't', 'time', 'zeit', 'timestamp', 'stamp', 'datetime', 'utc', 'uhrzeit', 'zeitstempel',
+    'messzeit', 'sec', 'secs', 'nsec', 'nsecs', 'nanosec', 'nanosecs', 'seconds', 'sekunden', 'ms',
+    'temps', 'heure', 'horodatage', 'tempo', 'ora', 'tiempo', 'hora',
+    '时间', '时刻', '时间戳', '時間',
+)  # fmt: skip
+OTHER_TIMES = ('exposure', 'integration', 'dead', 'delay', 'dwell', 'sampling', 'interval')
 FIXED = {'dval1': 'x', 'dval2': 'y', 'dval3': 'z'}
 """Names in results of a tracker controller (emScon: Cartesian, right-handed)."""
-AXES_WITH_UNIT = re.compile(
-    rf'\bx\b.*\by\b.*\bz\b.*[\[(]\s*({"|".join((*LENGTHS, *OTHER_LENGTHS))})\s*[\])]', re.I
-)
+AXES_WITH_UNIT = re.compile(r'\bx\b.*\by\b.*\bz\b.*[\[(]\s*([^\s\])]+)\s*[\])]', re.IGNORECASE)
+OTHER_AXES = re.compile(r'AXES\s*=\s*(CYLINDRIC\w*|SPHERIC\w*|POLAR)', re.IGNORECASE)
+POLAR = {
+    'hz': 'hz', 'horizontal': 'hz', 'horizontalangle': 'hz', 'horizontaldirection': 'hz',
+    'horizontalwinkel': 'hz', 'richtung': 'hz', '水平角': 'hz',
+    'az': 'az', 'azimuth': 'az', 'azimut': 'az', 'azimutal': 'az', '方位角': 'az',
+    'v': 'v', 'vertical': 'v', 'verticalangle': 'v', 'vertikalwinkel': 'v', '垂直角': 'v',
+    '竖直角': 'v', 'zenith': 'zenith', 'zenithangle': 'zenith', 'zenit': 'zenith',
+    'zenitwinkel': 'zenith', 'zenitdistanz': 'zenith', 'zd': 'zenith', 'za': 'zenith',
+    '天顶距': 'zenith', '天顶角': 'zenith', 'el': 'el', 'elevation': 'el', 'elevationangle': 'el',
+    'hoehenwinkel': 'el', 'hohenwinkel': 'el', 'elevazione': 'el', 'elevacion': 'el',
+    '高度角': 'el', '俯仰角': 'el', '仰角': 'el', 'd': 'd', 'dist': 'd', 'distance': 'd',
+    'range': 'd', 'slopedistance': 'd', 'sd': 'd', 'r': 'd', 'distanz': 'd',
+    'schragdistanz': 'd', 'schraegdistanz': 'd', 'strecke': 'd', 'entfernung': 'd',
+    'distanza': 'd', 'distancia': 'd', 'radius': 'd', '距离': 'd', '斜距': 'd',
+}  # fmt: skip
+"""Horizontal direction (hz clockwise, az counter-clockwise), vertical angle, slope distance."""
+SUGGESTED = {1.0: 'm', 1e-1: 'dm', 1e-2: 'cm', 1e-3: 'mm', 1e-6: 'um', 0.0254: 'inch'}
 
 
 @dataclass(frozen=True)
@@ -62,76 +76,189 @@ class Columns:
     Attributes
     ----------
     point : tuple of 3 Column
-        x, y, z.
+        x, y, z; or direction, vertical angle, distance.
     time : tuple of Column
         Several are added up (s and ns); none: not recorded.
+    polar : str
+        Empty: Cartesian. Else two words: 'hz' or 'az', and 'v', 'zenith' or 'el'.
+    remarks : tuple of str
+        What was taken for what, and why, where the head leaves a choice.
     """
 
     point: tuple[Column, Column, Column]
     time: tuple[Column, ...]
+    polar: str = ''
+    remarks: tuple[str, ...] = ()
 
 
-def _parted(text: str) -> tuple[str, str | None]:
-    """Name and unit of a heading."""
-    text = text.strip().lstrip('%').strip()
-    match = UNIT.match(text) or SUFFIX.match(text)
-    if match is None:
-        return text.lower(), None
-    unit = match['unit'].strip()
-    if not match['name'].strip():
-        return unit.lower(), None
-    return match['name'].strip().lower(), unit.lower() if _is_unit(unit) else None
+@dataclass(frozen=True)
+class Offer:
+    """A point that a head names."""
+
+    point: tuple[Column, Column, Column]
+    role: str
+
+    @property
+    def words(self) -> str:
+        """Its columns, for messages."""
+        places = ', '.join(str(c.place + 1) for c in self.point)
+        return f'columns {places} ({", ".join(c.name for c in self.point)})'
 
 
-def _is_unit(text: str) -> bool:
-    return text.lower() in (*LENGTHS, *TIMES, *OTHERS)
+class AmbiguousPointError(InputError):
+    """A head names several points, and nothing says which one was measured."""
 
 
-def _what(name: str) -> str | None:
-    """'x', 'y', 'z', 'time' or None for a heading without its unit."""
-    if name in FIXED:
-        return FIXED[name]
-    if NO_POINT.search(name):
-        return None
-    match = POINT.match(name)
-    if match:
-        return match['axis']
-    return 'time' if TIME.match(name) else None
+def _column(place: int, heading: str) -> Column:
+    return Column(place, parted(heading)[1], ' '.join(heading.split()))
 
 
-def _unit_of_time(name: str) -> str | None:
-    last = re.split(r'[._:/\s]', name)[-1]
-    return last if last in TIMES else None
+def offers(headings: Sequence[str]) -> list[Offer]:
+    """Points that headings name, Cartesian; positions only."""
+    found = _offers(headings, keep_fillers=True)
+    return found or _offers(headings, keep_fillers=False)
 
 
-def columns_of(headings: Sequence[str]) -> Columns | None:
-    """Columns by their headings; None if they do not name a point."""
-    found: dict[str, list[Column]] = {}
+def _offers(headings: Sequence[str], *, keep_fillers: bool) -> list[Offer]:
+    groups: dict[tuple[tuple[str, ...], str], dict[str, list[Column]]] = defaultdict(
+        lambda: defaultdict(list)
+    )
     for place, heading in enumerate(headings):
-        name, unit = _parted(heading)
-        what = _what(name)
-        if what is None:
+        name = parted(heading)[0]
+        if name in FIXED:
+            groups[('dval',), ''][FIXED[name]].append(_column(place, heading))
             continue
-        stated = unit or (_unit_of_time(name) if what == 'time' else None)
-        if what == 'time' and stated in LENGTHS:
-            stated = None
-        found.setdefault(what, []).append(Column(place, stated, heading.strip()))
-    if not all(axis in found for axis in 'xyz'):
+        said = coordinate_of(_named(heading))
+        if said is None or said.role == 'none':
+            continue
+        words = said.words if keep_fillers else without_fillers(said.words)
+        groups[words, said.role][said.axis].append(_column(place, heading))
+    found = []
+    for (_, role), axes in groups.items():
+        count = min(len(axes[axis]) for axis in AXES)
+        for k in range(count):
+            found.append(Offer((axes['x'][k], axes['y'][k], axes['z'][k]), role))
+    return sorted(found, key=lambda offer: offer.point[0].place)
+
+
+def _named(heading: str) -> str:
+    """Heading without its unit, in its own case."""
+    name, unit = parted(heading)
+    if unit is None and name != heading.strip().lower().strip('[](){}'):
+        return ' '.join(heading.split())
+    text = ' '.join(heading.split()).strip('%')
+    at = text.lower().find(name)
+    return text[at : at + len(name)] if at >= 0 else name
+
+
+def _polar(headings: Sequence[str]) -> tuple[tuple[Column, Column, Column], str] | None:
+    found: dict[str, list[tuple[str, Column]]] = defaultdict(list)
+    kinds = {'hz': 'h', 'az': 'h', 'v': 'v', 'zenith': 'v', 'el': 'v', 'd': 'd'}
+    for place, heading in enumerate(headings):
+        words = words_of(parted(heading)[0])
+        what = POLAR.get(''.join(words)) or (POLAR.get(words[-1]) if words else None)
+        if what is not None:
+            found[kinds[what]].append((what, _column(place, heading)))
+    if any(len(found[kind]) != 1 for kind in 'hvd'):
         return None
-    return Columns((found['x'][0], found['y'][0], found['z'][0]), _times(found.get('time', [])))
+    (h, across), (v, up), (_, along) = (found[kind][0] for kind in 'hvd')
+    return (across, up, along), f'{h} {v}'
 
 
-def _times(found: list[Column]) -> tuple[Column, ...]:
+def names_point(headings: Sequence[str]) -> bool:
+    """Tell whether headings name a point."""
+    return bool(offers(headings)) or _polar(headings) is not None
+
+
+def read_table(path: str | Path, *, named: bool = True) -> TextTable:
+    """Read a table of points; ``named``: its head, if there is one, says what the columns are."""
+    return read_text_table(path, names_point if named else None)
+
+
+def _times(headings: Sequence[str]) -> tuple[Column, ...]:
     """The best time: of the measurement rather than of its reception; s and ns together."""
+    found = []
+    for place, heading in enumerate(headings):
+        name, unit = parted(heading)
+        words = words_of(name.replace('time stamp', 'timestamp').replace('date time', 'datetime'))
+        if not words or set(words) & set(OTHER_TIMES) or coordinate_of(name) is not None:
+            continue
+        if words[-1] not in TIME_WORDS and words[0] not in ('time', 'zeit', 'timestamp'):
+            continue
+        if unit not in TIMES and unit not in OTHERS:
+            unit = words[-1] if words[-1] in TIMES else None
+        found.append(Column(place, unit, ' '.join(heading.split())))
     stamps = [c for c in found if 'stamp' in c.name.lower()] or found
-    whole = [c for c in stamps if c.unit == 's' or (c.unit or '').startswith('sec')]
-    parts = [c for c in stamps if (c.unit or '').startswith(('ns', 'nano'))]
-    if whole and parts and len(stamps) > 1:
+    whole = [c for c in stamps if TIMES.get(c.unit or '') == 0]
+    parts = [c for c in stamps if TIMES.get(c.unit or '') == -9]
+    if whole and parts:
         return whole[0], parts[0]
     return tuple(stamps[:1])
 
 
-def find_columns(table: TextTable, wanted: str | None) -> Columns:
+def columns_of(
+    headings: Sequence[str], where: str = '', *, nominal: bool = False
+) -> Columns | None:
+    """Columns by their headings; None if they do not name a point.
+
+    Parameters
+    ----------
+    headings : sequence of str
+    where : str
+        File, for messages.
+    nominal : bool
+        The nominal one of several points is wanted, as for a path; else the measured one.
+
+    Raises
+    ------
+    AmbiguousPointError
+        If words do not say which point is wanted; names both.
+    """
+    offered, time = offers(headings), _times(headings)
+    if not offered:
+        polar = _polar(headings)
+        return None if polar is None else Columns(polar[0], time, polar[1])
+    wanted, unwanted = ('nominal', 'measured') if nominal else ('measured', 'nominal')
+    taken = [o for o in offered if o.role == wanted] or [o for o in offered if o.role == '']
+    if nominal and not taken:
+        taken = offered
+    if len(taken) == 1:
+        rest = [o for o in offered if o is not taken[0]]
+        words = '; '.join(f'not {o.words}, {o.role or "which is not said to be it"}' for o in rest)
+        remarks = (f'the {wanted} point is {taken[0].words}; {words}',) if rest else ()
+        return Columns(taken[0].point, time, '', remarks)
+    if not taken:
+        raise AmbiguousPointError(
+            f'{where}: the head names {unwanted} positions only: {offered[0].words}; export the '
+            f'measured ones{_choice(headings, offered, time, nominal)}'
+        )
+    points = ' and '.join(o.words for o in offered)
+    raise AmbiguousPointError(
+        f'{where}: the head names {len(offered)} points: {points}; nothing says which one was '
+        f'{"planned" if nominal else "measured"}{_choice(headings, offered, time, nominal)}'
+    )
+
+
+def _choice(
+    headings: Sequence[str], offered: Sequence[Offer], time: Sequence[Column], nominal: bool
+) -> str:
+    """Say how to choose: options that work as they stand."""
+    if nominal:
+        return '; delete the columns of the others, or name the right ones x_mm, y_mm, z_mm'
+    ways = []
+    for offer in offered:
+        words = ['-'] * len(headings)
+        for axis, column in zip(AXES, offer.point, strict=True):
+            factor = LENGTHS.get(column.unit or '')
+            words[column.place] = axis if factor is None else f'{axis}_{SUGGESTED[factor]}'
+        for column in time:
+            unit = {0: 's', -3: 'ms', -6: 'us', -9: 'ns'}.get(TIMES.get(column.unit or '', 1))
+            words[column.place] = 'time' if unit is None else f'time_{unit}'
+        ways.append(f'--columns {",".join(words)}')
+    return f'; choose with {" or ".join(ways)}'
+
+
+def find_columns(table: TextTable, wanted: str | None, *, nominal: bool = False) -> Columns:
     """Find the columns of a table.
 
     Parameters
@@ -139,114 +266,197 @@ def find_columns(table: TextTable, wanted: str | None) -> Columns:
     table : TextTable
     wanted : str, optional
         What stands in the columns, in their order, e.g. ``time_s,-,x_mm,y_mm,z_mm``.
+    nominal : bool
+        See ``columns_of``.
 
     Raises
     ------
     ConfigError
         If ``wanted`` does not suit the table.
     InputError
-        If the head names no point; says what it holds.
+        If the head names no point, or several; says what it holds.
     """
     if wanted is not None:
         return _wanted(table, wanted)
-    found = named_columns(table)
+    found = named_columns(table, nominal=nominal)
     if found is None:
         raise InputError(
             f'{unnamed_words(table)}; name them with --columns, e.g. --columns '
-            f'time_s,x_mm,y_mm,z_mm (a - leaves a column out)'
+            f'{_suggestion(table)} (a - leaves a column out)'
         )
     return found
 
 
-def named_columns(table: TextTable) -> Columns | None:
+def named_columns(table: TextTable, *, nominal: bool = False) -> Columns | None:
     """Columns by the head of a table or as they stand there; None if neither names a point."""
+    _refuse_other_axes(table)
     labels = _labels_between(table)
     if labels is not None:
         return labels
-    count = len(table.rows[0])
-    for k in reversed(range(len(table.head))):
-        for delimiter in (table.delimiter, '\t', ';', ',', None):
-            headings = split(table.head[k], delimiter)
-            found = columns_of(headings) if len(headings) >= FEWEST_NAMED else None
-            if found is not None and all(c.place < count for c in (*found.point, *found.time)):
-                below = [split(line, delimiter) for line in table.head[k + 1 :]]
-                return _with_unit_of_head(_with_units_below(found, below), table)
-    return _unnamed(table)
+    if table.names is not None:
+        found = columns_of(table.names, table.where, nominal=nominal)
+        if found is not None:
+            return _with_unit_of_head(_with_units_below(found, table.units), table)
+    unnamed = _unnamed(table)
+    return None if unnamed is None else _with_unit_of_head(unnamed, table)
 
 
-FEWEST_NAMED = 3
+def _refuse_other_axes(table: TextTable) -> None:
+    for line in table.head:
+        match = OTHER_AXES.search(line)
+        if match:
+            raise InputError(
+                f'{table.where}: the head states {match[1].lower()} coordinates ({line[:80]!r}); '
+                f'export Cartesian ones'
+            )
 
 
-def _with_units_below(found: Columns, below: Sequence[Sequence[str]]) -> Columns:
+def _with_units_below(found: Columns, units: Sequence[str]) -> Columns:
     """Take units from a line of their own under the names: 's;mm;mm;mm'."""
     columns = (*found.point, *found.time)
-    for fields in below:
-        texts = [fields[c.place].strip('[]() ') if c.place < len(fields) else '' for c in columns]
-        if all(map(_is_unit, texts[:3])) and not any(c.unit for c in found.point):
-            given = [
-                replace(c, unit=text.lower()) if c.unit is None and _is_unit(text) else c
-                for c, text in zip(columns, texts, strict=True)
-            ]
-            return Columns((given[0], given[1], given[2]), tuple(given[3:]))
-    return found
+    if not units or any(c.unit for c in found.point):
+        return found
+    given = [
+        replace(c, unit=units[c.place].lower())
+        if c.unit is None and c.place < len(units) and is_unit(units[c.place])
+        else c
+        for c in columns
+    ]
+    return replace(found, point=(given[0], given[1], given[2]), time=tuple(given[3:]))
 
 
 def _with_unit_of_head(found: Columns, table: TextTable) -> Columns:
     """Take the unit of the point from a line such as 'AXES = CARTESIAN: X Y Z (mm)'."""
-    stated = [m[1].lower() for line in table.head if (m := AXES_WITH_UNIT.search(line))]
-    if not stated or any(c.unit for c in found.point):
+    stated = [
+        m[1].lower() for line in table.head if (m := AXES_WITH_UNIT.search(line)) and is_unit(m[1])
+    ]
+    stated = [unit for unit in stated if unit in LENGTHS or unit in OTHERS]
+    if found.polar or not stated or any(c.unit for c in found.point):
         return found
     x, y, z = (Column(c.place, stated[0], c.name) for c in found.point)
-    return Columns((x, y, z), found.time)
+    return replace(found, point=(x, y, z))
 
 
 def _labels_between(table: TextTable) -> Columns | None:
     """Columns of lines such as 'X,1790.8,Y,10463.5,Z,1527.3,Time(sec),7.2'."""
-    row, last = table.rows[0], table.rows[-1]
+    row, last = ([f.strip() for f in table.rows[k]] for k in (0, -1))
     labelled = ['' for _ in row]
-    for place, field in enumerate(row[:-1]):
-        if field == last[place] and not is_value(field) and is_value(row[place + 1]):
-            labelled[place + 1] = field
-    return columns_of(labelled)
+    for place, text in enumerate(row[:-1]):
+        label = text.rstrip('=: ')
+        if label and text == last[place] and not is_value(text) and is_value(row[place + 1]):
+            labelled[place + 1] = label
+    return columns_of(labelled, table.where)
+
+
+SHARE = 0.9
+"""Of the rows in which a column without a name holds a number."""
+
+
+def _value_places(table: TextTable) -> list[int]:
+    """Columns that hold numbers in most rows."""
+    step = max(len(table.rows) // 500, 1)
+    rows = table.rows[::step]
+    counts = [sum(is_value(row[k].strip()) or is_missing(row[k].strip()) for row in rows)
+              for k in range(table.width)]  # fmt: skip
+    return [k for k, count in enumerate(counts) if count >= SHARE * len(rows)]
+
+
+def counts_rows(texts: Sequence[str]) -> bool:
+    """Tell whether a column only counts: 1, 2, 3, with a few left out at most."""
+    if len(texts) < FEW or not all(text.isdigit() for text in texts):
+        return False
+    numbers = [int(text) for text in texts]
+    steps = [after - before for before, after in pairwise(numbers)]
+    return min(steps) >= 1 and steps.count(1) >= SHARE * len(steps)
+
+
+FEW = 3
+"""Rows with which a column may count by chance."""
 
 
 def _unnamed(table: TextTable) -> Columns | None:
-    """Columns of a table without names: x y z, or time x y z."""
-    count = len(table.rows[0])
-    named = bool(table.head) and len(split(table.head[-1], table.delimiter)) == count
-    if named or count not in (3, 4) or not all(map(is_value, table.rows[0])):
+    """Columns of a table without names: x y z, time x y z, or names or numbers and x y z."""
+    named = bool(table.head) and _has_names(table)
+    places = _value_places(table)
+    if named and not _states_axes(table):
         return None
-    names = [f'column {k + 1}' for k in range(count)]
-    x, y, z = (Column(k, None, names[k]) for k in range(count - 3, count))
-    return Columns((x, y, z), (Column(0, None, names[0]),) if count == 4 else ())
+    clocks = [k for k in places if ':' in table.rows[0][k]]
+    numbers = [k for k in places if k not in clocks]
+    remarks: tuple[str, ...] = ()
+    if len(numbers) == 4 and counts_rows(table.column(numbers[0])):
+        remarks = (f'column {numbers[0] + 1} counts the lines and is no time',)
+        numbers = numbers[1:]
+    names = [f'column {k + 1}' for k in range(table.width)]
+    time: tuple[Column, ...] = ()
+    if len(numbers) == 4 and table.width == 4:
+        time, numbers = (Column(0, None, names[0]),), numbers[1:]
+    elif len(clocks) == 1:
+        time = (Column(clocks[0], None, names[clocks[0]]),)
+    beside = table.width - len(numbers) - len(time)
+    if len(numbers) != 3 or numbers[2] - numbers[0] != 2 or len(clocks) > 1:
+        return None
+    if beside and not _states_axes(table) and (beside > 1 or numbers[0] == 0):
+        return None
+    x, y, z = (Column(k, None, names[k]) for k in numbers)
+    return Columns((x, y, z), time, '', remarks)
+
+
+def _states_axes(table: TextTable) -> bool:
+    return any(re.search(r'AXES\s*=', line) for line in table.head)
+
+
+def _has_names(table: TextTable) -> bool:
+    """Tell whether the last line before the data has as many fields as these, none a number."""
+    fields = table.dialect.fields(table.head[-1])
+    return len(fields) == table.width and not any(map(is_value, fields))
 
 
 def unnamed_words(table: TextTable) -> str:
     """Say that nothing names the point of a table, and what stands there instead."""
     shown = ' | '.join(table.head[-1:]) or 'nothing'
     return (
-        f'{table.where}: line {table.lines[0]} has {len(table.rows[0])} columns, and the head '
+        f'{table.where}: line {table.lines[0]} has {table.width} columns, and the head '
         f'names no x, y, z (it says: {shown[:100]})'
     )
 
 
+def _suggestion(table: TextTable) -> str:
+    """Columns as they may be; a form that is accepted, for the user to correct."""
+    places = _value_places(table)
+    words = ['-'] * table.width
+    for word, place in zip(('z_mm', 'y_mm', 'x_mm', 'time_s'), places[::-1], strict=False):
+        words[place] = word
+    return ','.join(words)
+
+
 def _wanted(table: TextTable, wanted: str) -> Columns:
-    headings, count = wanted.split(','), len(table.rows[0])
+    headings, count = wanted.split(','), table.width
     if len(headings) > count:
         raise ConfigError(
             f'--columns: names {len(headings)} columns, but line {table.lines[0]} of '
             f'{table.where} has {count}'
         )
-    times = [Column(k, _parted(h)[1], h.strip()) for k, h in enumerate(headings)
-             if _what(_parted(h)[0]) == 'time']  # fmt: skip
     for heading in headings:
-        name = _parted(heading)[0]
-        if name not in ('-', '') and _what(name) is None:
+        if heading.strip(' -') and not _is_known(heading):
             raise ConfigError(
-                f'--columns: {heading.strip()!r} is unknown; possible: time, x, y, z, with units '
-                f'as in time_s or x_mm, and - for others'
+                f'--columns: {heading.strip()!r} is unknown; possible: time, sec, nanosec, x, y, '
+                f'z, hz, v, d, az, el, with units as in time_s or x_mm, and - for others'
             )
-    found = columns_of(headings)
+    try:
+        found = columns_of(headings)
+    except AmbiguousPointError:
+        raise ConfigError(f'--columns: {wanted!r} names x, y or z more than once') from None
     if found is None:
         raise ConfigError(f'--columns: {wanted!r} does not name x, y and z')
-    return Columns(found.point, tuple(times))
+    return found
+
+
+def _is_known(heading: str) -> bool:
+    name = parted(heading)[0]
+    return bool(_times([heading])) or name in POLAR or (
+        coordinate_of(name) is not None and len(name) <= LONGEST
+    )  # fmt: skip
+
+
+LONGEST = 12
+"""Letters of a name in --columns."""

@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.csv_points import read_points_csv
-from otf_core.files.writing import refuse_pipe
-from otf_core.inputs.columns import LENGTHS, named_columns, unnamed_words
-from otf_core.inputs.text_table import TextTable, read_text_table
+from otf_core.files.text_table import TextTable, fault_words
+from otf_core.files.units import LENGTHS, known_lengths
+from otf_core.inputs.columns import Columns, named_columns, read_table, unnamed_words
 
 Array = NDArray[np.float64]
 
@@ -21,58 +19,51 @@ Array = NDArray[np.float64]
 def read_points(name: str | Path) -> tuple[Array, str]:
     """Points (n, 3), m, and what the text was read as; empty for a plain CSV.
 
-    Delimiter, decimal comma, case and units of the head are found out; m where it states none.
+    Separator, decimal comma, case and units of the head are found out; m where it states none.
+    Of a nominal and a measured point the nominal one is taken. Every line has to be a point.
 
     Raises
     ------
     ConfigError
         If the file cannot be read, names no points, or a line is none.
     """
-    refuse_pipe(name)
-    if _is_plain(name):
-        return read_points_csv(name), ''
     try:
-        table = read_text_table(name)
-    except InputError:
-        return read_points_csv(name), ''  # says what is expected
-    found = named_columns(table)
-    if found is None:
+        table = read_table(name)
+        found = named_columns(table, nominal=True)
+        if found is None:
+            raise ConfigError(
+                f'{unnamed_words(table)}; write there what they are, as in x_mm,y_mm,z_mm'
+            )
+        if found.polar:
+            raise ConfigError(f'{name}: holds polar coordinates; expected x, y, z')
+        return _points(table, found)
+    except InputError as error:
+        raise ConfigError(f'{error} (expected the header x,y,z, in m, or with units)') from None
+
+
+def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
+    read = table.numbers({c.place: c.name for c in columns.point})
+    faults = dict(table.faults)
+    for column in reversed(read):
+        faults |= {table.lines[row]: reason for row, reason in column.faults.items()}
+    if faults:
         raise ConfigError(
-            f'{unnamed_words(table)}; write there what they are, as in x_mm,y_mm,z_mm'
+            f'{table.where}: line {min(faults)}: expected numbers like the other lines: '
+            f'{fault_words(faults)}; every line has to be a point'
         )
-    if table.skipped:
-        raise ConfigError(
-            f'{name}: line {table.skipped[0]}: expected numbers like the other lines'
-        )
-    rows = [[_number(table.number(row[c.place])) for c in found.point] for row in table.rows]
-    stated = {c.unit for c in found.point} - {None}
-    if len(stated) > 1 or not stated <= set(LENGTHS):
+    stated = {c.unit for c in columns.point}
+    if len(stated) > 1 or not stated <= {*LENGTHS, None}:
         given = ' and '.join(sorted(map(repr, stated)))
-        raise ConfigError(f'{name}: x, y, z are in {given}; expected m or mm')
-    unit = stated.pop() or 'm' if stated else 'm'
-    names = ', '.join(c.name for c in found.point)
-    points = _finite(np.array(rows), table)
-    return points * 10.0 ** LENGTHS[unit], f'{name}: x, y, z from {names} in {unit}'
-
-
-def _is_plain(name: str | Path) -> bool:
-    try:
-        with open(name, encoding='utf-8-sig') as file:
-            first = file.readline()
-    except (OSError, UnicodeDecodeError):
-        return True
-    return {'x', 'y', 'z'} <= {field.strip() for field in first.split(',')}
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan  # such as a time of day
-
-
-def _finite(points: Array, table: TextTable) -> Array:
+        raise ConfigError(f'{table.where}: x, y, z are in {given}; expected {known_lengths()}')
+    unit = stated.pop()
+    points = np.array([list(map(float, c.texts)) for c in read]).T
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise ConfigError(f'{table.where}: line {table.lines[bad[0]]}: not finite numbers')
-    return points
+    form = next((f', {c.form}' for c in read if c.form), '')
+    names = [c.name for c in columns.point]
+    if unit is None and not form and names == ['x', 'y', 'z'] and table.dialect.separator == ',':
+        return points, ''
+    said = f'{table.where}: x, y, z from {", ".join(names)} in {unit or "m"}{form}'
+    said += ''.join(f'; {remark}' for remark in columns.remarks)
+    return points * LENGTHS[unit or 'm'], said

@@ -7,9 +7,10 @@ the unit of time from the speed that follows from it.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +19,32 @@ from numpy.typing import NDArray
 from otf_core.bags.bag_reading import Received
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.columns import LENGTHS, TIMES, Column, Columns, find_columns
+from otf_core.files.text_dialect import NUMBER, is_missing
+from otf_core.files.text_numbers import NOT_FINITE, NumberColumn
+from otf_core.files.text_table import TextTable, counted, fault_words
+from otf_core.files.units import ANGLES, LENGTHS, TIMES, known_lengths
+from otf_core.inputs.columns import (
+    SUGGESTED,
+    Column,
+    Columns,
+    counts_rows,
+    find_columns,
+    read_table,
+)
 from otf_core.inputs.moments import clocks_ns, decimals_ns, is_clock, since_first
-from otf_core.inputs.text_table import TextTable, read_text_table
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-SUFFIXES = ('.csv', '.txt', '.tsv', '.asc', '.dat', '.xyz', '.pts', '.log')
+SUFFIXES = ('.csv', '.txt', '.tsv', '.asc', '.dat', '.xyz', '.pts', '.log', '.ply')
+LEFT_OUT = 0.1
+"""Share of the lines that may be no samples."""
+NOISE_SAMPLES = 100
+"""From so many on noise can be missed."""
+QUIET = 2e-8
+"""m; no tracker has less noise."""
+MOVED = 1e-3
+"""m; a target that hardly moves says nothing."""
 LARGE = 60.0
 """Farther from the tracker is no metre: the range of trackers ends there."""
 USUAL_SPEED = 0.15
@@ -61,6 +80,8 @@ class TextReading:
         Empty until one is given.
     remarks : list of str
         What was left out.
+    left_out : list of dict
+        Lines that are no samples: ``reason``, ``lines`` (how many), ``first_line``.
     said : list of str
         How the file was read.
     foreign : Counter of str
@@ -84,17 +105,30 @@ class TextReading:
         self.remarks: list[str] = []
         self.foreign: Counter[str] = Counter()
         self._where = str(source)
-        table = read_text_table(source)
+        table = read_table(source, named=columns is None)
         found = find_columns(table, columns)
-        self._xyz, unit = _points(table, found)
-        self._stamp_ns, time_words = _stamps(table, found, self._xyz, rate)
-        if table.skipped:
+        chosen = _chosen(table, found)
+        self._xyz, unit, factor = _points(chosen, found)
+        self._stamp_ns, time_words = _stamps(chosen, found, self._xyz, rate)
+        self.left_out = [
+            {'reason': reason, 'lines': often, 'first_line': first}
+            for reason, often, first in counted(chosen.faults)
+        ]
+        if chosen.faults:
             self.remarks.append(
-                f'skipped {len(table.skipped)} lines that are no samples, the first is line '
-                f'{table.skipped[0]}'
+                f'left out {len(chosen.faults)} of {len(chosen.lines) + len(chosen.faults)} lines '
+                f'that are no samples: {fault_words(chosen.faults)}'
             )
+        still = _without_noise(chosen, found, factor, self._xyz)
+        if still:
+            self.remarks.append(still)
         place = ', '.join(c.name for c in found.point)
-        self.said = [f'{len(self._xyz)} samples; x, y, z from {place} in {unit}; {time_words}']
+        form = ' and '.join(sorted({c.form for c in chosen.point if c.form}))
+        self.said = [
+            f'{len(self._xyz)} samples; {_what(found)} from {place} in {unit}'
+            f'{f", {form}" if form else ""}; {time_words}',
+            *found.remarks,
+        ]
 
     def require(self, *wanted: Topic) -> None:
         """Refuse a table without a path."""
@@ -109,91 +143,239 @@ class TextReading:
         return Received(self._stamp_ns, self._xyz, self._stamp_ns)
 
 
-def _numbers(table: TextTable, column: Column) -> Array:
-    texts = [table.number(row[column.place]) for row in table.rows]
-    try:
-        return np.array(texts, dtype=np.float64)
-    except ValueError:
-        for number, text in zip(table.lines, texts, strict=True):
-            try:
-                float(text)
-            except ValueError:
-                raise InputError(
-                    f'{table.where}: line {number}: {column.name}: {text!r} is no number'
-                ) from None
-        raise
+@dataclass(frozen=True)
+class _Chosen:
+    """The rows of a table that hold a sample.
+
+    Attributes
+    ----------
+    where : str
+    lines : list of int
+    point : list of NumberColumn
+    time : list of list of str
+        Fields of each column of times.
+    faults : dict of int to str
+        Lines that are left out, and why.
+    width : int
+        Columns of the table.
+    """
+
+    where: str
+    lines: list[int]
+    point: list[NumberColumn]
+    time: list[list[str]]
+    faults: dict[int, str]
+    width: int
 
 
-def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
-    """Points (n, 3), m, and the unit in words."""
-    xyz = np.stack([_numbers(table, c) for c in columns.point], axis=1)
+def _chosen(table: TextTable, columns: Columns) -> _Chosen:
+    """Columns of the samples, without the lines that are none; InputError if these are many."""
+    texts = {c.place: table.column(c.place) for c in columns.time}
+    decimal = [c for c in columns.time if _is_decimal(texts[c.place])]
+    read = table.numbers({c.place: c.name for c in (*columns.point, *decimal)})
+    bad: dict[int, str] = {}
+    for column in reversed(read):
+        bad |= column.faults
+    times = []
+    for c in columns.time:
+        if c in decimal:
+            times.append(read[3 + decimal.index(c)].texts)
+            continue
+        times.append(texts[c.place])
+        for row, text in enumerate(texts[c.place]):
+            if not text or is_missing(text):
+                bad.setdefault(row, f'{c.name} is {f"{text!r}" if text else "empty"}')
+    faults = dict(table.faults) | {table.lines[row]: reason for row, reason in bad.items()}
+    _refuse_many(table, faults, len(table.rows) - len(bad))
+    if not bad:
+        return _Chosen(table.where, table.lines, read[:3], times, faults, table.width)
+    kept = [row for row in range(len(table.rows)) if row not in bad]
+    point = [NumberColumn([c.texts[row] for row in kept], {}, c.form) for c in read[:3]]
+    return _Chosen(
+        table.where,
+        [table.lines[row] for row in kept],
+        point,
+        [[column[row] for row in kept] for column in times],
+        faults,
+        table.width,
+    )
+
+
+def _is_decimal(texts: Sequence[str]) -> bool:
+    """Tell whether a column holds numbers, not times of day."""
+    there = (text for text in texts if text and not is_missing(text))
+    first = list(itertools.islice(there, 9))
+    return (
+        sum(bool(NUMBER.match(text)) or text.lower() in NOT_FINITE for text in first)
+        > len(first) // 2
+    )
+
+
+def _refuse_many(table: TextTable, faults: Mapping[int, str], kept: int) -> None:
+    """Refuse a table of which many lines are no samples."""
+    if len(faults) > LEFT_OUT * (len(faults) + kept):
+        raise InputError(
+            f'{table.where}: {len(faults)} of {len(faults) + kept} lines are no samples: '
+            f'{fault_words(faults)}; give one table a file, and export the samples that were '
+            f'measured only'
+        )
+
+
+def _points(chosen: _Chosen, columns: Columns) -> tuple[Array, str, float]:
+    """Points (n, 3), m, the unit in words, and in m."""
+    values = np.stack([np.array(list(map(float, c.texts))) for c in chosen.point], axis=1)
+    if columns.polar:
+        return *_from_polar(chosen.where, values, columns), 1.0
     units = {c.unit for c in columns.point}
     if len(units) > 1:
-        raise InputError(f'{table.where}: x, y, z are in different units: {units}')
-    stated = units.pop()
+        raise InputError(f'{chosen.where}: x, y, z are in different units: {units}')
+    unit, words = _length(chosen.where, units.pop(), values)
+    return values * LENGTHS[unit], words, LENGTHS[unit]
+
+
+def _length(where: str, stated: str | None, values: Array) -> tuple[str, str]:
+    """Unit of lengths, and the same in words; by their size if none is stated."""
     if stated is not None and stated not in LENGTHS:
         raise InputError(
-            f'{table.where}: {stated!r} is no unit of length that is read; possible: {_known()}'
+            f'{where}: {stated!r} is no unit of length that is read; possible: {known_lengths()}'
         )
-    unit = stated or ('mm' if np.nanmax(np.abs(xyz), initial=0.0) > LARGE else 'm')
-    xyz *= 10.0 ** LENGTHS[unit]
-    return xyz, unit if stated else f'{unit} (not stated, by their size)'
+    unit = stated or ('mm' if np.nanmax(np.abs(values), initial=0.0) > LARGE else 'm')
+    return unit, unit if stated else f'{unit} (not stated, by their size)'
 
 
-def _known() -> str:
-    return ', '.join(name for name in LENGTHS if name.isascii())
+def _what(columns: Columns) -> str:
+    return 'direction, vertical angle and distance' if columns.polar else 'x, y, z'
+
+
+def _from_polar(where: str, values: Array, columns: Columns) -> tuple[Array, str]:
+    """Points of direction, vertical angle and slope distance."""
+    across, up, along = columns.point
+    for column in (across, up):
+        if column.unit not in ANGLES:
+            what = 'its unit is not stated'
+            if column.unit is not None:
+                what = f'{column.unit!r} is no unit of angles that is read'
+            raise InputError(
+                f'{where}: {column.name}: {what}; write deg, gon or rad into the head, as in '
+                f'{column.name.split()[0]} [gon]'
+            )
+    unit, words = _length(where, along.unit, values[:, 2])
+    direction = values[:, 0] * ANGLES[across.unit or '']
+    vertical = values[:, 1] * ANGLES[up.unit or '']
+    sense, kind = columns.polar.split()
+    if kind == 'v':
+        kind = _vertical_kind(where, vertical, up)
+    elevation = np.pi / 2 - vertical if kind == 'zenith' else vertical
+    direction = -direction if sense == 'hz' else direction
+    length = values[:, 2] * LENGTHS[unit]
+    xyz = length[:, None] * np.stack(
+        [np.cos(elevation) * np.cos(direction), np.cos(elevation) * np.sin(direction),
+         np.sin(elevation)], axis=1,
+    )  # fmt: skip
+    turn = 'clockwise' if sense == 'hz' else 'counter-clockwise'
+    seen = 'zenith angle' if kind == 'zenith' else 'elevation'
+    return xyz, f'{across.unit}, {up.unit} and {words}: direction {turn} from above, {seen}'
+
+
+def _vertical_kind(where: str, vertical: Array, column: Column) -> str:
+    """'zenith' or 'el': vertical angles near 90 degrees are zenith angles."""
+    finite = vertical[np.isfinite(vertical)]
+    if len(finite) and np.all(np.abs(finite - np.pi / 2) < np.pi / 4):
+        return 'zenith'
+    if len(finite) and np.all(np.abs(finite) < np.pi / 4):
+        return 'el'
+    raise InputError(
+        f'{where}: {column.name} may be a zenith angle or an elevation; name it one of these'
+    )
+
+
+def _without_noise(chosen: _Chosen, columns: Columns, unit: float, xyz: Array) -> str:
+    """Words if the points have no noise beyond their rounding, as commanded ones.
+
+    Second differences of points on straight lines at constant feed are those of the rounding.
+    """
+    if columns.polar or len(xyz) < NOISE_SAMPLES:
+        return ''
+    size = np.nanmedian(np.abs(np.diff(xyz, n=2, axis=0)), axis=0)
+    digits = [max(len(t.partition('.')[2]) for t in c.texts[:NOISE_SAMPLES]) for c in chosen.point]
+    step = unit * 10.0 ** -np.array(digits, dtype=float)
+    if not np.all(size <= np.maximum(1.01 * step, QUIET)) or np.ptp(xyz, axis=0).max() < MOVED:
+        return ''
+    shown = max(1e6 * float(step.max()), 1e-6)
+    return (
+        f'the points have no noise beyond their rounding ({shown:g} um): commanded or smoothed '
+        f'positions give tables that show no errors; export the measured ones'
+    )
 
 
 def _stamps(
-    table: TextTable, columns: Columns, xyz: Array, rate: float | None
+    chosen: _Chosen, columns: Columns, xyz: Array, rate: float | None
 ) -> tuple[Stamps, str]:
     """Stamps, and in words where they come from."""
     if not columns.time:
         if rate is None:
+            beside = ''.join(f'; {remark}' for remark in columns.remarks if 'counts' in remark)
             raise InputError(
-                f'{table.where}: has no column of times; state the rate of the tracker, e.g. '
-                f'--rate 1000 (Hz), or name the column (--columns)'
+                f'{chosen.where}: has no column of times{beside}; state the rate of the tracker, '
+                f'e.g. --rate 1000 (Hz), or name the column (--columns)'
             )
         step = 1e9 / rate
         return np.rint(step * np.arange(len(xyz))).astype(np.int64), f'{rate:g} Hz as stated'
     if rate is not None:
         raise ConfigError(
-            f'--rate: {table.where} holds times ({columns.time[0].name}); leave --rate out, or '
-            f'the column of times (--columns, a - in its place)'
+            f'--rate: {chosen.where} holds times ({columns.time[0].name}); leave --rate out, or '
+            f'the column of times (--columns {_without_time(chosen, columns)})'
         )
     total = np.zeros(len(xyz), np.int64)
     words = []
-    for column in columns.time:
-        stamps, unit = _stamps_of(table, column, xyz, alone=len(columns.time) == 1)
+    for column, texts in zip(columns.time, chosen.time, strict=True):
+        stamps, unit = _stamps_of(chosen, columns, column, texts, xyz)
         total += stamps
         words.append(f'{column.name} in {unit}')
     if len(total) > 1 and not total.any():
         raise InputError(
-            f'{table.where}: {words[0]}: all {len(total)} times are zero; export the time of '
-            f'measurement, or leave the column out (--columns) and state the rate (--rate)'
+            f'{chosen.where}: {words[0]}: all {len(total)} times are zero; export the time of '
+            f'measurement, or leave the column out (--columns '
+            f'{_without_time(chosen, columns)}) and state the rate (--rate)'
         )
     return total, f'time from {" and ".join(words)}'
 
 
-def _stamps_of(table: TextTable, column: Column, xyz: Array, *, alone: bool) -> tuple[Stamps, str]:
-    texts = [row[column.place] for row in table.rows]
+def _without_time(chosen: _Chosen, columns: Columns) -> str:
+    """Columns as --columns takes them, without the times."""
+    words = ['-'] * chosen.width
+    for axis, column in zip('xyz', columns.point, strict=True):
+        unit = SUGGESTED.get(LENGTHS.get(column.unit or '', 0.0))
+        words[column.place] = axis if unit is None else f'{axis}_{unit}'
+    return ','.join(words)
+
+
+def _stamps_of(
+    chosen: _Chosen, columns: Columns, column: Column, texts: list[str], xyz: Array
+) -> tuple[Stamps, str]:
+    alone = len(columns.time) == 1
+    if column.unit is None and alone and counts_rows(texts):
+        raise InputError(
+            f'{chosen.where}: {column.name} counts the lines ({texts[0]}, {texts[1]}, {texts[2]}) '
+            f'and is no time; leave it out and state the rate of the tracker: --columns '
+            f'{_without_time(chosen, columns)} --rate 1000 (Hz); or state its unit, as in time_ms'
+        )
     try:
-        if is_clock(texts[0]):
+        if texts and is_clock(texts[0]):
             return clocks_ns(texts), 'hours, minutes, seconds'
-        numbers = [table.number(text) for text in texts]
         if column.unit in TIMES:
-            return decimals_ns(numbers, TIMES[column.unit]), column.unit or ''
+            return decimals_ns(texts, TIMES[column.unit]), column.unit or ''
         if column.unit is not None:
             raise InputError(
-                f'{table.where}: {column.name}: {column.unit!r} is no unit of time that is read; '
+                f'{chosen.where}: {column.name}: {column.unit!r} is no unit of time that is read; '
                 f'possible: {", ".join(GUESSED)}'
             )
-        unit = _guessed(since_first(numbers), xyz) if alone else 's'
-        return decimals_ns(numbers, TIMES[unit]), f'{unit} (not stated, by the speed)'
+        unit = _guessed(since_first(texts), xyz) if alone else 's'
+        return decimals_ns(texts, TIMES[unit]), f'{unit} (not stated, by the speed)'
     except ValueError as error:
-        pairs = zip(table.lines, texts, strict=True)
-        line = next((n for n, text in pairs if not _is_time(table.number(text))), 0)
-        raise InputError(f'{table.where}: line {line}: {column.name}: {error}') from None
+        pairs = zip(chosen.lines, texts, strict=True)
+        line = next((n for n, text in pairs if not _is_time(text)), 0)
+        raise InputError(f'{chosen.where}: line {line}: {column.name}: {error}') from None
 
 
 def _is_time(text: str) -> bool:

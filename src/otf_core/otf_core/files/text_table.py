@@ -1,0 +1,380 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A table in a text file: one grammar for samples, points, paths, lattices and readings.
+
+A file is lines before the data, then data. Before the data stand comments, and a head: a line of
+names of the columns, whose number has to be that of the columns; lines above it may name groups of
+columns, a line below it units. Whatever else stands below the head is data, with a fault if need
+be. In the data a comment begins with the sign with which comments began before. No line is passed
+over without being counted: ``TextTable.faults`` holds why, and where. docs/commands.md has the
+grammar as a table.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from otf_core.errors import InputError
+from otf_core.files.text_dialect import (
+    COMMENT,
+    FEWEST,
+    Dialect,
+    candidates,
+    find_dialect,
+    is_missing,
+    is_value,
+    read_lines,
+)
+from otf_core.files.text_numbers import NumberColumn, number_columns
+from otf_core.files.units import is_unit
+
+IsHead = Callable[[Sequence[str]], bool]
+"""Tells whether fields are the names of the columns that are looked for."""
+
+STATEMENT = re.compile(r'^[\w ]+=')
+"""'AXES = CARTESIAN: X, Y, Z (mm)' names no columns."""
+RULE = re.compile(r'[-=_+|: \t]{3,}$')
+SIGNS = ('#', '//', '%', '!')
+"""With which comments may begin between the data."""
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table as text.
+
+    Attributes
+    ----------
+    where : str
+        File name, for messages.
+    rows : list of list of str
+        Fields of the lines of data; all of the same number; white space may be left around them.
+    lines : list of int
+        Number of each in the file, from 1.
+    head : list of str
+        Lines before them, without signs of comments.
+    names : tuple of str, optional
+        Of the columns, with the names of their groups in front; None: no head that is looked for.
+    units : tuple of str
+        Of the columns, as a line below the head states them; empty: there is none.
+    dialect : Dialect
+    faults : mapping of int to str
+        Numbers of the lines that are no rows, and why.
+    """
+
+    where: str
+    rows: list[list[str]]
+    lines: list[int]
+    head: list[str]
+    names: tuple[str, ...] | None
+    units: tuple[str, ...]
+    dialect: Dialect
+    faults: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.dialect.width
+
+    def column(self, place: int) -> list[str]:
+        """Fields of a column."""
+        return [row[place].strip() for row in self.rows]
+
+    def numbers(self, columns: Mapping[int, str]) -> list[NumberColumn]:
+        """Columns of numbers; places and names, for messages.
+
+        Raises
+        ------
+        InputError
+            See ``text_numbers.number_columns``.
+        """
+        named = [(name, self.column(place)) for place, name in columns.items()]
+        return number_columns(self.where, self.lines, named)
+
+
+def counted(faults: Mapping[int, str]) -> list[tuple[str, int, int]]:
+    """Reasons for which lines are left out: reason, how often, number of the first line."""
+    found: dict[str, tuple[int, int]] = {}
+    for line, reason in sorted(faults.items()):
+        often, first = found.get(reason, (0, line))
+        found[reason] = often + 1, first
+    return [(reason, often, first) for reason, (often, first) in found.items()]
+
+
+def fault_words(faults: Mapping[int, str]) -> str:
+    """The same in words."""
+    parts = [
+        f'{often} {"line" if often == 1 else "lines"}: {reason} (first line {first})'
+        if often > 1 else f'1 line: {reason} (line {first})'
+        for reason, often, first in counted(faults)
+    ]  # fmt: skip
+    shown = parts if len(parts) <= SHOWN else [*parts[:SHOWN], f'{len(parts) - SHOWN} more kinds']
+    return '; '.join(shown)
+
+
+SHOWN = 6
+"""Reasons in a message."""
+
+
+def read_text_table(path: str | Path, is_head: IsHead | None = None) -> TextTable:
+    """Read a table.
+
+    Parameters
+    ----------
+    path : str or Path
+    is_head : callable, optional
+        Tells of the fields of a line whether they name the columns that are looked for; without
+        it what the columns are is said elsewhere.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read.
+    InputError
+        If it holds no table of numbers, or head and lines have other numbers of columns; says
+        what was seen, and where.
+    """
+    where, every = str(path), read_lines(path)
+    _open_ply(where, every)
+    plain = [line for line in every if line.strip() and not _is_comment(line)]
+    widths = [_head_width(plain, dialect, is_head) for dialect in candidates()] if is_head else ()
+    dialect = find_dialect(plain, widths)
+    if dialect is None:
+        first = next((line.strip()[:60] for line in every if line.strip()), '')
+        raise InputError(
+            f'{where}: holds no lines of at least {FEWEST} numbers; the first line is {first!r}; '
+            f'export time, x, y, z of every sample, one sample a line'
+        )
+    return _Reader(where, every, dialect, is_head).table()
+
+
+def _open_ply(where: str, lines: list[str]) -> None:
+    """Make the properties of the vertices of a PLY file its line of names; in place."""
+    if lines[0].strip() != 'ply':
+        return
+    words = [line.split() for line in lines[:PLY_HEAD]]
+    if not any(w[:2] == ['format', 'ascii'] for w in words) or ['end_header'] not in words:
+        raise InputError(f'{where}: is no PLY in text form; write it as ascii')
+    end = words.index(['end_header'])
+    elements = [k for k in range(end) if words[k][:1] == ['element']]
+    first = next((k for k in elements if words[k][1:2] == ['vertex']), None)
+    if first is None or first != elements[0] or not words[first][-1].isdigit():
+        raise InputError(f'{where}: PLY: the first element is no vertex; write the points alone')
+    after = next((k for k in elements if k > first), end)
+    names = [w[-1] for w in words[first:after] if w[:1] == ['property']]
+    rows = int(words[first][-1])
+    if len(lines) < end + 1 + rows or (rows and not lines[end + rows].strip()):
+        raise InputError(f'{where}: PLY: the head states {rows} vertices, the file holds fewer')
+    del lines[end + 1 + rows :]
+    lines[: end + 1] = [*[''] * end, ' '.join(names)]
+
+
+PLY_HEAD = 200
+"""Lines."""
+
+
+def _is_comment(line: str) -> bool:
+    """Tell whether a line is a comment by its sign, and no datum such as #N/A or ***."""
+    if not COMMENT.match(line):
+        return False
+    first = re.split(r'[\t;,|\s]', line.strip(), maxsplit=1)[0]
+    if not first.strip('#'):  # '####' of a column that was too narrow, or '## A comment'
+        return line.strip()[len(first) : len(first) + 1] not in ('\t', ';', ',', '|')
+    return not is_missing(first.strip('"'))
+
+
+def _head_width(plain: Sequence[str], dialect: Dialect, is_head: IsHead) -> int:
+    for line in plain[:HEAD_LINES]:
+        fields = _named_fields(line, dialect)
+        if fields and is_head(fields):
+            return len(fields)
+    return 0
+
+
+HEAD_LINES = 100
+"""Lines in which a head is looked for that decides between dialects."""
+
+
+def _named_fields(line: str, dialect: Dialect) -> list[str]:
+    """Fields of a line of names; empty if it is none."""
+    if STATEMENT.match(line):
+        return []
+    fields = dialect.fields(line)
+    is_none = len(fields) < FEWEST or any(is_value(f) or (f and is_missing(f)) for f in fields)
+    return [] if is_none else fields
+
+
+@dataclass
+class _Reader:
+    """What is known while a file is read."""
+
+    where: str
+    every: list[str]
+    dialect: Dialect
+    is_head: IsHead | None
+    faults: dict[int, str] = field(default_factory=dict)
+    signs: set[str] = field(default_factory=set)
+
+    def table(self) -> TextTable:
+        first = self._first_row()
+        at, names = self._head(first)
+        units = self._below(first, at)
+        rows, lines = self._rows(first)
+        names = self._fitting(names, rows, at)
+        head = [COMMENT.sub('', line).strip() for line in self.every[:first]]
+        return TextTable(
+            self.where, rows, lines, [h for h in head if h], names, units, self.dialect,
+            self.faults,
+        )  # fmt: skip
+
+    def _first_row(self) -> int:
+        """Index of the first line that has the columns of the others, with numbers in them."""
+        for k, line in enumerate(self.every):
+            if not line.strip() or _is_comment(line):
+                continue
+            fields = self.dialect.fields(line)
+            if len(fields) == self.dialect.width and sum(map(is_value, fields)) >= FEWEST:
+                return k
+        raise AssertionError('a dialect was found, so there is a row')
+
+    def _head(self, first: int) -> tuple[int, tuple[str, ...] | None]:
+        """Index of the line of names, -1 if there is none, and the names."""
+        if self.is_head is None:
+            return -1, None
+        misfit: tuple[int, tuple[str, ...]] | None = None
+        for k in reversed(range(first)):
+            line = self.every[k]
+            comment = _is_comment(line)
+            text = COMMENT.sub('', line).strip('\r\n ') if comment else line
+            for dialect in (self.dialect, *candidates()) if comment else (self.dialect,):
+                fields = _named_fields(text, dialect)
+                while len(fields) > self.dialect.width and not fields[-1]:
+                    fields.pop()
+                if not fields or not self.is_head(fields):
+                    continue
+                if len(fields) == self.dialect.width:
+                    return k, self._grouped(fields, k)
+                if misfit is None and (not comment or all(self._is_known(f) for f in fields)):
+                    misfit = k, tuple(fields)
+        return misfit or (-1, None)
+
+    def _is_known(self, name: str) -> bool:
+        """Tell whether a word is a name in a head, and not one of a sentence."""
+        return len(name.split()) == 1 and len(name) <= LONGEST_WORD
+
+    def _grouped(self, names: Sequence[str], at: int) -> tuple[str, ...]:
+        """Names with those of their groups, which stand in the lines right above."""
+        found = list(names)
+        for k in range(at - 1, max(at - 1 - GROUP_LINES, -1), -1):
+            above = self.dialect.fields(self.every[k])
+            if len(above) > self.dialect.width and not any(above[self.dialect.width :]):
+                above = above[: self.dialect.width]
+            if self.dialect.separator is None or len(above) != len(names):
+                break
+            group = ''
+            for place, text in enumerate(above):
+                group = text or group
+                if group and not is_value(group):
+                    found[place] = f'{group} {found[place]}'
+        return tuple(found)
+
+    def _below(self, first: int, at: int) -> tuple[str, ...]:
+        """Units below the head; what else stands between head and data is a fault."""
+        units: tuple[str, ...] = ()
+        for k in range(at + 1, first):
+            line = self.every[k]
+            if not line.strip():
+                continue
+            if _is_comment(line):
+                match = COMMENT.match(line)
+                self.signs.add(match[1] if match else '')
+                line = COMMENT.sub('', line)
+            fields = self.dialect.fields(line)
+            if self._are_units(fields):
+                units = tuple(f.strip('[](){} ') for f in fields)
+            elif not _is_comment(self.every[k]) and self._is_datum(fields, line, headed=at >= 0):
+                self.faults[k + 1] = self._misfit(fields)
+        for line in self.every[: max(at + 1, 0)]:
+            match = COMMENT.match(line)
+            if match and _is_comment(line):
+                self.signs.add(match[1])
+        return units
+
+    def _are_units(self, fields: Sequence[str]) -> bool:
+        texts = [f.strip('[](){} ') for f in fields if f.strip('[](){} -')]
+        return len(texts) >= FEWEST and all(map(is_unit, texts))
+
+    def _is_datum(self, fields: Sequence[str], line: str, *, headed: bool) -> bool:
+        """Tell whether a line before the first row is one of data with a fault."""
+        if RULE.match(line) and len(fields) < self.dialect.width:
+            return False
+        if headed:
+            return any(fields)
+        values = [is_value(f) or is_missing(f) for f in fields]
+        if len(fields) == 1:
+            return values[0] and not fields[0].isdigit()  # a number of lines may stand first
+        return any(values) and (len(fields) == self.dialect.width or all(values))
+
+    def _misfit(self, fields: Sequence[str]) -> str:
+        width = self.dialect.width
+        if len(fields) == width:
+            missing = next((f for f in fields if f and not is_value(f)), '')
+            return f'{missing!r} in place of a number' if missing else 'an empty field'
+        if len(fields) == 1:
+            return f'no line of {width} columns'
+        return f'{len(fields)} columns instead of {width}'
+
+    def _rows(self, first: int) -> tuple[list[list[str]], list[int]]:
+        """Rows from the first on, with the numbers of their lines; faults of the others."""
+        width, body = self.dialect.width, self.every[first:]
+        rows = self.dialect.rows(body)
+        if any(line.lstrip()[:1] in ('#', '/', '%', '!') for line in body):
+            for k, line in enumerate(body):
+                if line.lstrip().startswith(SIGNS) and self._is_comment_between(line, rows[k]):
+                    body[k], rows[k] = '', []
+        last = len(rows)
+        while last and not any(field.strip() for field in rows[last - 1]):
+            last -= 1
+        del rows[last:], body[last:]
+        if all(len(row) == width for row in rows):
+            return rows, list(range(first + 1, first + 1 + len(rows)))
+        kept, lines = [], []
+        for k, row in enumerate(rows):
+            if len(row) == width:
+                kept.append(row)
+                lines.append(first + 1 + k)
+            elif body[k].strip():
+                self.faults[first + 1 + k] = self._misfit(self.dialect.fields(body[k]))
+        return kept, lines
+
+    def _is_comment_between(self, line: str, fields: Sequence[str]) -> bool:
+        match = COMMENT.match(line)
+        if match is None or not _is_comment(line):
+            return False
+        return match[1] in self.signs or len(fields) != self.dialect.width
+
+    def _fitting(
+        self, names: tuple[str, ...] | None, rows: list[list[str]], at: int
+    ) -> tuple[str, ...] | None:
+        """Refuse a head of another number of columns; a last one without a name is taken off."""
+        width = self.dialect.width
+        if names is None or len(names) == width:
+            return names
+        if len(names) == width - 1 and not any(row[-1].strip() for row in rows):
+            for row in rows:
+                row.pop()
+            self.dialect = Dialect(self.dialect.separator, self.dialect.dated, width - 1)
+            return names
+        line = self.every[at].strip()[:80]
+        raise InputError(
+            f'{self.where}: the head (line {at + 1}) names {len(names)} columns, the lines have '
+            f'{width}: {line!r}; correct the head, or leave it out and name the columns with '
+            f'--columns (a - leaves one out)'
+        )
+
+
+GROUP_LINES = 4
+"""Lines above the head that may name groups of columns."""
+LONGEST_WORD = 20
+"""Letters."""
