@@ -397,7 +397,7 @@ def test_all_21_errors_are_bars_with_u_and_the_limits_that_are_stated(page, resu
             )  # fmt: skip
             assert one.value == pytest.approx(value)
             assert one.U > 0
-    judged = {one.name: one for one in result.verdict.judged}
+    judged = {one.name: one for one in result.machine_verdict.judged}
     for name in ('EXX', 'C0Y'):
         assert (sizes[name].value, sizes[name].U, sizes[name].state) == (
             judged[name].value, judged[name].U, judged[name].state,

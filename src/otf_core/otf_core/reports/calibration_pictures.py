@@ -70,14 +70,14 @@ class ErrorSize:
 
 def error_sizes(facts: Facts) -> list[ErrorSize]:
     """All 21 errors in the order of the tables: motions, then squareness."""
-    result, verdict = facts.result, facts.result.verdict
+    result, verdict = facts.result, facts.result.machine_verdict
     limits = facts.machine.limits.values if facts.machine.limits else {}
     states = {one.name: one.state for one in verdict.judged} if verdict else {}
     found = []
     for name in (*MOTIONS, *SQUARENESS):
         known = name not in result.not_identifiable
         value, wide = (
-            size_and_expanded(name, facts.tables, result.budget, result.prior)
+            size_and_expanded(name, facts.tables, result.budget_with_typical, result.prior)
             if known
             else (0.0, 0.0)
         )

@@ -193,7 +193,7 @@ def _limit(facts: Facts, name: ErrorMotion, values: Array, reach: Array) -> tupl
 
 def _state_kind(facts: Facts, name: ErrorMotion) -> str:
     """Class of the limit of a motion by its state."""
-    verdict = facts.result.verdict
+    verdict = facts.result.machine_verdict
     found = [one.state for one in verdict.judged if one.name == name] if verdict else []
     return STATE_KINDS.get(found[0], '') if found else ''
 
