@@ -2,12 +2,14 @@
 """Comparison of error tables and direct measurements: convention, levers, E_n, command."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from core_cells import CONTRACT_CHAINS, constant_tables, error_of, some_machine, zero_tables
+from html_cells import Page, unloading
 
 from otf_core import cli
 from otf_core.comparison.compare import (
@@ -23,7 +25,11 @@ from otf_core.model.evaluation import mean_length
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import MotionTable, Squareness, tables_to_dict
-from otf_core.reports.comparison import comparison_to_dict, format_comparison
+from otf_core.reports.comparison import (
+    comparison_to_dict,
+    format_comparison,
+    write_comparison,
+)
 from otf_core.sim.cell import random_tables
 from otf_core.sim.direct_instrument import InstrumentNoise, measure_directly
 
@@ -313,7 +319,8 @@ def test_command_compares_tables_with_a_direct_measurement(tmp_path, capsys):
     assert data['volume']['points'] == 2
     assert data['motions']['EXX']['largest_difference'] < 2e-6
     assert {f.name for f in (tmp_path / 'out').iterdir()} == {
-        'comparison.json', 'comparison.txt', 'manifest.json', 'motions.svg', 'volume.svg',
+        'comparison.json', 'comparison.txt', 'manifest.json', 'motions.svg', 'report.html',
+        'volume.svg',
     }  # fmt: skip
 
 
@@ -338,3 +345,77 @@ def test_a_comparison_says_whether_squareness_was_known():
     direct = source_of_measurement('d', measure_directly(tables, 1), machine)
     unknown = comparison_to_dict(compare(direct, source_of_tables('t', tables, None)))
     assert 'volume_with_squareness' not in unknown
+
+
+# ---------------------------------------------------------------- squareness and page
+
+
+def with_squareness(tables, **values):
+    own = {k: replace(s, value=values.get(k, s.value)) for k, s in tables.squareness.items()}
+    return replace(tables, squareness=own)
+
+
+def test_squareness_is_compared_after_the_same_gauge():
+    tables = truth_of(some_machine())
+    turned = changed(tables, EYX=lambda q: 4e-5 * q)  # +X leans to +Y: the angle is smaller
+    square = tables.squareness['C0Y'].value
+    same = compared(tables, with_squareness(turned, C0Y=square + 4e-5))
+    other = compared(tables, turned)
+    for name in ('C0Y', 'B0Z', 'A0Z'):
+        assert abs(same.squareness[name].difference) < 1e-12, name
+    assert other.squareness['C0Y'].difference == pytest.approx(-4e-5, abs=1e-12)
+    assert abs(other.squareness['B0Z'].difference) < 1e-12
+
+
+@pytest.mark.parametrize('chain', CONTRACT_CHAINS)
+def test_constants_of_rotations_go_into_squareness_of_every_chain(chain):
+    tables = truth_of(some_machine(chain))
+    sizes = {m: 1e-6 * (7 + 5 * k) for k, m in enumerate(MOTIONS) if m[1] in 'ABC'}
+    other = changed(tables, **{m: lambda q, size=size: size for m, size in sizes.items()})
+    result = compared(tables, other)
+    q = result.volume.q
+    field = error_of(other, q) - error_of(tables, q)
+    shear = np.zeros_like(field)
+    found = {name: s.difference for name, s in result.squareness.items()}
+    shear[:, 0] = -found['C0Y'] * q[:, 1] + found['B0Z'] * q[:, 2]
+    shear[:, 1] = -found['A0Z'] * q[:, 2]
+    rest = field - shear
+    rigid = np.linalg.lstsq(np.c_[np.ones(len(q)), q], rest, rcond=None)[0][1:]
+    np.testing.assert_allclose(rigid + rigid.T, 0.0, atol=1e-12)
+    assert np.abs(shear).max() > 1e-7
+
+
+def test_normalised_error_of_squareness_is_that_of_both_uncertainties():
+    machine = some_machine()
+    a, b = zero_tables(machine), zero_tables(machine)
+    a = replace(a, squareness={**a.squareness, 'C0Y': Squareness(1e-5, 2e-6)})
+    b = replace(b, squareness={**b.squareness, 'C0Y': Squareness(-5e-6, 1.5e-6)})
+    one = compared(a, b).squareness['C0Y']
+    assert (one.a, one.b) == (pytest.approx(1e-5), pytest.approx(-5e-6))
+    assert one.normalised == pytest.approx(1.5e-5 / (2 * 2.5e-6))
+    data = comparison_to_dict(compared(a, b))['squareness']['C0Y']
+    assert data['normalised_error'] == pytest.approx(3.0)
+    assert re.search(r'^C0Y +urad +15\.00 .* 3\.00 +0 %$', format_comparison(compared(a, b)), re.M)
+
+
+def test_squareness_that_one_side_does_not_know_is_not_compared():
+    tables = truth_of(some_machine())
+    a = source_of_tables('a', tables, None, ('A0Z', 'EAZ'))
+    result = compare(a, source_of_tables('b', tables, None))
+    assert list(result.squareness) == ['C0Y', 'B0Z']
+
+
+def test_a_comparison_writes_a_page_like_the_others(tmp_path):
+    machine = some_machine()
+    a = replace(zero_tables(machine), squareness={
+        **zero_tables(machine).squareness, 'C0Y': Squareness(1e-5, 2e-6)})  # fmt: skip
+    write_comparison(compared(a, truth_of(machine)), tmp_path)
+    source = (tmp_path / 'report.html').read_text(encoding='utf-8')
+    page = Page(source)
+    assert page.faults == [] and unloading(source) == []
+    assert 'differ beyond U' in page.text
+    rows = {row[0]: row for row in page.rows('Error by error')}
+    assert list(rows) == [*MOTIONS, 'C0Y', 'B0Z', 'A0Z']
+    assert float(rows['C0Y'][7]) > 1
+    assert 'errors ×' in page.text
+    assert '(m)' not in page.text and 'X (mm)' in page.text

@@ -7,7 +7,7 @@ where two sources agree within their stated uncertainties.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from otf_core.comparison.convention import (
     Source,
     common_ground,
     operator,
+    squareness_rows,
     vector_rows,
 )
 from otf_core.comparison.direct_csv import read_direct_csv
@@ -73,6 +74,27 @@ class MotionComparison:
 
 
 @dataclass(frozen=True)
+class SquarenessComparison:
+    """A squareness error of two sources in the gauge of the common motions, rad; u: k = 1."""
+
+    a: float
+    b: float
+    u_a: float
+    u_b: float
+
+    @property
+    def difference(self) -> float:
+        """Value of b less that of a."""
+        return self.b - self.a
+
+    @property
+    def normalised(self) -> float:
+        """E_n; nan where no uncertainty is known."""
+        u = np.array([np.hypot(self.u_a, self.u_b)])
+        return float(normalised_error(np.array([self.difference]), u)[0])
+
+
+@dataclass(frozen=True)
 class VolumeComparison:
     """Error vectors of two sources on points.
 
@@ -108,12 +130,25 @@ class VolumeComparison:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two sources compared: their names, target offsets, common ground, motions, volume."""
+    """Two sources compared.
+
+    Attributes
+    ----------
+    names : tuple of str
+    offsets : tuple of ndarray, shape (3,), m
+        Target offsets.
+    common : Common
+    motions : mapping of motion to MotionComparison
+    squareness : mapping of name to SquarenessComparison
+        Those that both know.
+    volume : VolumeComparison
+    """
 
     names: tuple[str, str]
     offsets: tuple[Array, Array]
     common: Common
     motions: Mapping[str, MotionComparison]
+    squareness: Mapping[str, SquarenessComparison]
     volume: VolumeComparison
 
     @property
@@ -133,13 +168,26 @@ def normalised_error(difference: Array, u: Array) -> Array:
     return np.asarray(np.where(known, np.abs(difference) / np.where(known, limit, 1.0), np.nan))
 
 
-def source_of_tables(name: str, tables: ErrorTables, covariance: Array | None) -> Source:
-    """Source of error tables; ``covariance`` includes the squareness errors, None: independent."""
+def source_of_tables(
+    name: str, tables: ErrorTables, covariance: Array | None, hidden: Collection[str] = ()
+) -> Source:
+    """Source of error tables.
+
+    Parameters
+    ----------
+    name : str
+    tables : ErrorTables
+    covariance : ndarray, shape (3 + m, 3 + m), optional
+        Of squareness errors and nodes; independent values if not given.
+    hidden : collection of str
+        Squareness errors that are not known.
+    """
+    known = tuple(n for n in SQUARENESS if n not in hidden)
     if covariance is None:
-        u = np.concatenate([tables.motions[m].u for m in MOTIONS])
-        return Source(name, tables, np.diag(u**2), True)
-    first = len(SQUARENESS)
-    return Source(name, tables, covariance[first:, first:], True)
+        square = [tables.squareness[n].u for n in SQUARENESS]
+        u = np.concatenate([square, *(tables.motions[m].u for m in MOTIONS)])
+        covariance = np.diag(u**2)
+    return Source(name, tables, covariance, known)
 
 
 def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Machine) -> Source:
@@ -149,7 +197,9 @@ def source_of_measurement(name: str, measurement: DirectMeasurement, machine: Ma
     if measurement.target_offset is not None:
         at = replace(machine, target_offset=measurement.target_offset)
     tables, covariance = tables_of_readings(motions, at, measurement.u_length_scale)
-    return Source(name, tables, covariance, False)
+    whole = np.zeros((len(SQUARENESS) + len(covariance),) * 2)
+    whole[len(SQUARENESS) :, len(SQUARENESS) :] = covariance
+    return Source(name, tables, whole, ())
 
 
 def load_source(path: str | Path, machine: Machine | None) -> Source:
@@ -162,7 +212,8 @@ def load_source(path: str | Path, machine: Machine | None) -> Source:
     size = len(SQUARENESS) + sum(len(content.tables.motions[m].position) for m in MOTIONS)
     covariance = unpack_covariance(content.extra.get('covariance'), size)
     name = Path(path).parent.name if Path(path).stem == 'error_tables' else Path(path).stem
-    return source_of_tables(name or str(path), content.tables, covariance)
+    hidden = content.extra.get('not_identifiable') or ()
+    return source_of_tables(name or str(path), content.tables, covariance, hidden)
 
 
 def _common_grid(sources: Sequence[Source]) -> Array:
@@ -182,6 +233,25 @@ def _with_squareness(
     tables = (replace(s.tables, machine=machine) for s in (a, b))
     fields = [without_rigid_motion(displacement(own, q), q) for own in tables]
     return mean_length(fields[0]), mean_length(fields[1]), mean_length(fields[1] - fields[0])
+
+
+def _squareness(a: Source, b: Source, common: Common, q: Array) -> dict[str, SquarenessComparison]:
+    """Squareness errors that both know, between axes that moved in both."""
+    moved = {axis for axis, p in common.position.items() if len(p) > 1}
+    pairs = {'C0Y': {'X', 'Y'}, 'B0Z': {'X', 'Z'}, 'A0Z': {'Y', 'Z'}}
+    names = [n for n in a.squareness if n in b.squareness and pairs[n] <= moved]
+    if not names:
+        return {}
+    values, spreads = [], []
+    for source in (a, b):
+        rows = squareness_rows(source, common, q)
+        values.append(rows @ source.all_values)
+        spreads.append(np.sqrt(np.maximum(np.diag(rows @ source.whole @ rows.T), 0.0)))
+    at = [SQUARENESS.index(n) for n in names]
+    return {
+        n: SquarenessComparison(*(float(part[k]) for part in (*values, *spreads)))
+        for n, k in zip(names, at, strict=True)
+    }
 
 
 def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
@@ -224,7 +294,8 @@ def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
         _with_squareness(a, b, common.machine, q),
     )
     offsets = a.tables.machine.target_offset, b.tables.machine.target_offset
-    return Comparison((a.name, b.name), offsets, common, motions, volume)
+    squareness = _squareness(a, b, common, _common_grid((a, b)))
+    return Comparison((a.name, b.name), offsets, common, motions, squareness, volume)
 
 
 def agreement(normalised: Array) -> float:

@@ -2,7 +2,8 @@
 """Error tables of two sources brought to one convention (paper 2.3.1), covariance included.
 
 Positioning and rotations are zero at the axis' zero position, else at the minimum both know;
-straightness is zero at both ends of the common range. A rotation that one source cannot see,
+straightness is zero at both ends of the common range; what these choices take out of the motions
+is squareness, or a rigid motion of no meaning. A rotation that one source cannot see,
 because it acts on the target over a lever that no axis changes which moved there, is a translation
 for it, at its own target offset and place; it is counted as that one in both. All of it is linear:
 value = H nodes, covariance = H C H'.
@@ -39,16 +40,27 @@ class Source:
     ----------
     name : str
     tables : ErrorTables
-    covariance : ndarray, shape (m, m)
-        Of the nodes of EXX ... ECZ in that order.
-    squareness : bool
-        True if the source knows the squareness errors.
+    whole : ndarray, shape (3 + m, 3 + m)
+        Covariance of the squareness errors and the nodes of EXX ... ECZ in that order.
+    squareness : tuple of str
+        Squareness errors that the source knows.
     """
 
     name: str
     tables: ErrorTables
-    covariance: Array
-    squareness: bool
+    whole: Array
+    squareness: tuple[str, ...]
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the nodes, shape (m, m)."""
+        return self.whole[len(SQUARENESS) :, len(SQUARENESS) :]
+
+    @property
+    def all_values(self) -> Array:
+        """Values in the order of ``whole``, shape (3 + m,)."""
+        own = [self.tables.squareness[n].value for n in SQUARENESS]
+        return np.concatenate([own, self.values])
 
     @property
     def starts(self) -> dict[str, int]:
@@ -216,3 +228,40 @@ def vector_rows(common: Common, q: Array) -> Array:
         start += len(padded[motion])
     keep += range(len(SQUARENESS))
     return np.asarray(rows[:, :, np.array(keep)])
+
+
+def squareness_rows(source: Source, common: Common, q: Array) -> Array:
+    """Squareness errors of a source in the gauge of the common motions.
+
+    What the convention takes out of the common motions is linear in the positions: slopes of
+    straightness, constants of rotations over their levers. Together with the squareness errors
+    that a source states it is a shear and a rigid motion; the shear is the squareness.
+
+    Parameters
+    ----------
+    source : Source
+    common : Common
+    q : ndarray, shape (n, 3), m
+        Points that span the common range.
+
+    Returns
+    -------
+    ndarray, shape (3, 3 + m)
+        From the values in the order of ``Source.whole`` to C0Y, B0Z, A0Z.
+    """
+    first = len(SQUARENESS)
+    nodes: dict[str, Array] = {m: source.tables.motions[m].position for m in MOTIONS}
+    rows = prediction_rows(common.machine, nodes, q)
+    shear = rows[:, :, :first].copy()
+    for motion, start in source.starts.items():
+        if motion not in common.motions and motion not in common.folded:
+            rows[:, :, first + start : first + start + len(nodes[motion])] = 0.0
+    rows[:, :, first:] -= vector_rows(common, q)[:, :, :-first] @ operator(source, common)
+    x, y, z = (q - q.mean(axis=0)).T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    rigid = np.stack(
+        [[one, zero, zero, zero, z, -y], [zero, one, zero, -z, zero, x],
+         [zero, zero, one, y, -x, zero]]
+    ).transpose(2, 0, 1)  # fmt: skip
+    basis = np.concatenate([shear, rigid], axis=2).reshape(-1, first + 6)
+    return np.asarray((np.linalg.pinv(basis) @ rows.reshape(len(basis), -1))[:first])

@@ -17,6 +17,7 @@ from otf_core.model.evaluation import mean_length
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import unit_of
 from otf_core.model.provenance import provenance
+from otf_core.reports.comparison_page import comparison_html
 from otf_core.reports.plots.comparison import draw_motions, draw_volume
 from otf_core.reports.quantities import place
 
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 SCHEMA = 'otf-comparison/1'
 CONVENTION = (
     'positioning and rotations zero at axis position 0, else at the common minimum; straightness '
-    'zero at both ends of the common range; squareness left out'
+    'zero at both ends of the common range; squareness holds what this takes out of them'
 )
 
 
@@ -58,6 +59,11 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
             'within': _number(agreement(motion.normalised)),
         }
     difference = volume.difference
+    squareness = {
+        name: {'unit': 'rad', 'a': one.a, 'b': one.b, 'u_a': one.u_a, 'u_b': one.u_b,
+               'normalised_error': _number(one.normalised)}
+        for name, one in result.squareness.items()
+    }  # fmt: skip
     data: dict[str, Any] = {
         'schema': SCHEMA,
         'a': result.names[0],
@@ -68,6 +74,7 @@ def comparison_to_dict(result: Comparison) -> dict[str, Any]:
         'translations_apart_by': list(result.common.apart),
         'target_offsets': [offset.tolist() for offset in result.offsets],
         'motions': motions,
+        'squareness': squareness,
         'volume': {
             'points': len(volume.q),
             'mae_a': mean_length(volume.a),
@@ -104,21 +111,14 @@ def format_comparison(result: Comparison) -> str:
             f'{1e6 * motion.u_a.mean():>11.2f}{1e6 * motion.u_b.mean():>11.2f}'
             f'{worst:>14}{share:>11}'
         )
-    if result.common.folded:
+    for name, one in result.squareness.items():
+        worst, share = _judged(np.array([one.normalised]))
         lines.append(
-            f'{", ".join(result.common.folded)}: one side cannot tell them from translations; '
-            f'counted as such'
+            f'{name:<8}{"urad":<5}{1e6 * abs(one.difference):>17.2f}'
+            f'{1e6 * abs(one.difference):>12.2f}{1e6 * one.u_a:>11.2f}{1e6 * one.u_b:>11.2f}'
+            f'{worst:>14}{share:>11}'
         )
-    if len(result.without_u) == 1:
-        lines.append(f'{result.without_u[0]} states no uncertainty: E_n takes it as exact')
-    if result.common.apart:
-        axes = ', '.join(dict.fromkeys(m.axis for m in result.common.apart))
-        lines.append(
-            f'WARNING {", ".join(result.common.apart)}: neither side tells them from '
-            f'translations, and they measured at different target offsets or places: the '
-            f'translations of {axes} differ by these rotations times the difference of the '
-            f'levers, whatever the machine does'
-        )
+    lines += remarks_on(result)
     volume = result.volume
     within = _judged(volume.normalised)[1]
     lines += [
@@ -134,18 +134,39 @@ def format_comparison(result: Comparison) -> str:
             'with squareness, without rigid motion: a {:.2f} um, b {:.2f} um, '
             'b - a {:.2f} um'.format(*(1e6 * v for v in volume.squareness))
         )
-        own, other = result.offsets
-        if not np.array_equal(own, other):
-            lines.append(
-                f'both at the target offset of a, {place(own)}; that of b is {place(other)}'
-            )
     return '\n'.join(lines)
+
+
+def remarks_on(result: Comparison) -> list[str]:
+    """What has to be known beside the numbers."""
+    lines, common = [], result.common
+    if common.folded:
+        lines.append(
+            f'{", ".join(common.folded)}: one side cannot tell them from translations; '
+            f'counted as such'
+        )
+    if len(result.without_u) == 1:
+        lines.append(f'{result.without_u[0]} states no uncertainty: E_n takes it as exact')
+    if common.apart:
+        axes = ', '.join(dict.fromkeys(m.axis for m in common.apart))
+        lines.append(
+            f'WARNING {", ".join(common.apart)}: neither side tells them from '
+            f'translations, and they measured at different target offsets or places: the '
+            f'translations of {axes}, and squareness, differ by these rotations times the '
+            f'difference of the levers, whatever the machine does'
+        )
+    if not result.squareness:
+        lines.append('squareness is not compared: not known to both')
+    own, other = result.offsets
+    if result.volume.squareness is not None and not np.array_equal(own, other):
+        lines.append(f'both at the target offset of a, {place(own)}; that of b is {place(other)}')
+    return lines
 
 
 def write_comparison(
     result: Comparison, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> list[Path]:
-    """Write motions.svg, volume.svg, comparison.txt and, last, comparison.json.
+    """Write motions.svg, volume.svg, report.html, comparison.txt and, last, comparison.json.
 
     Parameters
     ----------
@@ -161,8 +182,9 @@ def write_comparison(
     folder = ensure_folder(folder)
     data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}
     files = [draw_motions(result, folder), draw_volume(result, folder)]
-    files += [folder / 'comparison.txt', folder / 'comparison.json']
-    write_text(files[2], format_comparison(result) + '\n')
+    files += [folder / name for name in ('report.html', 'comparison.txt', 'comparison.json')]
+    write_text(files[2], comparison_html(result, CONVENTION, remarks_on(result)))
+    write_text(files[3], format_comparison(result) + '\n')
     content = json.dumps(data, indent=1, allow_nan=False)
-    write_text(files[3], content + '\n')
+    write_text(files[4], content + '\n')
     return files

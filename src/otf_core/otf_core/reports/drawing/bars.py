@@ -24,7 +24,7 @@ class Bar:
     parts : tuple of (size, class)
         In one unit; drawn one behind the other.
     words : str
-        Beside the bar.
+        At the end of the bar, beyond its mark only where they would stand over it.
     mark : float, optional
         A stroke at this size, e.g. what is expected.
     ends : tuple of two floats, optional
@@ -72,13 +72,14 @@ def bars(rows: Sequence[Bar], title: str, *, names: float = 50.0, width: float =
                 f'height="{THICK:g}"/>'
             )
             x += size * scale
-        if row.mark is not None:
-            at = names + row.mark * scale
-            marks.append(f'<path class="line ink" d="M{at:.1f} {y - 2:.1f}v{THICK + 4:.1f}"/>')
-            x = max(x, at)
         if row.ends is not None:
             low, high = (names + end * scale for end in row.ends)
             marks.append(f'<path class="line ink" d="M{low:.1f} {y + 6:.1f}H{high:.1f}"/>')
             x = max(x, high)
+        if row.mark is not None:
+            at = names + row.mark * scale
+            marks.append(f'<path class="line ink" d="M{at:.1f} {y - 2:.1f}v{THICK + 4:.1f}"/>')
+            if x + 12.0 + LETTER * len(row.words) > at:
+                x = max(x, at)
         marks.append(words(x + 6.0, y + 10.0, row.words))
     return svg(width, len(rows) * ROW + 4.0, marks, title)

@@ -105,6 +105,7 @@ svg { width: 100%; height: auto; color: var(--ink); display: block; }
 .key { display: inline-block; width: 0.8em; height: 0.8em; background: var(--s);
   margin-right: 0.35em; } .good-key { --s: var(--good); } .bad-key { --s: var(--bad); }
 .open-key { --s: var(--open); } .after-key { --s: var(--after); }
+.before-key { --s: var(--before); }
 .key.stroke { width: 2px; height: 1.1em; background: var(--ink); vertical-align: middle; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figcaption { font-size: 0.9rem; color: var(--soft); margin-top: 0.2rem; }

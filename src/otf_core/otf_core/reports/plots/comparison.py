@@ -17,7 +17,7 @@ from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_step, heat_words
 from otf_core.reports.drawing.panel import Panel, words
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.drawing.scene import Item, Strokes, box, scene
+from otf_core.reports.drawing.scene import Item, Strokes, box, magnification, scene
 from otf_core.reports.drawing.sheet import Key, write_sheet
 
 Array = NDArray[np.float64]
@@ -33,14 +33,15 @@ def _key(comparison: Comparison) -> Key:
     return (('after', f'a: {a}'), ('before', f'b: {b}'))
 
 
-def _panel(
+def motion_panel(
     comparison: Comparison, motion: ErrorMotion, readings: MotionReadings | None = None
 ) -> str:
+    """One motion of both sides with bands, and readings of a direct instrument if given."""
     unit = 'µm' if motion.is_translation else 'µrad'
     pair = comparison.motions.get(motion)
     if pair is None:
         return _missing(motion, unit)
-    x, k = pair.position, 1e6 * COVERAGE_FACTOR
+    x, k = 1e3 * pair.position, 1e6 * COVERAGE_FACTOR
     sides = ((1e6 * pair.a, k * pair.u_a, 'after'), (1e6 * pair.b, k * pair.u_b, 'before'))
     rows = _reading_rows(comparison, motion, readings)
     reach = [e for value, wide, _ in sides for e in (value - wide, value + wide)]
@@ -54,7 +55,8 @@ def _panel(
     return panel.draw(marks, f'{motion} of both', motion)
 
 
-def _difference(comparison: Comparison, motion: ErrorMotion) -> str:
+def difference_panel(comparison: Comparison, motion: ErrorMotion) -> str:
+    """Difference of one motion with U of the difference."""
     unit = 'µm' if motion.is_translation else 'µrad'
     pair = comparison.motions.get(motion)
     if pair is None:
@@ -62,10 +64,10 @@ def _difference(comparison: Comparison, motion: ErrorMotion) -> str:
     value = 1e6 * pair.difference
     wide = 1e6 * COVERAGE_FACTOR * np.hypot(pair.u_a, pair.u_b)
     scale = around(np.concatenate([value, wide, -wide]), f'b - a ({unit})')
-    panel = Panel(_along(pair.position, motion), scale)
-    marks = [panel.band(pair.position, -wide, wide, 'noise band'), panel.level(0.0, 'soft'),
-             panel.line(pair.position, value, 'ink'),
-             panel.dots(pair.position, value, 'ink')]  # fmt: skip
+    x = 1e3 * pair.position
+    panel = Panel(_along(x, motion), scale)
+    marks = [panel.band(x, -wide, wide, 'noise band'), panel.level(0.0, 'soft'),
+             panel.line(x, value, 'ink'), panel.dots(x, value, 'ink')]  # fmt: skip
     return panel.draw(marks, f'difference of {motion}', f'{motion}, b - a')
 
 
@@ -77,7 +79,7 @@ def _missing(motion: ErrorMotion, unit: str) -> str:
 
 def _along(x: Array, motion: ErrorMotion) -> Scale:
     low, high = float(x[0]), float(x[-1])
-    return Scale(low, high if high > low else low + 1.0, f'{motion.axis} (m)')
+    return Scale(low, high if high > low else low + 1.0, f'{motion.axis} (mm)')
 
 
 def _reading_rows(
@@ -92,7 +94,7 @@ def _reading_rows(
     if motion.is_straightness:
         offset = np.interp(position, position[[0, -1]], base[[0, -1]])
     return [
-        (position, 1e6 * (rows.mean(axis=0) - offset), 1e6 * rows.std(axis=0, ddof=1), kind)
+        (1e3 * position, 1e6 * (rows.mean(axis=0) - offset), 1e6 * rows.std(axis=0, ddof=1), kind)
         for rows, kind in ((readings.forward, 'z'), (readings.backward, 'ink'))
     ]
 
@@ -109,7 +111,7 @@ def draw_motion(
     if readings is not None:
         key = (*key, ('z', 'readings forward'), ('ink', 'backward'))
         caption += ' Readings of the direct instrument: mean and standard deviation of the runs.'
-    pictures = [_panel(comparison, one, readings), _difference(comparison, one)]
+    pictures = [motion_panel(comparison, one, readings), difference_panel(comparison, one)]
     return write_sheet(folder, name, pictures, 2, f'{motion} of two sources', caption, key)
 
 
@@ -117,8 +119,8 @@ def draw_motions(comparison: Comparison, folder: str | Path) -> Path:
     """Write motions.svg: all motions both sides know, and below their differences."""
     axes = comparison.common.machine.axis_names
     motions = [ErrorMotion(d, axis) for d in DIRECTIONS for axis in axes]
-    pictures = [_panel(comparison, m) for m in motions]
-    pictures += [_difference(comparison, m) for m in motions]
+    pictures = [motion_panel(comparison, m) for m in motions]
+    pictures += [difference_panel(comparison, m) for m in motions]
     caption = (
         f'Above: both sources in one convention. Below: b less a; grey: U of the difference. '
         f'{BANDS}'
@@ -136,7 +138,7 @@ def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume'
     rows = [Bar(n, ((size, kind),), f'{size:.2f} µm') for n, kind, size in sizes]
     difference = 1e6 * volume.difference
     reach = float(np.abs(difference).max()) or 1.0
-    pictures = [_histogram(difference[:, k], reach, XYZ[k]) for k in range(3)]
+    pictures = [difference_histogram(difference[:, k], reach, XYZ[k]) for k in range(3)]
     pictures.append(bars(rows, 'mean error on the grid', width=340.0))
     length = np.linalg.norm(volume.difference, axis=1)
     step = heat_step(1e6 * length)
@@ -150,7 +152,8 @@ def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume'
     return write_sheet(folder, name, pictures, 3, 'Two sources in the volume', caption, key)
 
 
-def _histogram(values: Array, reach: float, axis: str) -> str:
+def difference_histogram(values: Array, reach: float, axis: str) -> str:
+    """Differences (n,), um, along an axis, on a scale up to ``reach``."""
     edges = np.linspace(-1.02 * reach, 1.02 * reach, BINS + 1)
     share = 100.0 * np.histogram(values, edges)[0] / len(values)
     panel = Panel(
@@ -166,12 +169,12 @@ def vectors(q: Array, field: Array, step: float) -> str:
     """Vectors (n, 3) in the volume of points q, coloured by length in classes of ``step``."""
     low, high = q.min(axis=0), q.max(axis=0)
     length = np.linalg.norm(field, axis=1)
-    factor = LONGEST * float((high - low).max()) / (float(length.max()) or 1.0)
+    shown = magnification(float(length.max()), LONGEST * float((high - low).max()))
     classes = heat_classes(1e6 * length, step)
     items: list[Item] = box(low, high)
     for level in range(LEVELS):
         own = classes == level
         if own.any():
-            ends = np.stack([q[own], q[own] + factor * field[own]], axis=1)
+            ends = np.stack([q[own], q[own] + shown.factor * field[own]], axis=1)
             items.append(Strokes(f'heat thin h{level}', ends, arrows=True))
-    return scene(items, low, high, 'error vectors in the volume', turns=False)
+    return scene(items, low, high, 'error vectors in the volume', turns=False, shown=shown)

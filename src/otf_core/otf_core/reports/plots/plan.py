@@ -12,7 +12,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.planning.judged import PlanReport
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_step, heat_words
-from otf_core.reports.drawing.scene import Dots, Item, Label, Strokes, box, scene
+from otf_core.reports.drawing.scene import Dots, Item, Strokes, box, scene, tracker_items
 from otf_core.reports.drawing.sheet import write_sheet
 
 UNITS = {'m': 'um', 'rad': 'urad'}
@@ -36,8 +36,7 @@ def _path(report: PlanReport) -> str:
         Strokes('z thin dash', beams),
         Strokes('after thin', ends),
         *box(low, high),
-        Dots('z big', place[None]),
-        Label(place, 'tracker', 'end', -9.0, 4.0),
+        *tracker_items(place, low, high),
     ]
     both = np.vstack([low, high, place])
     return scene(items, both.min(axis=0), both.max(axis=0), 'path and tracker', turns=False)
@@ -66,8 +65,8 @@ def _bars(report: PlanReport, unit: str) -> str:
             continue
         u = found.u[name]
         mean, most = float(u.mean()), float(u.max())
-        rows.append(Bar(name, ((1e6 * mean, 'after'),), f'{1e6 * mean:.2f} {words}',
-                        1e6 * most))  # fmt: skip
+        said = f'{1e6 * mean:.2f}, largest {1e6 * most:.2f} {words}'
+        rows.append(Bar(name, ((1e6 * mean, 'after'),), said, 1e6 * most))
     return bars(rows, f'uncertainty of errors in {words}', width=480.0)
 
 
