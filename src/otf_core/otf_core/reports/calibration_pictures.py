@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.calibration.verdict import FAIL, OPEN, PASS, size_and_expanded
+from otf_core.model.expanded import micro_with_expanded
 from otf_core.model.limits import VOLUMETRIC
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.reports.calibration_facts import Facts
@@ -117,10 +118,7 @@ def _bar(one: ErrorSize) -> Bar:
     if not one.known:
         return Bar(one.name, (), f'not known{stated}', limit)
     value, wide = 1e6 * one.value, 1e6 * one.U
-    digits = 1 if wide < 9.95 else 0
-    if 0 < wide < 0.995:
-        digits = 2
-    said = f'{value:.{digits}f} +/- {wide:.{digits}f} {micro_unit(one.unit)}{stated}'
+    said = f'{micro_with_expanded(one.value, one.U, one.unit)}{stated}'
     kind = STATE_KINDS.get(one.state, 'after')
     ends = (max(value - wide, 0.0), value + wide)
     return Bar(one.name, ((value, kind),), said, limit, ends)

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from otf_core.calibration.result import GAUGE, CalibrationResult
 from otf_core.files.csv_points import tidy
+from otf_core.model.expanded import figure, micro_with_expanded, significant
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, MOTIONS, ErrorMotion
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_pictures import STATE_KINDS
 from otf_core.reports.drawing.panel import Panel, words
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.quantities import dof_words, micro, micro_unit
+from otf_core.reports.quantities import dof_words, micro_unit
 from otf_core.reports.section import Picture, Section, Table
 
 Array = NDArray[np.float64]
@@ -60,11 +61,12 @@ def _largest(facts: Facts) -> list[str]:
         name = max(known, key=lambda n: float(np.abs(facts.tables.motions[n].value).max()))
         motion, table = ErrorMotion.of(name), facts.tables.motions[name]
         k = int(np.abs(table.value).argmax())
-        wide = facts.by_name[name].k * float(table.u[k])
-        at, value = tidy(1e3 * float(table.position[k])), micro(float(table.value[k]))
+        wide = facts.by_name[name].k * float(facts.u_of_nodes(name)[k])
+        at = tidy(1e3 * float(table.position[k]))
+        value = micro_with_expanded(float(table.value[k]), wide, unit)
         found.append(
-            f'Largest {kind}: {name}, {role(motion)}, {value} +/- {micro(wide)} '
-            f'{micro_unit(unit)} at {motion.axis} {at:g} mm (U, 95 %).'
+            f'Largest {kind}: {name}, {role(motion)}, {value} at {motion.axis} '
+            f'{at:g} mm (U, 95 %).'
         )
     return found
 
@@ -86,8 +88,11 @@ def _row(facts: Facts, name: ErrorMotion) -> tuple[str, ...]:
     low, high = float(table.value.min()), float(table.value.max())
     k = line.k if line else 0.0
     dof = '' if line is None else dof_words(line.dof)
-    return (*start, micro(low), micro(high), micro(high - low), micro(float(table.u.mean())),
-            micro(k * float(table.u.max())), f'{k:.2f}', dof)  # fmt: skip
+    u = facts.u_of_nodes(name)
+    wide = 1e6 * k * float(u.max())
+    sizes = (figure(1e6 * size, wide) for size in (low, high, high - low))
+    mean = figure(1e6 * float(u.mean()), wide)
+    return (*start, *sizes, mean, significant(wide), f'{k:.2f}', dof)
 
 
 def _text(facts: Facts, name: ErrorMotion) -> str:
@@ -151,7 +156,7 @@ def _panel(facts: Facts, name: ErrorMotion) -> str:
         marks = [words(190.0, 100.0, 'not identifiable in these data', 'middle soft')]
         return panel.draw(marks, f'{name}: not identifiable', heading)
     x, y = 1e3 * table.position, 1e6 * table.value
-    u = 1e6 * facts.by_name[name].k * table.u
+    u = 1e6 * facts.by_name[name].k * facts.u_of_nodes(name)
     reversal = facts.result.reversal.motions.get(name)
     half = 0.5e6 * reversal.value if reversal is not None and reversal.identifiable else None
     sides = [y] if half is None else [y, y + half, y - half]
