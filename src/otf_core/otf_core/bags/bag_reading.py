@@ -95,6 +95,7 @@ class BagReading:
         self._xyz = Column(np.empty((0, 3)))
         self._log_time = Column(np.empty(0, np.int64))
         self._last_path: bytes | None = None
+        self._cleared = 0
         self._points = 0
         self._frame, self._form = point.frame, POINT_FORM
         self.topics: dict[str, str] = {}
@@ -110,6 +111,11 @@ class BagReading:
                 self._add(block)
             except InputError as error:
                 raise InputError(f'{self._where}: {block.topic}: {error}') from None
+        if self._cleared and path is not None:
+            self.remarks.append(
+                f'{self._cleared} messages of {path.name} have no points, as when a planner '
+                f'clears its path; they are left out'
+            )
 
     def require(self, *wanted: Topic) -> None:
         """Refuse a bag without these topics; InputError names those that it has."""
@@ -133,7 +139,11 @@ class BagReading:
             if data == self._last_path:
                 continue
             self._last_path = data
-            self.paths = different([*self.paths, decode_path(data, self.path.frame)])
+            path = decode_path(data, self.path.frame)
+            if len(path):
+                self.paths = different([*self.paths, path])
+            else:
+                self._cleared += 1
 
     def _add_points(self, block: MessageBlock) -> None:
         if not self._points and block.start.size:
@@ -169,11 +179,14 @@ def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:
     where = f'{where}: {parts[0].path.name if parts[0].path else PATH.name}'
     paths = different([corners for part in parts for corners in part.paths])
     if not paths:
-        raise InputError(f'{where}: no path was published while it was recorded')
+        raise InputError(
+            f'{where}: no path with points was published while it was recorded; give the one that '
+            f'was driven: --path FILE (plan.json, CSV x,y,z or NC program)'
+        )
     if len(paths) > 1:
         raise InputError(
             f'{where}: {len(paths)} different paths were published; give the one that '
-            f'was driven with --path CSV, or record each run in its own bag'
+            f'was driven: --path FILE (plan.json, CSV x,y,z or NC program)'
         )
     return usable_path(where, paths[0])
 

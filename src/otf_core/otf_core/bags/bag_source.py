@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import gzip
 import stat
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path, PurePath
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -17,8 +20,13 @@ from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import read_yaml
 
 EXPECTED = 'a bag is a rosbag2 folder or an .mcap file'
+STORAGES = ('.mcap', '.db3')
+PACKINGS = ('.zstd', '.zst', '.lz4', '.gz')
+"""Suffixes of storage files, and of what may have compressed them as a whole."""
+ROS1 = "convert it first, as in 'rosbags-convert --src RUN.bag --dst RUN'"
 BATCH = 20_000
 """Messages that the general reader joins to one block."""
+UNPACKED_AT_ONCE = 1 << 20
 MOST_UNPACKED, MAX_RATIO = 1 << 28, 200
 """Bytes; a compressed file that unpacks to more, and to so many times its size, is refused."""
 
@@ -33,13 +41,16 @@ class BagSource:
         As given by the user: a folder or a file.
     files : tuple of Path
         Its storage files in recording order.
-    plain : bool
-        All files are MCAP without file or message compression (chunks may be compressed).
+    packed : bool
+        The general reader has to unpack files or messages by metadata.yaml.
+    stated : mapping of str to int
+        Messages of every topic by metadata.yaml.
     """
 
     path: Path
     files: tuple[Path, ...]
-    plain: bool
+    packed: bool = False
+    stated: Mapping[str, int] = field(default_factory=dict)
 
     def messages(
         self,
@@ -66,11 +77,34 @@ class BagSource:
         InputError
             If the bag is damaged or a wanted topic has another type.
         """
-        if self.plain:
-            for file in self.files:
-                yield from McapMessages(file, wanted, topics, remarks, recover=recover)
-        else:
+        remarks = [] if remarks is None else remarks
+        if self.packed:
             yield from _general_messages(self.path, wanted, topics)
+            return
+        found: Counter[str] = Counter()
+        for file in self.files:
+            for block in _file_messages(file, wanted, topics, remarks, recover=recover):
+                found[block.topic] += block.start.size
+                yield block
+        if self.files[0].suffix == '.db3':  # of MCAP the file itself says it
+            self._compare(found, topics.keys() & wanted.keys(), remarks)
+
+    def _compare(self, found: Mapping[str, int], asked: set[str], remarks: list[str]) -> None:
+        """Refuse files that have lost messages; say that metadata.yaml does not know them."""
+        for topic in sorted(asked):
+            stated = self.stated.get(topic, 0)
+            if found[topic] < stated:
+                raise InputError(
+                    f'{self.path}: is damaged, {topic} has {found[topic]} messages but the bag '
+                    f'states {stated}'
+                )
+        more = [topic for topic in sorted(asked) if found[topic] > self.stated.get(topic, 0)]
+        if self.stated and more:
+            counts = ', '.join(f'{found[t]} of {t}, not {self.stated.get(t, 0)}' for t in more)
+            remarks.append(
+                f"metadata.yaml counts too few messages: there are {counts}; 'ros2 bag reindex' "
+                f'writes it anew'
+            )
 
 
 def locate(source: str | Path) -> BagSource:
@@ -97,22 +131,31 @@ def locate(source: str | Path) -> BagSource:
     if path.name == 'metadata.yaml':
         raise ConfigError(f'{path}: name the folder it lies in; {EXPECTED}')
     if path.suffix == '.bag':
-        raise ConfigError(f"{path}: is a ROS 1 bag; convert it with 'rosbags-convert' first")
-    if path.suffix not in ('.mcap', '.db3') or not stat.S_ISREG(mode):
+        raise ConfigError(f'{path}: is a ROS 1 bag; {ROS1}')
+    if not is_storage(path) or not stat.S_ISREG(mode):
         swapped = '; is that machine.yaml?' if path.suffix in ('.yaml', '.yml') else ''
         raise ConfigError(f'{path}: is no bag; {EXPECTED}{swapped}')
-    return BagSource(path, (path,), path.suffix == '.mcap')
+    return BagSource(path, (path,))
+
+
+def is_storage(path: Path) -> bool:
+    """Tell whether a file holds messages, compressed as a whole or not, by its name."""
+    return _storage(path) in STORAGES
+
+
+def _storage(path: Path) -> str:
+    """Suffix of a storage file without that of its compression."""
+    return Path(path.stem).suffix if path.suffix in PACKINGS else path.suffix
 
 
 def _locate_in_folder(folder: Path) -> BagSource:
     if (folder / 'metadata.yaml').is_file():
         return _from_metadata(folder)
-    found = sorted(p for p in folder.iterdir() if p.suffix in ('.mcap', '.db3') and p.is_file())
+    found = sorted(p for p in folder.iterdir() if is_storage(p) and p.is_file())
     if len(found) == 1:
-        return BagSource(found[0], (found[0],), found[0].suffix == '.mcap')
+        return BagSource(found[0], (found[0],))
     if found and _are_parts(found):  # rosbag2 writes metadata.yaml when it ends
-        parts = tuple(sorted(found, key=_part))
-        return BagSource(folder, parts, True)
+        return BagSource(folder, tuple(sorted(found, key=_part)))
     if found:
         raise InputError(
             f'{folder}: holds {len(found)} recordings ({_names(found)}) and no metadata.yaml; '
@@ -126,16 +169,22 @@ def _locate_in_folder(folder: Path) -> BagSource:
 
 def _part(path: Path) -> int:
     """Number of a part of a recording by its name, NAME_0.mcap; -1 if it is none."""
-    number = path.stem.rpartition('_')[2]
+    number = _bare(path).rpartition('_')[2]
     return int(number) if number.isascii() and number.isdecimal() and len(number) < 7 else -1
 
 
 def _are_parts(found: list[Path]) -> bool:
     """Tell whether files are the parts that rosbag2 splits a recording into, none missing."""
-    same = {p.stem.rpartition('_')[0] for p in found}
+    same = {(_bare(p).rpartition('_')[0], _storage(p)) for p in found}
     numbers = sorted(map(_part, found))
-    plain = all(p.suffix == '.mcap' for p in found)
-    return plain and len(same) == 1 and numbers == list(range(len(found)))
+    return len(same) == 1 and numbers == list(range(len(found)))
+
+
+def _bare(path: Path) -> str:
+    """Name of a storage file without its suffixes."""
+    return path.name.removesuffix(path.suffix if path.suffix in PACKINGS else '').rpartition('.')[
+        0
+    ]
 
 
 def _names(paths: list[Path]) -> str:
@@ -166,8 +215,99 @@ def _from_metadata(folder: Path) -> BagSource:
             f'({_names(missing)}); copy the whole folder'
         )
     packed = str(info.get('compression_mode') or 'none').lower() != 'none'
-    plain = not packed and all(p.suffix == '.mcap' for p in files)
-    return BagSource(folder, files, plain)
+    storage = info.get('storage_identifier')
+    if packed and storage not in ('mcap', 'sqlite3'):
+        raise InputError(
+            f"{file}: storage_identifier is {storage!r}; write 'mcap' or 'sqlite3' there, which "
+            f"its files are, or 'ros2 bag reindex' the bag"
+        )
+    strange = [p for p in files if not is_storage(p)]
+    if strange:
+        raise InputError(f'{file}: lists {_names(strange)}; read are .mcap and .db3')
+    return BagSource(folder, files, packed, _stated(info))
+
+
+def _stated(info: Mapping[str, Any]) -> dict[str, int]:
+    """Messages of every topic by metadata.yaml, as far as it is well-formed."""
+    stated: dict[str, int] = {}
+    listed = info.get('topics_with_message_count')
+    for row in listed if isinstance(listed, list) else ():
+        about = row.get('topic_metadata') if isinstance(row, dict) else None
+        count = row.get('message_count') if isinstance(row, dict) else None
+        if isinstance(about, dict) and isinstance(count, int):
+            stated[str(about.get('name'))] = count
+    return stated
+
+
+def _file_messages(
+    file: Path, wanted: Wanted, topics: dict[str, str], remarks: list[str], *, recover: bool
+) -> Iterator[MessageBlock]:
+    """Yield the messages of one storage file."""
+    if file.suffix in PACKINGS:
+        yield from _unpacked_messages(file, wanted, topics, remarks, recover=recover)
+    elif file.suffix == '.mcap':
+        yield from McapMessages(file, wanted, topics, remarks, recover=recover)
+    else:
+        log = file.with_name(f'{file.name}-wal')
+        if log.is_file() and log.stat().st_size:
+            raise InputError(
+                f'{file}: what lies in {log.name} was not taken over when the recorder ended; do '
+                f"it with: sqlite3 {file} 'PRAGMA wal_checkpoint(TRUNCATE)'"
+            )
+        yield from _general_messages(file, wanted, topics)
+
+
+def _unpacked_messages(
+    file: Path, wanted: Wanted, topics: dict[str, str], remarks: list[str], *, recover: bool
+) -> Iterator[MessageBlock]:
+    """Yield the messages of a storage file that is compressed as a whole."""
+    with TemporaryDirectory(prefix='otf-') as folder:
+        plain = Path(folder) / file.stem
+        _unpack(file, plain)
+        try:
+            yield from _file_messages(plain, wanted, topics, remarks, recover=recover)
+        except InputError as error:
+            raise InputError(str(error).replace(str(plain), str(file))) from None
+
+
+def _stream_of(file: Path, raw: BinaryIO) -> BinaryIO:
+    """Open what a compressed file holds."""
+    if file.suffix == '.gz':
+        return cast(BinaryIO, gzip.open(raw))
+    if file.suffix == '.lz4':
+        from lz4 import frame
+
+        return cast(BinaryIO, frame.open(raw))
+    import zstandard
+
+    return cast(BinaryIO, zstandard.ZstdDecompressor().stream_reader(raw, read_across_frames=True))
+
+
+def _unpack(file: Path, plain: Path) -> None:
+    """Write what a compressed file holds; InputError if it is damaged or unpacks without end."""
+    with plain.open('wb') as out:
+        for block in _blocks_of(file):
+            out.write(block)
+
+
+def _blocks_of(file: Path) -> Iterator[bytes]:
+    """Content of a compressed file; InputError if it is damaged or far larger than recordings."""
+    most, size = max(MOST_UNPACKED, MAX_RATIO * file.stat().st_size), 0
+    try:
+        with file.open('rb') as raw, _stream_of(file, raw) as stream:
+            while block := stream.read(UNPACKED_AT_ONCE):
+                size += len(block)
+                if size > most:
+                    raise InputError(
+                        f'{file}: unpacks to more than {most >> 20} MB, {MAX_RATIO} times its '
+                        f'size, and no recording does; it is not read'
+                    )
+                yield block
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001
+        # zstandard, lz4, gzip and zlib have errors of their own
+        raise InputError(f'{file}: cannot be unpacked ({error}); copy it again') from None
 
 
 def _general_messages(
@@ -177,14 +317,15 @@ def _general_messages(
     from rosbags.rosbag2 import Reader  # costs 50 ms that plain MCAP does not need
 
     for file in sorted(path.glob('*.zstd')) if path.is_dir() else ():
-        _check_unpacked(file)
+        for _ in _blocks_of(file):  # is it more than recordings are?
+            pass
     try:
         with Reader(path) as reader:
             topics.update({c.topic: c.msgtype for c in reader.connections})
             for connection in reader.connections:
                 encoding = getattr(connection.ext, 'serialization_format', 'cdr')
                 check_type(path, connection.topic, connection.msgtype, encoding, wanted)
-            for topic in wanted.keys() & topics.keys():
+            for topic in wanted.keys() & {c.topic for c in reader.connections}:
                 chosen = [c for c in reader.connections if c.topic == topic]
                 messages = ((time, data) for _, time, data in reader.messages(chosen))
                 stated = sum(c.msgcount for c in chosen)
@@ -195,25 +336,6 @@ def _general_messages(
         # rosbags passes on what apsw, zstd, lz4, ruamel and struct raise on damaged files
         detail = ' '.join(f'{type(error).__name__}: {error}'.split())[:300]
         raise InputError(f'{path}: cannot be read as a bag ({detail})') from None
-
-
-def _check_unpacked(file: Path) -> None:
-    """Refuse a compressed file that unpacks to far more than recordings do."""
-    import zstandard
-
-    most = max(MOST_UNPACKED, MAX_RATIO * file.stat().st_size)
-    size = 0
-    try:
-        with file.open('rb') as stream:
-            for block in zstandard.ZstdDecompressor().read_to_iter(stream):
-                size += len(block)
-                if size > most:
-                    raise InputError(
-                        f'{file}: unpacks to more than {most >> 20} MB, {MAX_RATIO} times its '
-                        f'size, and no recording does; it is not read'
-                    )
-    except (zstandard.ZstdError, OSError):
-        return  # the reader says what is wrong
 
 
 def _blocks(

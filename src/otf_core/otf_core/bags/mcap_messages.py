@@ -327,6 +327,11 @@ class McapMessages:
 
 def check_type(where: Path, topic: str, kind: str, encoding: str, wanted: Wanted) -> None:
     """Raise InputError if a wanted topic has another message type or is not CDR."""
+    if topic in wanted and (encoding == 'ros1' or kind in map(_name_in_ros1, wanted[topic])):
+        raise InputError(
+            f'{where}: holds messages of ROS 1 ({topic}, {kind}), and ROS 2 is read; convert the '
+            f"ROS 1 bag it was made of: 'rosbags-convert --src RUN.bag --dst RUN'"
+        )
     if topic in wanted and kind not in wanted[topic]:
         raise InputError(
             f"{where}: topic {topic} has type '{kind}', expected '{wanted[topic][0]}'; "
@@ -334,3 +339,8 @@ def check_type(where: Path, topic: str, kind: str, encoding: str, wanted: Wanted
         )
     if topic in wanted and encoding != 'cdr':
         raise InputError(f"{where}: topic {topic} is encoded as '{encoding}', expected 'cdr'")
+
+
+def _name_in_ros1(kind: str) -> str:
+    """Name of a message type as ROS 1 has it: without msg."""
+    return kind.replace('/msg/', '/')

@@ -42,7 +42,7 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
             file = PlanFile(plan_for_path(NominalPath(corners), config), None)
         check_inside(file.plan.path, machine)
     except ConfigError as error:
-        if 'x,y,z' not in str(error):
+        if 'header x,y,z' not in str(error):
             raise
         raise ConfigError(f'{error}; or give the plan.json of otf plan') from None
     except OtfError as error:

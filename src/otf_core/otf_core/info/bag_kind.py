@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from otf_core.bags.bag_reading import BagReading, path_of
+from otf_core.bags.bag_source import is_storage
 from otf_core.bags.topics import PATH, POINT
 from otf_core.errors import OtfError
 from otf_core.info.kind import Explained, Kind
@@ -13,13 +14,11 @@ from otf_core.inputs.columns import find_columns, read_table
 from otf_core.inputs.text_points import TextReading, is_text
 from otf_core.model.provenance import moment
 
-SUFFIXES = ('.mcap', '.db3', '.bag')
-
 
 def _is_bag(path: Path) -> bool:
     if path.is_dir():
-        return (path / 'metadata.yaml').is_file() or any(path.glob('*.mcap'))
-    return path.suffix in SUFFIXES
+        return (path / 'metadata.yaml').is_file() or any(map(is_storage, path.iterdir()))
+    return is_storage(path) or path.suffix == '.bag'
 
 
 def _explain(path: Path) -> Explained:
