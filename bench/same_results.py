@@ -59,7 +59,7 @@ else:  # the machine drives inside the circle of its path
 otf_core.write_bag(replace(recording, samples=replace(samples, xyz=xyz)), out)
 """
 CENTRE, RADIUS, INSIDE = (0.15, 0.1, -0.1), 0.08, 20e-6
-"""m; of the circle that a recording has beside the lines of the plan, and how far inside it runs."""
+"""m; circle beside the lines of the plan, and how far inside it the machine drives."""
 
 
 def recordings() -> list[list[str]]:
