@@ -38,7 +38,7 @@ def asked(*recordings, mend=True):
     """Findings on recordings, as calibrate comes to them."""
     check_recordings(recordings)
     runs, nodes = prepare_runs(recordings, CONFIG)
-    return examine(runs, nodes, CONFIG, mend=mend)[0].remarks
+    return examine(runs, nodes, CONFIG, mend=mend)[1]
 
 
 def stepped(recording, shift, at=0.5, turn=(0.0, 0.0, 0.0)):

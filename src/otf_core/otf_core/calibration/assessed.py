@@ -5,13 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.aside import Aside
 from otf_core.budget.budget import EFFECTS, Budget, make_budget, whole_check, with_source
 from otf_core.budget.noise import noise_parts
 from otf_core.budget.typical import TypicalSystematic, typical_pulls, typical_systematic
@@ -71,18 +69,7 @@ def assess(
     taken: TakenOff | None = None,
 ) -> Assessed:
     """Work out fit and uncertainty of a solution, with the effects ``taken`` off its runs."""
-    with Aside(partial(typical_pulls, runs, done)) as pulling:
-        return _assessed(runs, done, config, taken, pulling)
-
-
-def _assessed(
-    runs: Sequence[Run],
-    done: JointSolution,
-    config: CalibrationConfig,
-    taken: TakenOff | None,
-    pulling: Aside[Array],
-) -> Assessed:
-    """The same, what typical contributions pull being worked out aside."""
+    pulls = typical_pulls(runs, done)
     parts = noise_parts(runs, done)
     give_back()
     done = settled(done, config.unidentifiable_above, parts.normal)
@@ -98,7 +85,6 @@ def _assessed(
     whole, budget = budget.whole, replace(budget, rows=table.rows, straight=table.straight)
     tables = with_uncertainty(table.tables, budget.covariance)
     give_back()
-    pulls = pulling.result()
     typical = typical_systematic(runs, done, tables, table.rows, budget.covariance, pulls)
     again = unfollowed(runs, done)
     lack = again.warning(grid_u) if again is not None else None

@@ -7,18 +7,16 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.aside import Aside
 from otf_core.budget.typical import typical_warnings, with_typical
-from otf_core.calibration.assessed import Assessed, assess
+from otf_core.calibration.assessed import assess
 from otf_core.calibration.headline import headline_of
 from otf_core.calibration.mixtures import mixture_warnings
 from otf_core.calibration.result import CalibrationResult, Fit
-from otf_core.calibration.solved import examined_and_solved, solve_on
+from otf_core.calibration.solved import solve_recordings
 from otf_core.calibration.verdict import judge
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.worth import check_worth, sample_noise
@@ -30,7 +28,7 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.provenance import origins
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.finding import GATE, WARNING, words_of
+from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.prediction.volumetric import VolumetricError
@@ -38,7 +36,7 @@ from otf_core.solving.curve_lag import curve_remarks
 from otf_core.solving.extrapolation import prior_of
 from otf_core.solving.joint import Progress
 from otf_core.solving.reversal import Reversal, reversal_tables
-from otf_core.solving.reversal_choice import ReversalSolution, choose
+from otf_core.solving.reversal_choice import ReversalSolution
 from otf_core.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -133,14 +131,8 @@ def calibrate_runs(
     """
     config, progress = config or CalibrationConfig(), progress or silent
     with one_thread():
-        examined, plain = examined_and_solved(recordings, config, progress, prepare)
-        with Aside(partial(choose, plain.runs, plain.done, config)) as choosing:
-            # most machines show no reversal, and then the solution stays as it is
-            assessed = assess(plain.runs, plain.done, config) if choosing.under_way else None
-            choice = choosing.result()
-        solution = solve_on(examined, plain, choice, config, progress).solution
-        as_expected = solution.done is plain.done
-        return assemble(solution, config, assessed=assessed if as_expected else None)
+        solved = solve_recordings(recordings, config, progress, prepare)
+        return assemble(solved.solution, config, solved.findings)
 
 
 def _failed_gates(fit: Fit) -> tuple[str, ...]:
@@ -168,15 +160,25 @@ def _failed_gates(fit: Fit) -> tuple[str, ...]:
 def assemble(
     solved: ReversalSolution[Run],
     config: CalibrationConfig,
+    findings: Sequence[Finding] = (),
     taken: TakenOff | None = None,
-    assessed: Assessed | None = None,
 ) -> CalibrationResult:
-    """Put a solution into a result, with the effects that were ``taken`` off its runs."""
+    """Work out fit and uncertainties of a solution, tables and verdicts: the result.
+
+    Parameters
+    ----------
+    solved : ReversalSolution
+    config : CalibrationConfig
+    findings : sequence of Finding
+        Of the examination of its runs.
+    taken : TakenOff, optional
+        Effects that were taken off the runs.
+    """
     runs = solved.runs
-    found = assessed or assess(runs, solved.done, config, taken)
+    found = assess(runs, solved.done, config, taken)
     done, budget, table, tables = found.done, found.budget, found.table, found.tables
     solution, covariance = done.solution, budget.covariance
-    remarks = (*runs[0].remarks, *check_worth(tables, covariance, sample_noise(runs)))
+    findings = (*findings, *check_worth(tables, covariance, sample_noise(runs)))
     hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
     prior = prior_of(done, tables, config.unidentifiable_above)
     stated = with_typical(budget, found.typical)
@@ -209,7 +211,7 @@ def assemble(
         typical=found.typical,
         warnings=(
             *typical_warnings(found.typical),
-            *words_of(remarks, WARNING),
+            *words_of(findings, WARNING),
             *_warnings(found.fit, tables, config.unidentifiable_above),
             *filter(None, [found.lack_of_fit]),
             *mixture_warnings([r.machine for r in runs], hidden),
@@ -217,7 +219,7 @@ def assemble(
             *curve_remarks(runs, done),
         ),
         failed_gates=(
-            *words_of(remarks, GATE),
+            *words_of(findings, GATE),
             *_failed_gates(found.fit),
         ),
         config=config,

@@ -328,7 +328,7 @@ def calibrate_without(
     progress : callable(stage, fraction), optional
     """
     solved, found = solve_with_effects(examined.runs, examined.nodes, effects, config, progress)
-    result = assemble(solved, config, found.taken_off(solved))
+    result = assemble(solved, config, examined.findings, found.taken_off(solved))
     stated = json.dumps(effects_to_list(result.effects), sort_keys=True)
     run_id = hashlib.sha256((result.run_id + stated).encode()).hexdigest()
     result = replace(result, run_id=run_id[: len(result.run_id)])

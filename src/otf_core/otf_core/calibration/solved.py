@@ -4,18 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.aside import Aside
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
+from otf_core.contradictions.examine import examine
 from otf_core.contradictions.left_out import LeftOut, findings, left_out
-from otf_core.errors import InputError
 from otf_core.live.stages import silent
 from otf_core.memory import give_back, one_heap
 from otf_core.pieces.finding import WARNING, Finding
@@ -23,20 +20,9 @@ from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.solving.curve_lag import moved_onto_curves
 from otf_core.solving.joint import Progress
-from otf_core.solving.reversal_choice import (
-    Choice,
-    PlainSolution,
-    ReversalSolution,
-    choose,
-    solve_plainly,
-    solve_with_reversal,
-    with_reversal,
-)
+from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
 
 Array = NDArray[np.float64]
-
-UNSOLVED = (InputError, ArithmeticError, ValueError, np.linalg.LinAlgError)
-"""What solving runs may end with that nobody has examined."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +35,13 @@ class Examined:
         Mended where ``contradictions`` could mend them, with all their pieces.
     nodes : mapping of axis to ndarray, m
         Table nodes.
+    findings : tuple of Finding
+        Contradictions, and what was repaired, of all runs.
     """
 
     runs: list[Run]
     nodes: dict[str, Array]
+    findings: tuple[Finding, ...]
 
     @property
     def source(self) -> list[int]:
@@ -72,88 +61,13 @@ class SolvedRecordings(Examined):
     """
 
     solution: ReversalSolution[Run]
-    left: tuple[LeftOut, ...] = ()
-
-
-def _prepared(
-    recordings: Sequence[Recording],
-    config: CalibrationConfig,
-    progress: Progress,
-    prepare: Preparation,
-) -> tuple[list[Run], dict[str, Array]]:
-    """Align and reduce to pieces: runs and table nodes."""
-    one_heap()
-    progress('aligning', 0.0)
-    check_recordings(recordings)
-    runs, nodes = prepare(recordings, config)
-    give_back()
-    progress('solving', 0.0)
-    return runs, nodes
-
-
-def _examined(
-    recordings: Sequence[Recording],
-    runs: Sequence[Run],
-    nodes: dict[str, Array],
-    config: CalibrationConfig,
-    *,
-    mend: bool,
-) -> list[Run]:
-    """Examine runs; what was found as they were read is said first."""
-    from otf_core.contradictions.examine import examine  # in the copy of the process alone
-
-    read = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
-    found = _remarked(examine(runs, nodes, config, mend=mend), before=read)
-    give_back()
-    return found
-
-
-def examined_and_solved(
-    recordings: Sequence[Recording],
-    config: CalibrationConfig,
-    progress: Progress,
-    prepare: Preparation = prepare_runs,
-    *,
-    mend: bool = True,
-) -> tuple[Examined, PlainSolution[Run]]:
-    """Align, reduce to pieces, examine, and solve without reversal.
-
-    Most runs need no mending: where a copy of the process can examine them they are solved
-    meanwhile, and anew if they are mended. Parameters as of ``solve_recordings``.
-    """
-    runs, nodes = _prepared(recordings, config, progress, prepare)
-    plain = None
-    with Aside(partial(_examined, recordings, runs, nodes, config, mend=mend), runs) as looking:
-        if looking.under_way:
-            with suppress(*UNSOLVED):  # told below, after what speaks against the runs
-                plain = solve_plainly(runs, nodes, config, progress)
-        found = looking.result()
-    if plain is not None and _as_they_were(found, runs):
-        first, *others = plain.runs
-        kept = [replace(first, remarks=found[0].remarks), *others]
-        plain = replace(plain, runs=kept)
-    else:
-        plain = solve_plainly(found, nodes, config, progress)
-    return Examined(found, nodes), plain
-
-
-def _as_they_were(examined: Sequence[Run], runs: Sequence[Run]) -> bool:
-    """Tell whether nothing but remarks was added to runs."""
-    names = [f.name for f in fields(Run) if f.name != 'remarks']
-    if len(examined) != len(runs):
-        return False
-    pairs = zip(examined, runs, strict=True)
-    return all(_same(getattr(a, n), getattr(b, n)) for a, b in pairs for n in names)
-
-
-def _same(one: object, other: object) -> bool:
-    return one is other or (isinstance(one, (str, int, float)) and one == other)
+    left: tuple[LeftOut, ...]
 
 
 def solve_recordings(
     recordings: Sequence[Recording],
     config: CalibrationConfig,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     prepare: Preparation = prepare_runs,
     *,
     mend: bool = True,
@@ -167,34 +81,22 @@ def solve_recordings(
     mend : bool
         Mend what can be mended, see ``contradictions.examine``.
     """
-    progress = progress or silent
-    examined, plain = examined_and_solved(recordings, config, progress, prepare, mend=mend)
-    choice = choose(plain.runs, plain.done, config)
-    return solve_on(examined, plain, choice, config, progress)
+    one_heap()
+    progress('aligning', 0.0)
+    check_recordings(recordings)
+    runs, nodes = prepare(recordings, config)
+    give_back()
 
+    progress('solving', 0.0)
+    runs, contradictions = examine(runs, nodes, config, mend=mend)
+    give_back()
 
-def solve_on(
-    examined: Examined,
-    plain: PlainSolution[Run],
-    choice: Choice,
-    config: CalibrationConfig,
-    progress: Progress,
-) -> SolvedRecordings:
-    """Add a reversal to a solution of examined recordings, move them onto their curves."""
-    runs, nodes = examined.runs, examined.nodes
-    solution = with_reversal(plain, choice, config, progress)
-    moved = moved_onto_curves(runs, solution)
-    if moved is not None:
-        runs, solution = moved, solve_with_reversal(moved, nodes, config, progress)
-    left = tuple(left_out(a, b) for a, b in zip(runs, solution.runs, strict=True))
-    said = findings(left)
-    solution = replace(solution, runs=_remarked(solution.runs, said))
-    return SolvedRecordings(_remarked(runs, said), nodes, solution, left)
+    solution = solve_with_reversal(runs, nodes, config, progress)
+    on_curves = moved_onto_curves(runs, solution)
+    if on_curves is not None:
+        runs, solution = on_curves, solve_with_reversal(on_curves, nodes, config, progress)
 
-
-def _remarked(
-    runs: Sequence[Run], after: Sequence[Finding] = (), before: Sequence[Finding] = ()
-) -> list[Run]:
-    """Let the first run carry what was found of all, before and after its own remarks."""
-    first, *others = runs
-    return [replace(first, remarks=(*before, *first.remarks, *after)), *others]
+    outliers = tuple(left_out(run, own) for run, own in zip(runs, solution.runs, strict=True))
+    repairs = (Finding('recording', WARNING, text) for r in recordings for text in r.remarks)
+    stated = (*repairs, *contradictions, *findings(outliers))
+    return SolvedRecordings(runs, nodes, stated, solution, outliers)

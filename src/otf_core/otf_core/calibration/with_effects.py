@@ -123,7 +123,7 @@ def calibrate_with_file(
     if any(one.effect.belongs_to is BelongsTo.REVERSAL for one in taking):
         own = replace(config, reversal='none')
     words = f'Effects of {file} taken off: {listed(taking)}.'
-    plain = assemble(solved.solution, config)
+    plain = assemble(solved.solution, config, solved.findings)
     corrected = calibrate_without(solved, taking, own, progress)
     return beside_plain(plain, corrected, taking, words)
 

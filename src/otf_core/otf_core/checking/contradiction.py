@@ -11,9 +11,9 @@ from otf_core.pieces.finding import GATE, WARNING, words_of
 def _ask(seen: Seen) -> Checked:
     if seen.machine is None or seen.run is None:
         return Checked()
-    remarks = seen.run.remarks
-    doubtful = errors(*words_of(remarks, GATE)) + warnings(*words_of(remarks, WARNING))
-    words = ', '.join(r.check for r in remarks) or 'no contradictions'
+    findings = seen.findings
+    doubtful = errors(*words_of(findings, GATE)) + warnings(*words_of(findings, WARNING))
+    words = ', '.join(f.check for f in findings) or 'no contradictions'
     return Checked(f'{seen.machine.name}, chain {seen.machine.chain}: {words}', {}, doubtful)
 
 

@@ -101,8 +101,8 @@ def _followed(seen: Seen, refused: _Refusals) -> Seen:
         with refused.of('run', name):
             check_recordings(recordings)
             runs, nodes = prepare_runs(recordings, config)
-            runs = examine(runs, nodes, config)
-            return replace(seen, run=runs[0], nodes=nodes, alignment=runs[0].alignment)
+            (run, *_), findings = examine(runs, nodes, config)
+            return replace(seen, run=run, findings=findings, nodes=nodes, alignment=run.alignment)
     with refused.of('following', name):
         check_samples(samples, path)
         found = align(samples, path, config)

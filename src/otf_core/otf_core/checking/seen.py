@@ -14,6 +14,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
+from otf_core.pieces.finding import Finding
 from otf_core.pieces.runs import Run
 from otf_core.tracking.alignment import Alignment
 
@@ -36,7 +37,9 @@ class Seen:
     machine : Machine, optional
     alignment : Alignment, optional
     run : Run, optional
-        Reduced to pieces, with what contradicts itself; needs a machine.
+        Reduced to pieces; needs a machine.
+    findings : tuple of Finding
+        Contradictions in it.
     nodes : mapping of axis to ndarray, m, optional
         Of the tables.
     remarks : tuple of str
@@ -56,6 +59,7 @@ class Seen:
     machine: Machine | None = None
     alignment: Alignment | None = None
     run: Run | None = None
+    findings: tuple[Finding, ...] = ()
     nodes: Mapping[str, Array] | None = None
     remarks: tuple[str, ...] = ()
     said: tuple[str, ...] = ()

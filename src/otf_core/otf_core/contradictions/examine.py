@@ -8,7 +8,6 @@ contradict: each other, the chain, the target offsets, the noise, the range.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +36,8 @@ def examine(
     config: CalibrationConfig,
     *,
     mend: bool = True,
-) -> list[Run]:
-    """Ask runs for contradictions.
+) -> tuple[list[Run], tuple[Finding, ...]]:
+    """Examine runs for contradictions, and mend what can be mended.
 
     Parameters
     ----------
@@ -51,8 +50,10 @@ def examine(
 
     Returns
     -------
-    list of Run
-        The runs, mended; the first carries the findings as ``remarks``.
+    runs : list of Run
+        Mended; a run that was cut at a step is several.
+    findings : tuple of Finding
+        Of all runs.
 
     Raises
     ------
@@ -70,8 +71,7 @@ def examine(
     found += check_target_offset(whole) or check_chain(whole) or check_one_machine(whole, alone)
     found += check_driven_range(whole)
     found += check_noise_level(whole, config)
-    first, *others = whole.runs
-    return [replace(first, remarks=tuple(found)), *others]
+    return list(whole.runs), tuple(found)
 
 
 def _mended(

@@ -9,22 +9,16 @@ not fitted on; where the gap lies; the calibration with the causes taken off.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.aside import Aside
+from otf_core.ahead import Ahead
 from otf_core.calibration.calibrate import assemble
 from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.solved import (
-    Examined,
-    examined_and_solved,
-    solve_on,
-    solve_recordings,
-)
+from otf_core.calibration.solved import Examined, SolvedRecordings, solve_recordings
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.left_out import left_out
@@ -47,15 +41,12 @@ from otf_core.diagnosis.place.where import Where, where_and_shape
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
 from otf_core.effects import REGISTRY, Effect
-from otf_core.errors import InputError
 from otf_core.live.stages import silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
-from otf_core.pieces.finding import Finding
 from otf_core.pieces.runs import Recording, Run
 from otf_core.solving.basis import Basis
 from otf_core.solving.joint import JointSolution, Progress
-from otf_core.solving.reversal_choice import PlainSolution, choose
 from otf_core.threads import in_one_thread
 
 Array = NDArray[np.float64]
@@ -97,78 +88,68 @@ def diagnose(
     """
     config = config or CalibrationConfig()
     progress = progress or silent
-    with ExitStack() as aside:
-        as_recorded = partial(_as_recorded, recordings, config)
-        uncut = Aside(partial(as_recorded, mend=True), recordings, later=True)
-        aside.enter_context(uncut)  # in case it is needed
-        examined, plain = examined_and_solved(recordings, config, progress)
-        whole = len(examined.runs) == len(recordings)
-        done = Aside(partial(_calibrated, examined, plain, config), later=True)
-        aside.enter_context(done)
-        seen = _Seen(plain.runs, plain.done, examined.nodes)
-        if any(len(run.pieces.bend) for run in examined.runs):
-            examined, seen = done.result().moved or (examined, seen)
-        del plain
-        if _by_machine(examined.runs, seen.runs):
-            seen = uncut.result() if whole else as_recorded(mend=False)
-        elif not whole:
-            seen = _solved_uncut(recordings, config, mend=False)
-        uncut.stop()
-        searched = _searched(seen, twin, exclude, config, progress, own)
+    solved = solve_recordings(recordings, config, progress)
+    with Ahead() as ahead:
+        ahead.begin(assemble, solved.solution, config, solved.findings)
+        without_reversal = _without_reversal(recordings, solved, config)
+        searched = _search(without_reversal, twin, exclude, config, progress, own)
         progress('diagnosing', 0.7)
-        calibrated = done.result()
-    first, *others = examined.runs
-    examined = replace(examined, runs=[replace(first, remarks=calibrated.remarks), *others])
-    explained = explain(searched.rows, searched.found.causes, searched.simulated_um)
-    bases = seen.done.unknowns.bases
-    causes = partial(_causes, bases=bases, examined=examined)
-    fitted = fitted_causes(explained.causes, searched.rows)
-    weigh = partial(_weighed, searched, explained, config, exclude)
-    made = None
-    with Aside(weigh, (searched, explained)) as weighing:
-        if weighing.under_way:  # here the correction, which takes longer, has copies of its own
-            with suppress(InputError):  # told below, if the causes stay
-                made = without_causes(examined, causes(fitted), config)
-        weighed = weighing.result()
+        explained = explain(searched.rows, searched.found.causes, searched.simulated_um)
+        weighed = _weigh(searched, explained, config, exclude)
+        plain = ahead(assemble, solved.solution, config, solved.findings)
     progress('correcting', 0.0)
-    if not weighed.fitted:
-        made = None
-    elif made is None:
-        made = without_causes(examined, causes(fitted), config)
-    beside = partial(with_causes, calibrated.result, made, causes(weighed.fitted), config)
-    return _diagnosis(recordings, examined, searched, weighed, beside)
+    causes = _causes_to_take_off(weighed.fitted, without_reversal.bases, solved)
+    corrected = without_causes(solved, causes, config) if weighed.fitted else None
+    return _answer(
+        recordings, solved, searched, weighed,
+        lambda sentence: with_causes(plain, corrected, causes, config, sentence),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class _Calibrated:
-    """The calibration that the user gets.
+class _WithoutReversal:
+    """What is diagnosed: a solution without reversal, which is a cause like any other.
 
     Attributes
     ----------
-    result : CalibrationResult
-    remarks : tuple of Finding
-        What is said of all runs, as the first carries it.
-    moved : (Examined, _Seen) or None
-        Where runs were moved onto their curves: these, and what is diagnosed of them.
+    runs : list of Run
+        As they were kept.
+    solution : JointSolution
+    nodes : mapping of axis to ndarray, m
+        Table nodes.
     """
 
-    result: CalibrationResult
-    remarks: tuple[Finding, ...]
-    moved: tuple[Examined, _Seen] | None
+    runs: list[Run]
+    solution: JointSolution
+    nodes: dict[str, Array]
+
+    @property
+    def bases(self) -> dict[str, Basis]:
+        """Functions of the motions, by axis."""
+        return self.solution.unknowns.bases
+
+    @classmethod
+    def of(cls, solved: SolvedRecordings) -> _WithoutReversal:
+        """Solution without reversal of solved recordings."""
+        return cls(*solved.solution.plain, solved.nodes)
 
 
-def _calibrated(
-    examined: Examined, plain: PlainSolution[Run], config: CalibrationConfig
-) -> _Calibrated:
-    """Go on from a solution without reversal to the calibration that the user gets."""
-    choice = choose(plain.runs, plain.done, config)
-    solved = solve_on(examined, plain, choice, config, silent)
-    pairs = zip(solved.runs, examined.runs, strict=True)
-    moved = None
-    if any(new.pieces is not old.pieces for new, old in pairs):
-        seen = _Seen(*solved.solution.plain, solved.nodes)
-        moved = Examined(solved.runs, solved.nodes), seen
-    return _Calibrated(assemble(solved.solution, config), solved.runs[0].remarks, moved)
+def _without_reversal(
+    recordings: Sequence[Recording], solved: SolvedRecordings, config: CalibrationConfig
+) -> _WithoutReversal:
+    """What is diagnosed of recordings.
+
+    Where the outliers are the machine's doing, all samples are kept, so that they are in the gap,
+    however large. Where a run was cut at a step, it stays whole: the step is in the gap, too.
+    """
+    observed, plain = _WithoutReversal.of(solved), replace(config, reversal='none')
+    whole = len(solved.runs) == len(recordings)
+    pairs = zip(solved.runs, observed.runs, strict=True)
+    if any(left_out(run, kept).by_machine for run, kept in pairs):
+        plain = replace(plain, outlier_limit=ALL_SAMPLES)
+    elif whole:
+        return observed
+    return _WithoutReversal.of(solve_recordings(recordings, plain, mend=whole))
 
 
 @dataclass(frozen=True)
@@ -180,8 +161,8 @@ class _Searched:
     simulated_um: float
 
 
-def _searched(
-    seen: _Seen,
+def _search(
+    observed: _WithoutReversal,
     twin: Twin,
     exclude: Sequence[str],
     config: CalibrationConfig,
@@ -189,31 +170,21 @@ def _searched(
     own: Sequence[Effect],
 ) -> _Searched:
     """Search what the calibration leaves for effects."""
-    rows = rows_to_diagnose(seen.runs, seen.done, seen.nodes, config, exclude)
-    simulated = partial(simulated_residual_um, nodes=seen.nodes, config=config, twin=twin)
-    straight = partial(
-        straight_rows, done=seen.done, nodes=seen.nodes, config=config, exclude=exclude
-    )
+    nodes, solution = observed.nodes, observed.solution
+    rows = rows_to_diagnose(observed.runs, solution, nodes, config, exclude)
+    straight = partial(straight_rows, done=solution, nodes=nodes, config=config, exclude=exclude)
     calm = partial(calmed, config=config)
     progress('diagnosing', 0.0)
-    with Aside(partial(simulated, rows)) as simulating:
-        lines, first = spectral_lines(rows), rows
+    with Ahead() as ahead:
+        ahead.begin(simulated_residual_um, rows, nodes, config, twin)
+        lines = spectral_lines(rows)
         found = search_catalogue(rows, exclude, own, lines)
         for changed in (straight, calm, straight):  # loud noise may have hidden straight lines
             other = changed(rows, found.causes)
             if other is not None:
                 rows, found = other, search_catalogue(other, exclude, own, lines)
-        left = simulating.result() if rows is first else simulated(rows)
-    return _Searched(rows, found, left)
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What is diagnosed: runs as they were kept, their solution without reversal, table nodes."""
-
-    runs: list[Run]
-    done: JointSolution
-    nodes: dict[str, Array]
+        simulated_um = ahead(simulated_residual_um, rows, nodes, config, twin)
+    return _Searched(rows, found, simulated_um)
 
 
 @dataclass(frozen=True)
@@ -238,7 +209,7 @@ class _Weighed:
     shape: str
 
 
-def _weighed(
+def _weigh(
     searched: _Searched, explained: Explanation, config: CalibrationConfig, exclude: Sequence[str]
 ) -> _Weighed:
     """Weigh the causes found, name those that stay, and tell where the gap lies."""
@@ -256,30 +227,7 @@ def _weighed(
     return _Weighed(judged, tuple(fitted), gap, causes, where, shape)
 
 
-def _by_machine(runs: Sequence[Run], kept: Sequence[Run]) -> bool:
-    """Tell whether what is left out as outliers is what the machine does."""
-    return any(left_out(run, own).by_machine for run, own in zip(runs, kept, strict=True))
-
-
-def _as_recorded(
-    recordings: Sequence[Recording], config: CalibrationConfig, *, mend: bool
-) -> _Seen:
-    """Solve runs with all their samples: what the machine does is in the gap, however large."""
-    return _solved_uncut(recordings, replace(config, outlier_limit=ALL_SAMPLES), mend=mend)
-
-
-def _solved_uncut(
-    recordings: Sequence[Recording], config: CalibrationConfig, *, mend: bool
-) -> _Seen:
-    """Solve runs without reversal, as everything that is diagnosed.
-
-    Uncut where the calibration cut them at a step, which then is not mended: it is in the gap.
-    """
-    solved = solve_recordings(recordings, replace(config, reversal='none'), mend=mend)
-    return _Seen(*solved.solution.plain, solved.nodes)
-
-
-def _causes(
+def _causes_to_take_off(
     fitted: Sequence[FittedCause], bases: dict[str, Basis], examined: Examined
 ) -> FoundCauses:
     """Causes with their parameters, for every examined run, less what fine functions hold."""
@@ -290,7 +238,7 @@ def _causes(
     )
 
 
-def _diagnosis(
+def _answer(
     recordings: Sequence[Recording],
     examined: Examined,
     searched: _Searched,
@@ -320,7 +268,7 @@ def _diagnosis(
         smallest_found_um={
             n: 1e6 * v.smallest for n, v in visible.items() if np.isfinite(v.smallest)
         },
-        contradictions=told_otherwise(examined.runs[0].remarks, said),
+        contradictions=told_otherwise(examined.findings, said),
         table_change_um=_table_change_um(calibration),
         unnamed=said,
         applied=nameless.applied if nameless else applied,

@@ -22,7 +22,6 @@ from otf_core.model.path import NominalPath
 from otf_core.model.signals import Signal
 from otf_core.noise.model import NoiseModel
 from otf_core.noise.standstill import noise_model
-from otf_core.pieces.finding import Finding
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
 from otf_core.tracking.alignment import Alignment, Followed, align
@@ -97,8 +96,6 @@ class Run(Observed):
     path : NominalPath
         As published.
     alignment : Alignment
-    remarks : tuple of Finding
-        What ``contradictions.examine`` found, with the first of several runs.
     read : tuple of str
         Remarks of the recording.
     """
@@ -106,7 +103,6 @@ class Run(Observed):
     samples: Samples
     path: NominalPath
     alignment: Alignment
-    remarks: tuple[Finding, ...] = ()
     read: tuple[str, ...] = ()
 
     @classmethod

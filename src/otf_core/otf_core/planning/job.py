@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from otf_core.aside import Aside
+from otf_core.ahead import Ahead
 from otf_core.config import ForecastConfig, PlannerConfig
 from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
@@ -185,10 +184,11 @@ def make_plan(
         found: Forecast = forecast(plan, setup)
         limit = setup.calibration.unidentifiable_above
         planned = planned_solution(plan, setup, found)
-        with Aside(partial(_judged, plan, setup, found, planned)) as judging:
+        with Ahead() as ahead:
+            ahead.begin(_judged, plan, setup, found, planned)
             progress('looking for effects', 0.0)
             effects = forecast_effects(forecast_rows(planned, limit))
-            places, own, systematic = judging.result()
+            places, own, systematic = ahead(_judged, plan, setup, found, planned)
     return PlanReport(
         plan,
         how,

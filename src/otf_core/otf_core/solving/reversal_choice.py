@@ -37,7 +37,7 @@ from otf_core.solving.normal import NormalEquations, sum_groups
 from otf_core.solving.repeated import Once, taken_once
 from otf_core.solving.reversal import MODELS
 from otf_core.solving.roughness import TRACE
-from otf_core.solving.shape_choice import ShapeChoice, choose_shapes
+from otf_core.solving.shape_choice import choose_shapes
 from otf_core.solving.solution import estimated, free_columns, identifiable_blocks
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, is_reversal, layout, reversal_order
@@ -93,74 +93,38 @@ class ReversalSolution(Generic[AnyRun]):
     plain: tuple[list[AnyRun], JointSolution]
 
 
-@dataclass(frozen=True)
-class PlainSolution(Generic[AnyRun]):
-    """Solution without reversal.
-
-    Attributes
-    ----------
-    shapes : ShapeChoice
-        Functions of the motions.
-    runs : list of Observed
-        With the pieces that were kept.
-    done : JointSolution
-    """
-
-    shapes: ShapeChoice[AnyRun]
-    runs: list[AnyRun]
-    done: JointSolution
-
-
-def solve_plainly(
+def solve_with_reversal(
     runs: Sequence[AnyRun], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress
-) -> PlainSolution[AnyRun]:
-    """Solve without reversal, with the functions that the data call for.
+) -> ReversalSolution[AnyRun]:
+    """Solve with the functions and the reversal model that the data call for.
 
     Parameters
     ----------
     runs : sequence of Observed
     nodes : mapping of axis to ndarray, m
+        Of the tables that machine.yaml asks for.
     config : CalibrationConfig
+        May state the reversal model.
     progress : callable(stage, fraction)
     """
     shapes = choose_shapes(runs, nodes, config, progress)
     give_back()
     unknowns = layout(shapes.bases, len(runs))
-    kept, done = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
+    plain = solve_robustly(shapes.improved, unknowns, config, progress, shapes.start)
     give_back()
-    return PlainSolution(shapes, kept, done)
 
-
-def solve_with_reversal(
-    runs: Sequence[AnyRun], nodes: dict[str, Array], config: CalibrationConfig, progress: Progress
-) -> ReversalSolution[AnyRun]:
-    """Solve with the reversal model of the configuration, or with the one the data call for.
-
-    Parameters
-    ----------
-    runs, nodes, config, progress
-        As of ``solve_plainly``.
-    """
-    plain = solve_plainly(runs, nodes, config, progress)
-    choice = choose(plain.runs, plain.done, config)
-    return with_reversal(plain, choice, config, progress)
-
-
-def with_reversal(
-    plain: PlainSolution[AnyRun], choice: Choice, config: CalibrationConfig, progress: Progress
-) -> ReversalSolution[AnyRun]:
-    """Add a reversal to a solution without, see ``solve_with_reversal``."""
-    kept, done, shapes = plain.runs, plain.done, plain.shapes
-    give_back()
+    choice = choose_reversal(*plain, config)
     if choice.model == 'none':
-        return ReversalSolution(kept, done, choice, (kept, done))
-    unknowns = layout(shapes.bases, len(kept), MODELS[choice.model], held=choice.held)
+        return ReversalSolution(*plain, choice, plain)
+    unknowns = layout(shapes.bases, len(runs), MODELS[choice.model], held=choice.held)
     # reversal adds blocks: which of them the data determine is found out anew
     again = solve_robustly(shapes.runs, unknowns, config, progress)
-    return ReversalSolution(*again, choice, (kept, done))
+    return ReversalSolution(*again, choice, plain)
 
 
-def choose(runs: Sequence[Observed], done: JointSolution, config: CalibrationConfig) -> Choice:
+def choose_reversal(
+    runs: Sequence[Observed], done: JointSolution, config: CalibrationConfig
+) -> Choice:
     """Choose a reversal model by what it leaves of held-out legs.
 
     The model may be given by the configuration; whether axes that stand are held is always

@@ -22,7 +22,7 @@ from typing import Generic
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.aside import Aside
+from otf_core.aside import shared_out
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
@@ -66,8 +66,6 @@ LEGS = 20
 """Fewer legs, however long, are not enough for that."""
 QUICK = 8
 """Iterations after which that is given up for one of all pieces: so few legs are not enough."""
-MANY = 1.5
-"""Functions between nodes, over smooth ones, from which trying them takes much longer."""
 GOLDEN = 0.6180339887498949
 
 
@@ -188,7 +186,7 @@ def _try_all(
 
     Returns
     -------
-    done : JointSolution
+    solution : JointSolution
         The most likely one.
     scores : mapping of name to float
         Log likelihoods, less the best.
@@ -196,30 +194,20 @@ def _try_all(
     poses = [r.pose for r in runs]
     systems = systems_of(runs, poses, layout(smooth_bases(nodes), len(runs)), start.tables)
 
-    def tried(name: str) -> _Tried:
+    def fit(name: str) -> _Tried:
         return _tried(systems, start, whiteners, limit, _CHOICES[name](nodes))
 
-    def solved(one: _Tried) -> tuple[JointSolution, bool]:
-        done = one.solved(systems, poses, whiteners)
-        return done, any(_steps_unexplained(s) for s in done.runs)
-
-    size = [sum(b.size for b in _CHOICES[name](nodes).values()) for name in (STRAIGHT, SMOOTH)]
-    ahead, long = None, size[0] > MANY * size[1]
-    with Aside(partial(tried, STRAIGHT), (systems, start, whiteners)) as straight:
-        found = {SMOOTH: tried(SMOOTH)}
-        done, steps = solved(found[SMOOTH])
-        if steps and straight.under_way and long:
-            ahead = tried(FINER)
-        found[STRAIGHT] = straight.result()
-    if found[STRAIGHT].likelihood > found[SMOOTH].likelihood:
-        done, steps = solved(found[STRAIGHT])
-    best = max(found.values(), key=attrgetter('likelihood'))
-    if steps:
-        found[FINER] = ahead or tried(FINER)
-        if found[FINER].likelihood > best.likelihood:
-            best = found[FINER]
-            done = best.solved(systems, poses, whiteners)
-    return done, {name: one.likelihood - best.likelihood for name, one in found.items()}
+    first = (SMOOTH, STRAIGHT)
+    fits = shared_out(fit, first, (systems, start, whiteners))
+    tried = dict(zip(first, fits, strict=True))
+    best = max(fits, key=attrgetter('likelihood'))
+    solution = best.solved(systems, poses, whiteners)
+    if any(_steps_unexplained(run) for run in solution.runs):
+        tried[FINER] = fit(FINER)
+        if tried[FINER].likelihood > best.likelihood:
+            best = tried[FINER]
+            solution = best.solved(systems, poses, whiteners)
+    return solution, {name: one.likelihood - best.likelihood for name, one in tried.items()}
 
 
 def _without_legs(run: AnyRun, number: Index, kept: Index) -> AnyRun:

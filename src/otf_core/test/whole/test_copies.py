@@ -75,11 +75,11 @@ def test_runs_are_refused_in_the_same_words():
     assert str(raised.value) == str(alone(one, other))
 
 
-def test_what_solving_runs_ends_with_is_told_after_what_speaks_against_them(monkeypatch):
+def test_contradictions_are_reported_before_a_solution_that_fails(monkeypatch):
     def fails(*_):
         raise np.linalg.LinAlgError('singular')
 
-    monkeypatch.setattr(solved, 'solve_plainly', fails)
+    monkeypatch.setattr(solved, 'solve_with_reversal', fails)
     with pytest.raises(InputError, match='not of one machine'):
         calibrate_runs([recorded(), replace(recorded(seed=2), name='run 2')], CONFIG)
     with pytest.raises(np.linalg.LinAlgError, match='singular'):

@@ -71,7 +71,7 @@ def test_what_the_machine_does_is_told_from_bad_samples(spoil, again, at_corners
     solved = solve_recordings([run], CalibrationConfig(**coarse))
     (left,) = solved.left
     assert (left.again, left.at_corners, left.too_many) == (again, at_corners, too_many)
-    said = [f.words for f in solved.solution.runs[0].remarks if f.check == 'left out']
+    said = [f.words for f in solved.findings if f.check == 'left out']
     assert len(said) == 1 and f'{left.samples} samples left out' in said[0]
     assert ('takes them into the gap' in said[0]) == again
     assert ('all but the farthest into the gap' in said[0]) == (too_many and not again)

@@ -21,12 +21,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.aside import Aside
+from otf_core.aside import shared_out
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.beside import Candidates
 from otf_core.diagnosis.engine.catalogue import (
@@ -88,21 +87,14 @@ def rows_to_diagnose(
     effects = _at_places(exclude)
     if not is_finer(done.unknowns.bases) or not effects:
         return rows
-    with Aside(partial(_likelihood, rows)) as likelihood:
-        both = linear_bases(nodes), smooth_bases(nodes)
-        solved = [_solved(runs, done, bases, config) for bases in both]
-        others = [build_rows(loud, one, limit) for one in solved if one is not None]
-        alone = [_likelihood(other) for other in others]
-        fine = likelihood.result()
-    order = sorted(range(len(others)), key=lambda k: -alone[k])
-
-    def first_of(some: Sequence[int]) -> int | None:
-        return next((k for k in some if _likelier(others[k], alone[k], fine, effects)), None)
-
-    with Aside(lambda: first_of(order[1:])) as later:
-        found = first_of(order[:1])
-        found = later.result() if found is None else found
-    return rows if found is None else others[found]
+    both = (linear_bases(nodes), smooth_bases(nodes))
+    solved = shared_out(lambda bases: _solved(runs, done, bases, config), both, (runs, done))
+    others = [build_rows(loud, one, limit) for one in solved if one is not None]
+    fine, *alone = shared_out(_likelihood, [rows, *others])
+    for other, own in sorted(zip(others, alone, strict=True), key=lambda pair: -pair[1]):
+        if _likelier(other, own, fine, effects):
+            return other
+    return rows
 
 
 def _likelier(rows: Rows, alone: float, fine: float, effects: Sequence[Effect]) -> bool:
