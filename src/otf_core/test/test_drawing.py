@@ -198,6 +198,7 @@ def test_text_is_set_as_metrologists_write_it():
     assert typeset(
         '-1.5 um +/- 0.2 um, 95 % of 3 urad/m'
     ) == '−1.5~µm~±~0.2~µm, 95~% of 3~µrad/m'.replace('~', '\u00a0')
+    assert typeset('0.31 s (+/- 0.06)') == '0.31~s (±~0.06)'.replace('~', '\u00a0')
     assert typeset('15.91 → 0.69 um') == '15.91~→~0.69~µm'.replace('~', '\u00a0')
     assert typeset('elevation -0 deg, -0.0 mm, -0.04 mm') == (
         'elevation 0°, 0.0~mm, −0.04~mm'.replace('~', '\u00a0')

@@ -6,15 +6,18 @@ import json
 import numpy as np
 import pytest
 from core_cells import START_NS, some_machine
+from html_cells import Page, unloading
 
 from otf_core import cli
 from otf_core.bags.bag_writer import write_recording
 from otf_core.errors import InputError
+from otf_core.model.expanded import with_expanded
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.noise.model import NoiseModel
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
+from otf_core.reports.drawing.typography import typeset
 from otf_core.reports.noise import format_noise, noise_to_dict
 from otf_core.sim.tracker import measure
 
@@ -269,6 +272,12 @@ def test_command_writes_noise_json_of_the_contract(tmp_path, capsys):
     assert data == json.loads(json.dumps(noise_to_dict(noise_report(samples, SPEED))))
     assert (data['standstills'], data['windows']) == (3, 3)
     assert (tmp_path / 'out' / 'noise.svg').stat().st_size > 1000
+    source = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
+    page = Page(source)
+    assert page.faults == [] and unloading(source) == []
+    level, wide = 1e6 * data['u_range'], 2e6 * data['uncertainty']['u_range']
+    assert page.rows('Levels')[0][1] == typeset(f'{with_expanded(level, wide)} um')
+    assert source.count('<svg') == 6
     assert 'correlation time' in capsys.readouterr().out
 
 

@@ -42,6 +42,7 @@ def test_a_stacked_table_says_its_heads_in_every_cell():
 
 def test_facts_stand_beside_each_other_and_tables_with_heads_do_not():
     bare, headed = Table(('', ''), (('a', 'b'),)), Table(('x', 'y'), (('a', 'b'),))
+    assert 'class="sheet"' not in page_of(Section('a', 'A', tables=(bare, headed)))
     source = page_of(Section('a', 'A', tables=(bare, bare, headed)))
     sheet, rest = re.search(r'<div class="sheet">(.*?</table></div>)</div>(.*)', source).groups()
     assert sheet.count('<table') == 2

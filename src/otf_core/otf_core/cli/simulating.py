@@ -90,10 +90,10 @@ def run_simulate(arguments: argparse.Namespace) -> int:
         progress('writing', 0.0)
         del read['machine']  # the description has a place of its own in the block provenance
         out.write(run, file.plan, config, effects, read)
-    place = ', '.join(f'{v:.3f}' for v in run.place)
+    place = ', '.join(f'{1e3 * v:.0f}' for v in run.place)
     words = (
         f'{len(run.samples)} samples over {run.samples.time[-1]:.1f} s in {arguments.out}, '
-        f'tracker at ({place}) m'
+        f'tracker at ({place}) mm'
     )
     data = {
         'samples': len(run.samples),

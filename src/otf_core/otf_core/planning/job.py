@@ -133,7 +133,8 @@ def _chosen(
     how = f'after a diagnosis: the shortest path that answers {sure} of {len(answers)} questions'
     if before:
         stays = np.allclose(there.place, before[-1].place)
-        where = 'stays' if stays else f'moves to ({", ".join(f"{v:.2f}" for v in there.place)}) m'
+        place = ', '.join(f'{1e3 * v:.0f}' for v in there.place)
+        where = 'stays' if stays else f'moves to ({place}) mm'
         how += f', diagnosed together with the runs before; the tracker {where}'
     return plan, how, answers, there
 

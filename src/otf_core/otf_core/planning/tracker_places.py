@@ -86,9 +86,9 @@ def advice(places: list[TrackerPlace], own: float) -> list[str]:
     if not places:
         return ['no place around the volume keeps all beams within the range limits']
     best, worst = places[0], places[-1]
-    x, y, z = best.place
+    x, y, z = (f'{1e3 * v:.0f}' for v in best.place)
     return [
-        f'best of {len(places)} places: {best.words} ({x:.3f}, {y:.3f}, {z:.3f}) m: '
+        f'best of {len(places)} places: {best.words} ({x}, {y}, {z}) mm: '
         f'{best.mean_grid_u / own:.2f} times the mean grid uncertainty of the place assumed here',
         f'worst: {worst.words}: {worst.mean_grid_u / own:.2f} times',
         'the nearer the better, as far as the range limits and a free beam allow; '

@@ -16,6 +16,7 @@ from otf_core.model.provenance import provenance
 from otf_core.noise.fields import noise_to_fields
 from otf_core.noise.model import QUANTITIES
 from otf_core.noise.report import NoiseReport
+from otf_core.reports.noise_page import noise_html
 from otf_core.reports.plots.noise import draw_noise
 
 Array = NDArray[np.float64]
@@ -101,15 +102,24 @@ def _event_rows(report: NoiseReport) -> list[str]:
     return rows
 
 
+def _colour_words(report: NoiseReport) -> str:
+    time = report.measured.noise.range.correlation_time
+    if not time:
+        return 'the noise is white'
+    return f'correlation time of the slow part {time:.2f} s (+/- {report.u_correlation_time:.2f})'
+
+
+def _peak_rows(report: NoiseReport) -> list[str]:
+    return [
+        f'peak of the {QUANTITIES[p.quantity]} at {p.frequency:.1f} Hz: {1e6 * p.rms:.3f} '
+        f'{"um" if p.quantity == 0 else "urad"} rms'
+        for p in report.peaks
+    ] or ['no peaks in the spectrum']
+
+
 def format_noise(report: NoiseReport) -> str:
     """Return the text for a terminal: warnings first."""
     measured = report.measured
-    time = measured.noise.range.correlation_time
-    colour = (
-        f'correlation time of the slow part {time:.2f} s (+/- {report.u_correlation_time:.2f})'
-        if time
-        else 'the noise is white'
-    )
     lines = [f'WARNING {text}' for text in report.warnings]
     lines += [
         f'{report.standstills} standstills; used {report.duration:.1f} s, '
@@ -119,21 +129,17 @@ def format_noise(report: NoiseReport) -> str:
         'noise (k = 1)     unit    total     +/-    white     +/-   kurtosis  tails',
         *_level_rows(report),
         '',
-        colour,
+        _colour_words(report),
     ]
     lines += _event_rows(report)
-    lines += [
-        f'peak of the {QUANTITIES[p.quantity]} at {p.frequency:.1f} Hz: {1e6 * p.rms:.3f} '
-        f'{"um" if p.quantity == 0 else "urad"} rms'
-        for p in report.peaks
-    ] or ['no peaks in the spectrum']
+    lines += _peak_rows(report)
     return '\n'.join(lines)
 
 
 def write_noise(
     report: NoiseReport, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> list[Path]:
-    """Write noise.svg, noise.txt and, last, noise.json.
+    """Write noise.svg, report.html, noise.txt and, last, noise.json.
 
     Parameters
     ----------
@@ -148,8 +154,13 @@ def write_noise(
     """
     folder = ensure_folder(folder)
     data = noise_to_dict(report) | {'provenance': about or provenance('noise')}
-    files = [draw_noise(report, folder), folder / 'noise.txt', folder / 'noise.json']
-    write_text(files[1], format_noise(report) + '\n')
+    names = ('report.html', 'noise.txt', 'noise.json')
+    files = [draw_noise(report, folder), *(folder / name for name in names)]
+    runs = data['provenance'].get('runs') or [{}]
+    name = str(runs[0].get('name') or '')
+    events = [*_event_rows(report), *_peak_rows(report)]
+    write_text(files[1], noise_html(report, name, events, _colour_words(report)))
+    write_text(files[2], format_noise(report) + '\n')
     content = json.dumps(data, indent=1, allow_nan=False)
-    write_text(files[2], content + '\n')
+    write_text(files[3], content + '\n')
     return files

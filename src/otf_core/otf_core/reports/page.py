@@ -90,7 +90,8 @@ def _tables(tables: Sequence[Table]) -> str:
     parts = []
     for bare, group in groupby(tables, key=lambda t: not any(t.head) and not t.folded):
         found = ''.join(map(_table, group))
-        parts.append(f'<div class="sheet">{found}</div>' if bare else found)
+        beside = bare and found.count('<table') > 1
+        parts.append(f'<div class="sheet">{found}</div>' if beside else found)
     return ''.join(parts)
 
 

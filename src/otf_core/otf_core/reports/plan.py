@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``otf plan`` writes: path.csv, plan.json, plan.svg, forecast.txt and the NC program.
+"""What ``otf plan`` writes: path.csv, plan.json, plan.svg, report.html, forecast.txt, NC program.
 
 plan.json (``otf-plan/1``), SI units: machine, path, feed, dwell, what the forecast assumed, the
 forecast with its grid, findings in words, places of the tracker, and effects beyond the rigid
@@ -26,7 +26,9 @@ from otf_core.planning.forecast import Forecast
 from otf_core.planning.judged import PlanReport
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import program
+from otf_core.reports.plan_page import plan_html
 from otf_core.reports.plots.plan import write_plan_picture
+from otf_core.reports.quantities import place
 
 
 def _margin(report: PlanReport) -> float:
@@ -110,14 +112,13 @@ def format_report(report: PlanReport) -> str:
     free = np.linalg.norm(found.grid_u_free, axis=1)
     gauge = np.linalg.norm(found.grid_u, axis=1)
     feeds = np.unique(np.rint(60e3 * plan.feed)).astype(int)
-    x, y, z = setup.place
     lines = [
         f'Plan: {report.how}',
         f'{len(plan.path.points)} points, {plan.path.length:.2f} m, {found.duration:.0f} s with '
         f'accelerations of {setup.config.acceleration:g} m/s^2 and dwells',
         f'feeds {", ".join(map(str, feeds))} mm/min; at least {1e3 * _margin(report):.1f} mm '
         f'inside the axis ranges',
-        f'Assumed: tracker at ({x:.3f}, {y:.3f}, {z:.3f}) m in the machine frame, '
+        f'Assumed: tracker at {place(setup.place)} in the machine frame, '
         f'{setup.config.rate:g} samples/s; noise of a sample:',
         *(f'  {part}' for part in str(setup.noise).split('; ')),
         '',
@@ -202,6 +203,8 @@ def write_report(
     files.append(folder / 'forecast.txt')
     write_text(files[-1], format_report(report))
     files.append(write_plan_picture(report, folder))
+    files.append(folder / 'report.html')
+    write_text(files[-1], plan_html(report))
     files.append(folder / 'plan.json')
     block = about or provenance('plan', machines=[report.setup.machine])
     content = report_to_dict(report) | {'provenance': block}

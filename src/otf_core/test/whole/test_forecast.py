@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from core_cells import corner_path, record, small_plan, smooth, some_machine
+from html_cells import Page, unloading
 
 from otf_core.calibration.calibrate import calibrate
 from otf_core.cli import main
@@ -303,7 +304,7 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
                  '--levels', '2', '--grid', '2', '--tracker-place', '-0.3,0.1,-0.1']  # fmt: skip
     assert main(arguments) == 0
     said, hints = capsys.readouterr()
-    names = ['forecast.txt', 'manifest.json', 'path.csv', 'plan.json', 'plan.svg']
+    names = ['forecast.txt', 'manifest.json', 'path.csv', 'plan.json', 'plan.svg', 'report.html']
     assert sorted(f.name for f in out.iterdir()) == names
     assert 'no NC program: give --dialect' in hints.splitlines()[-1]
     text = (out / 'forecast.txt').read_text()
@@ -318,10 +319,21 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
     assert {f['error'] for f in data['not_shown']} == {
         n for n, e in data['forecast']['errors'].items() if not e['identifiable']
     }
+    source = (out / 'report.html').read_text(encoding='utf-8')
+    page = Page(source)
+    assert page.faults == [] and unloading(source) == []
+    assert '@top-left' in source and '(m)' not in page.text.replace('Beam (m)', '')
+    assert [row[0] for row in page.rows('Where the tracker stands')]
+    assert 'written: path.csv, forecast.txt, plan.svg, report.html, plan.json' in said
     picture = (out / 'plan.svg').read_text(encoding='utf-8')
     for name, entry in data['forecast']['errors'].items():
         mean, unit = 1e6 * np.mean(entry['u']), 'µm' if entry['unit'] == 'm' else 'µrad'
-        said = f'{mean:.2f} {unit}' if entry['identifiable'] else 'not seen by this path'
+        largest = 1e6 * np.max(entry['u'])
+        said = (
+            f'{mean:.2f}, largest {largest:.2f}\u00a0{unit}'
+            if entry['identifiable']
+            else 'not seen by this path'
+        )
         row = re.search(rf'>{name}</text>.*?<text x="[^>]*>([^<]+)<', picture)
         assert row[1] == said, name
     sight = {name: entry['visible'] for name, entry in data['effects'].items()}

@@ -18,7 +18,7 @@ def typeset(value: object) -> str:
     plain = re.sub(r'(?<![\w.])-(?=0(?:\.0+)?(?![\w.]))', '', plain)
     plain = re.sub(r'(?<![\w.])-(?=\d|[XYZ]\b)', '\N{MINUS SIGN}', plain)
     plain = re.sub(r'(?<=\d) deg\b', '\N{DEGREE SIGN}', plain)
-    plain = re.sub(r' ?(±|→) ', rf'{SPACE}\1{SPACE}', plain)
+    plain = re.sub(r'(?<=\S) (?=(?:±|→) )|(?<=[±→]) (?=\S)', SPACE, plain)
     return re.sub(rf'(?<=\d) (?=(?:{UNITS})(?![A-Za-z]))', SPACE, plain)
 
 

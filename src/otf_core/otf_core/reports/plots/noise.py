@@ -24,7 +24,8 @@ def _unit(quantity: int) -> str:
     return 'µm' if quantity == 0 else 'µrad'
 
 
-def _variogram(report: NoiseReport, quantity: int) -> str:
+def draw_variogram(report: NoiseReport, quantity: int) -> str:
+    """Scatter against the time between samples, as seen and as fitted."""
     seen, noise = report.variogram, tuple(report.measured.noise)[quantity]
     lag = seen.lag / report.rate
     value = 1e6 * np.sqrt(seen.value[quantity])
@@ -43,7 +44,8 @@ def _variogram(report: NoiseReport, quantity: int) -> str:
     return panel.draw(marks, f'variogram of the {QUANTITIES[quantity]}', QUANTITIES[quantity])
 
 
-def _spectrum(report: NoiseReport, quantity: int) -> str:
+def draw_spectrum(report: NoiseReport, quantity: int) -> str:
+    """Amplitude spectrum with its peaks."""
     frequency = report.spectrum.frequency[1:]
     density = 1e6 * np.sqrt(report.spectrum.density[quantity][1:])
     panel = Panel(
@@ -60,7 +62,7 @@ def _spectrum(report: NoiseReport, quantity: int) -> str:
 
 def draw_noise(report: NoiseReport, folder: str | Path) -> Path:
     """Write noise.svg: one column a quantity, dots as seen, lines as fitted, peaks marked."""
-    pictures = [draw(report, k) for draw in (_variogram, _spectrum) for k in range(3)]
+    pictures = [draw(report, k) for draw in (draw_variogram, draw_spectrum) for k in range(3)]
     title = (
         f'Tracker noise at rest: {report.standstills} standstills, {report.duration:.1f} s at '
         f'{report.rate:.0f} Hz, beam {report.distance:.2f} m'

@@ -25,7 +25,8 @@ CAPTION = (
 )
 
 
-def _path(report: PlanReport) -> str:
+def draw_path(report: PlanReport, *, turns: bool = False) -> str:
+    """Path, tracker and its beams to the corners of the volume."""
     machine, place = report.setup.machine, report.setup.place
     points, low, high = report.plan.path.points, machine.lower, machine.upper
     ends = np.stack([points[:-1], points[1:]], axis=1)
@@ -39,10 +40,11 @@ def _path(report: PlanReport) -> str:
         *tracker_items(place, low, high),
     ]
     both = np.vstack([low, high, place])
-    return scene(items, both.min(axis=0), both.max(axis=0), 'path and tracker', turns=False)
+    return scene(items, both.min(axis=0), both.max(axis=0), 'path and tracker', turns=turns)
 
 
-def _grid(report: PlanReport, step: float) -> str:
+def draw_grid(report: PlanReport, step: float, *, turns: bool = False) -> str:
+    """Uncertainty of the error vector on the grid in classes of ``step``, um."""
     machine, found = report.setup.machine, report.forecast
     classes = heat_classes(1e6 * np.linalg.norm(found.grid_u_free, axis=1), step)
     items = box(machine.lower, machine.upper)
@@ -51,10 +53,11 @@ def _grid(report: PlanReport, step: float) -> str:
         for level in range(LEVELS)
         if np.any(classes == level)
     ]
-    return scene(items, machine.lower, machine.upper, 'uncertainty in the volume', turns=False)
+    return scene(items, machine.lower, machine.upper, 'uncertainty in the volume', turns=turns)
 
 
-def _bars(report: PlanReport, unit: str) -> str:
+def draw_error_bars(report: PlanReport, unit: str) -> str:
+    """Bars of all errors of a unit."""
     found, words = report.forecast, UNITS[unit]
     rows = []
     for name in (*SQUARENESS, *MOTIONS):
@@ -75,6 +78,7 @@ def write_plan_picture(report: PlanReport, folder: Path) -> Path:
     size = np.linalg.norm(report.forecast.grid_u_free, axis=1)
     step = heat_step(1e6 * size)
     key = [(f'heat h{level}', f'u {said}') for level, said in heat_words(step, size)]
-    pictures = [_path(report), _grid(report, step), _bars(report, 'm'), _bars(report, 'rad')]
+    pictures = [draw_path(report), draw_grid(report, step)]
+    pictures += [draw_error_bars(report, unit) for unit in UNITS]
     title = f'Plan for {report.setup.machine.name}: {report.how}'
     return write_sheet(folder, 'plan', pictures, 2, title, CAPTION, key)
