@@ -33,7 +33,7 @@ TOOLS = (
     ('make', 'MAKE', ('make',), 'build-essential'),
 )
 OFFLINE_SIGNS = ('after connection broken by', 'No matching distribution found')
-BUILD_INPUTS = {'package.xml', 'setup.py', 'setup.cfg', 'CMakeLists.txt'}
+BUILD_INPUTS = {'package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'CMakeLists.txt'}
 BUILD_FOLDERS = {'msg', 'srv', 'action', 'resource'}
 
 _lock: list[int] = []

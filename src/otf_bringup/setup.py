@@ -18,7 +18,6 @@ setup(
     extras_require={'test': ['pytest']},
     zip_safe=False,
     maintainer='OTF calibration maintainers',
-    maintainer_email='maintainers@example.org',
     description='Launch files, parameters and the demo of the calibration cell.',
     license='Apache-2.0',
     entry_points={'console_scripts': ['demo = otf_bringup.__main__:main']},

@@ -13,7 +13,6 @@ setup(
     extras_require={'test': ['pytest']},
     zip_safe=False,
     maintainer='OTF calibration maintainers',
-    maintainer_email='maintainers@example.org',
     description='Node that calibrates a machine from path and samples.',
     license='Apache-2.0',
     entry_points={'console_scripts': ['calibrator = otf_calibrator.__main__:main']},

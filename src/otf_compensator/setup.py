@@ -13,7 +13,6 @@ setup(
     extras_require={'test': ['pytest']},
     zip_safe=False,
     maintainer='OTF calibration maintainers',
-    maintainer_email='maintainers@example.org',
     description='Node that corrects commanded positions by error tables.',
     license='Apache-2.0',
     entry_points={'console_scripts': ['compensator = otf_compensator.__main__:main']},

@@ -13,7 +13,6 @@ setup(
     extras_require={'test': ['pytest']},
     zip_safe=False,
     maintainer='OTF calibration maintainers',
-    maintainer_email='maintainers@example.org',
     description='Node that publishes the nominal path and the plan of a calibration run.',
     license='Apache-2.0',
     entry_points={'console_scripts': ['path_planner = otf_path_planner.__main__:main']},

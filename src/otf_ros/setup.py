@@ -13,7 +13,6 @@ setup(
     extras_require={'test': ['pytest']},
     zip_safe=False,
     maintainer='OTF calibration maintainers',
-    maintainer_email='maintainers@example.org',
     description='Helpers shared by the nodes: quality of service, message conversion, parameters.',
     license='Apache-2.0',
 )

@@ -14,7 +14,6 @@ setup(
     extras_require={'test': ['pytest']},
     zip_safe=False,
     maintainer='OTF calibration maintainers',
-    maintainer_email='maintainers@example.org',
     description='Live view of a calibration: markers, numbers for plots, a page for any browser.',
     license='Apache-2.0',
     entry_points={

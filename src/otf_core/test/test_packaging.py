@@ -2,12 +2,22 @@
 """What pip installs: all that is imported, all that requirements/core.txt names, the command."""
 
 import ast
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
 
 import otf_core
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # comes with pytest there
 
 PACKAGE = Path(otf_core.__file__).parent
 ROOT = Path(__file__).resolve().parents[3]
@@ -18,17 +28,13 @@ OF_LINUXCNC = {'linuxcnc', 'hal'}
 """Come with LinuxCNC for the Python of the system, which runs the files that import them."""
 
 
-def argument(name):
-    """Value of an argument of setup() in setup.py."""
-    tree = ast.parse((ROOT / 'src/otf_core/setup.py').read_text())
-    call = next(
-        n for n in ast.walk(tree) if getattr(getattr(n, 'func', None), 'id', '') == 'setup'
-    )
-    return ast.literal_eval(next(k.value for k in call.keywords if k.arg == name))
+FILE = ROOT / 'src/otf_core/pyproject.toml'
+PROJECT = tomllib.loads(FILE.read_text(encoding='utf-8'))['project']
+README = ROOT / 'src/otf_core/README.md'
 
 
 def required():
-    return {re.match(r'[\w.-]+', line)[0].lower() for line in argument('install_requires')}
+    return {re.match(r'[\w.-]+', line)[0].lower() for line in PROJECT['dependencies']}
 
 
 def imported():
@@ -42,7 +48,7 @@ def imported():
 
 def test_all_that_is_imported_is_required_and_nothing_else():
     foreign = set(imported()) - set(sys.stdlib_module_names) - {'otf_core', '__future__'}
-    optional = {line for lines in argument('extras_require').values() for line in lines}
+    optional = {line for lines in PROJECT['optional-dependencies'].values() for line in lines}
     named = {NAMES.get(name, name) for name in foreign - OF_LINUXCNC}
     assert named - optional == required()
 
@@ -55,9 +61,8 @@ def test_what_the_offline_commands_are_set_up_with_is_what_pip_brings():
 
 
 def test_the_command_is_that_of_the_offline_verbs():
-    (script,) = argument('entry_points')['console_scripts']
-    name, module, function = re.fullmatch(r'(\w+) = ([\w.]+):(\w+)', script).groups()
-    assert name == 'otf'
+    assert list(PROJECT['scripts']) == ['otf']
+    module, function = PROJECT['scripts']['otf'].split(':')
     code = (
         f'import sys; sys.argv = ["otf", "--version"]; from {module} import {function} as f; f()'
     )
@@ -68,6 +73,50 @@ def test_the_command_is_that_of_the_offline_verbs():
 def test_every_room_is_a_package_that_is_found():
     folders = {file.parent for file in PACKAGE.rglob('*.py')}
     assert all((folder / '__init__.py').exists() for folder in folders)
+
+
+def test_wheels_bring_licence_and_readme_and_nobody_has_a_false_address():
+    folder = FILE.parent
+    assert (folder / 'LICENSE').read_bytes() == (ROOT / 'LICENSE').read_bytes()
+    assert PROJECT['readme'] == README.name and PROJECT['keywords'] and PROJECT['authors']
+    described = ElementTree.parse(folder / 'package.xml').getroot()
+    assert described.findtext('description') == PROJECT['description']
+    assert described.find('license').get('file') == 'LICENSE'
+    for file in [FILE, *ROOT.glob('src/*/package.xml'), *ROOT.glob('src/*/setup.py')]:
+        addresses = re.findall(r'[\w.-]+@[\w.-]+', file.read_text(encoding='utf-8'))
+        assert all(address.endswith('.invalid') for address in addresses), file
+
+
+@pytest.mark.parametrize(('command', 'found'), [('bdist_wheel', False), ('install', True)])
+def test_ros_finds_what_colcon_installs_and_pip_brings_nothing_of_it(command, found, monkeypatch):
+    given = {}
+    monkeypatch.setattr(sys, 'argv', ['setup.py', command])
+    monkeypatch.setattr('setuptools.setup', lambda **arguments: given.update(arguments))
+    exec((FILE.parent / 'setup.py').read_text(encoding='utf-8'), {})
+    assert bool(given['data_files']) == found
+    missing = {'license', 'requires-python', 'version'} - set(PROJECT['dynamic'])
+    assert not missing and given['python_requires'] == '>=3.10'
+
+
+def test_the_example_of_the_package_runs(tmp_path):
+    (code,) = re.findall(r'```python\n(.*?)```', README.read_text(encoding='utf-8'), re.DOTALL)
+    command = [sys.executable, '-W', 'error', '-c', code]
+    done = subprocess.run(
+        command, cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(PACKAGE.parent)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert 'EXX' in done.stdout and (tmp_path / 'results/report.html').exists()
+
+
+def test_who_cites_cites_this_version_and_the_paper():
+    cited = yaml.safe_load((ROOT / 'CITATION.cff').read_text(encoding='utf-8'))
+    assert cited['cff-version'] == '1.2.0' and cited['version'] == otf_core.__version__
+    (paper,) = cited['references']
+    assert (
+        paper['doi'] == '10.3390/jmmp7020060' and paper['authors'][0]['family-names'] == 'Sanders'
+    )
+    assert otf_core.__version__ in (ROOT / 'CHANGELOG.md').read_text(encoding='utf-8')
 
 
 def test_pages_of_the_public_names_are_made_without_a_warning(tmp_path):

@@ -12,7 +12,12 @@ import otf_core
 from otf_core.cli import _parser
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))]
+PAGES = [
+    ROOT / 'README.md',
+    ROOT / 'CONTRIBUTING.md',
+    ROOT / 'CHANGELOG.md',
+    *sorted((ROOT / 'docs').rglob('*.md')),
+]
 NAMES = [str(p.relative_to(ROOT)) for p in PAGES]
 
 
