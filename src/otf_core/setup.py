@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pyproject.toml cannot say to every setuptools and to colcon.
+"""What setup.cfg cannot say to colcon as well as to pip.
 
-The licence: no form of it suits both setuptools 68 and 80. The oldest Python: colcon reads back
-what setuptools makes of pyproject.toml, and cannot read that. The files by which ROS finds the
+The text of the README, which colcon does not put beside this file. The oldest Python: colcon reads
+back what setuptools makes of setup.cfg, and cannot read that. The files by which ROS finds the
 package: they have no place in an environment of pip, so that wheels go without them.
 """
 
 import sys
+from pathlib import Path
 
 from setuptools import setup
 
@@ -16,7 +17,8 @@ FOUND_BY_ROS = [
 ]
 
 setup(
-    license='Apache-2.0',
+    long_description=(Path(__file__).resolve().parent / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
     python_requires='>=3.10',
     data_files=[] if 'bdist_wheel' in sys.argv else FOUND_BY_ROS,
 )

@@ -4,8 +4,10 @@
 import ast
 import os
 import re
+import runpy
 import subprocess
 import sys
+from configparser import ConfigParser
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,11 +15,6 @@ import pytest
 import yaml
 
 import otf_core
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # comes with pytest there
 
 PACKAGE = Path(otf_core.__file__).parent
 ROOT = Path(__file__).resolve().parents[3]
@@ -28,13 +25,17 @@ OF_LINUXCNC = {'linuxcnc', 'hal'}
 """Come with LinuxCNC for the Python of the system, which runs the files that import them."""
 
 
-FILE = ROOT / 'src/otf_core/pyproject.toml'
-PROJECT = tomllib.loads(FILE.read_text(encoding='utf-8'))['project']
-README = ROOT / 'src/otf_core/README.md'
+FOLDER = ROOT / 'src/otf_core'
+PROJECT = ConfigParser()
+PROJECT.read(FOLDER / 'setup.cfg', encoding='utf-8')
+README = FOLDER / 'README.md'
 
 
 def required():
-    return {re.match(r'[\w.-]+', line)[0].lower() for line in PROJECT['dependencies']}
+    return {
+        re.match(r'[\w.-]+', line)[0].lower()
+        for line in PROJECT['options']['install_requires'].split()
+    }
 
 
 def imported():
@@ -48,7 +49,7 @@ def imported():
 
 def test_all_that_is_imported_is_required_and_nothing_else():
     foreign = set(imported()) - set(sys.stdlib_module_names) - {'otf_core', '__future__'}
-    optional = {line for lines in PROJECT['optional-dependencies'].values() for line in lines}
+    optional = set(PROJECT['options.extras_require'].values())
     named = {NAMES.get(name, name) for name in foreign - OF_LINUXCNC}
     assert named - optional == required()
 
@@ -61,8 +62,9 @@ def test_what_the_offline_commands_are_set_up_with_is_what_pip_brings():
 
 
 def test_the_command_is_that_of_the_offline_verbs():
-    assert list(PROJECT['scripts']) == ['otf']
-    module, function = PROJECT['scripts']['otf'].split(':')
+    script = PROJECT['options.entry_points']['console_scripts'].strip()
+    name, module, function = re.fullmatch(r'(\w+) = ([\w.]+):(\w+)', script).groups()
+    assert name == 'otf'
     code = (
         f'import sys; sys.argv = ["otf", "--version"]; from {module} import {function} as f; f()'
     )
@@ -76,13 +78,16 @@ def test_every_room_is_a_package_that_is_found():
 
 
 def test_wheels_bring_licence_and_readme_and_nobody_has_a_false_address():
-    folder = FILE.parent
-    assert (folder / 'LICENSE').read_bytes() == (ROOT / 'LICENSE').read_bytes()
-    assert PROJECT['readme'] == README.name and PROJECT['keywords'] and PROJECT['authors']
-    described = ElementTree.parse(folder / 'package.xml').getroot()
-    assert described.findtext('description') == PROJECT['description']
+    assert (FOLDER / 'LICENSE').read_bytes() == (ROOT / 'LICENSE').read_bytes()
+    known = PROJECT['metadata']
+    assert known['keywords'] and known['author'] and known['license'] == 'Apache-2.0'
+    described = ElementTree.parse(FOLDER / 'package.xml').getroot()
+    assert described.findtext('description') == known['description']
     assert described.find('license').get('file') == 'LICENSE'
-    for file in [FILE, *ROOT.glob('src/*/package.xml'), *ROOT.glob('src/*/setup.py')]:
+    files = [
+        p for name in ('package.xml', 'setup.py', 'setup.cfg') for p in ROOT.glob(f'src/*/{name}')
+    ]
+    for file in files:
         addresses = re.findall(r'[\w.-]+@[\w.-]+', file.read_text(encoding='utf-8'))
         assert all(address.endswith('.invalid') for address in addresses), file
 
@@ -92,10 +97,9 @@ def test_ros_finds_what_colcon_installs_and_pip_brings_nothing_of_it(command, fo
     given = {}
     monkeypatch.setattr(sys, 'argv', ['setup.py', command])
     monkeypatch.setattr('setuptools.setup', lambda **arguments: given.update(arguments))
-    exec((FILE.parent / 'setup.py').read_text(encoding='utf-8'), {})
+    runpy.run_path(str(FOLDER / 'setup.py'))
     assert bool(given['data_files']) == found
-    missing = {'license', 'requires-python', 'version'} - set(PROJECT['dynamic'])
-    assert not missing and given['python_requires'] == '>=3.10'
+    assert given['long_description'] == README.read_text(encoding='utf-8')
 
 
 def test_the_example_of_the_package_runs(tmp_path):

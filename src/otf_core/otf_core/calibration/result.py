@@ -6,12 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget
 from otf_core.budget.typical import TypicalSystematic, with_typical
+from otf_core.calibration.display import data_frame, figure, one_line, table_html
 from otf_core.calibration.headline import Headline
 from otf_core.calibration.verdict import Verdict, Verdicts
 from otf_core.config import CalibrationConfig
@@ -215,3 +217,54 @@ class CalibrationResult:
     def T_machine_tracker(self) -> RigidTransform:
         """Pose of the tracker in the first run."""
         return self.runs[0].T_machine_tracker
+
+    def to_frame(self) -> Any:
+        """All errors as a data frame of pandas, SI units, a row for every node.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``error`` (EXX ... ECZ, C0Y, B0Z, A0Z), ``axis``, ``position`` (m; NaN for squareness),
+            ``value`` (m or rad, actual minus nominal), ``unit`` (of the value), ``u`` (standard
+            uncertainty of what the budget holds), ``identifiable``, ``U`` and its ``k``: as in
+            error_tables.csv. ``attrs`` hold machine, chain, run_id and target_offset (m), at
+            which alone the values hold where rotations were not seen.
+
+        Raises
+        ------
+        ConfigError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> frame = result.to_frame()  # doctest: +SKIP
+        >>> frame[frame.error == 'EXX'].plot('position', 'value', yerr='U')  # doctest: +SKIP
+        """
+        return data_frame(self)
+
+    def plot(self) -> Any:
+        """Draw all error motions with matplotlib: micrometres and microradians over millimetres.
+
+        Bands are expanded uncertainties with the systematic contributions, as in the headline.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Made with pyplot: a notebook shows it, a script calls ``savefig`` on it.
+
+        Raises
+        ------
+        ConfigError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> result.plot().savefig('motions.png')  # doctest: +SKIP
+        """
+        return figure(self)
+
+    def __repr__(self) -> str:
+        return one_line(self)
+
+    def _repr_html_(self) -> str:
+        return table_html(self)

@@ -20,7 +20,7 @@ NEEDED = {
     'rosbags': '0.11',
     'threadpoolctl': '3.1',
 }
-"""Distributions and their oldest versions, as in pyproject.toml."""
+"""Distributions and their oldest versions, as in setup.cfg."""
 COMPILED = ('numpy', 'scipy.linalg', 'scipy.sparse', 'zstandard', 'yaml')
 """Modules whose binary parts may not fit this interpreter, or each other."""
 
