@@ -17,6 +17,7 @@ NEEDED = {
     'PyYAML': '6.0',
     'mcap': '1.1.1',
     'zstandard': '0.18',
+    'lz4': '4.3',
     'rosbags': '0.11',
     'threadpoolctl': '3.1',
 }
