@@ -3,7 +3,7 @@
 
 Rows as in Eq. 7 of the paper: two directions perpendicular to the path at every piece, unknowns
 are the tracker's pose, three squareness errors and coefficients of 18 error motions, written anew
-from INTERFACES section 1. Dense algebra throughout.
+from docs/conventions.md. Dense algebra throughout.
 
 - 'ols': pseudo-inverse, all rows alike; uncertainty by Eq. 12 (independent samples).
 - 'white': weights by range and angle variance of the samples of a piece.
@@ -70,7 +70,7 @@ def visible(cell, name):
 
 
 def table_bases(cell, pitch=None):
-    """Hat functions at the table nodes in the gauge of INTERFACES section 5."""
+    """Hat functions at the table nodes in the gauge of docs/conventions.md."""
     bases = {}
     for name in NAMES:
         axis = cell.machine.axes[name[2]]

@@ -173,7 +173,7 @@ class PlannerConfig(Parameters):
 
 @dataclass(frozen=True)
 class SimulationConfig(Parameters):
-    """The simulated cell: truth machine, drive, tracker. All random numbers hang on the seed.
+    """The simulated cell: truth machine, drive, tracker. The seed determines all random draws.
 
     Examples
     --------

@@ -227,7 +227,7 @@ def grid_error(tables, truth, count=5):
 
 
 def levers_by_hand(chain, offset, q):
-    """Lever arm of each axis straight from INTERFACES section 1, one point."""
+    """Lever arm of each axis straight from docs/conventions.md, one point."""
     sequence = chain.split('-')[1:-1]
     base = sequence.index('b')
     travel = {a: q[k] * np.eye(3)[k] for k, a in enumerate(AXES)}
@@ -244,7 +244,7 @@ def levers_by_hand(chain, offset, q):
 
 
 def error_by_hand(tables, q):
-    """First-order error of one point, term by term from INTERFACES section 1."""
+    """First-order error of one point, term by term from docs/conventions.md."""
     machine = tables.machine
     levers = levers_by_hand(str(machine.chain), machine.target_offset, q)
     total = np.zeros(3)

@@ -3,7 +3,7 @@
 
 A cell is a machine with true error motions of some form (``nature_forms``), a drive, a tracker
 and an own way of judging error tables. The kinematics are homogeneous 4x4 transforms along the
-chain string of INTERFACES section 1. Of otf_core only plain data types and the default path are
+chain string of docs/conventions.md. Of otf_core only plain data types and the default path are
 used, since the path is what is driven.
 
 On the target side, axis a is the transform travel(q_a) . error(q_a) from its frame to that of
@@ -306,7 +306,7 @@ class Cell:
 
 
 def levers(chain, offset, q):
-    """Lever arm of every axis as INTERFACES section 1 states it: name to (n, 3), m."""
+    """Lever arm of every axis as docs/conventions.md states it: name to (n, 3), m."""
     links = chain.split('-')[1:-1]
     base = links.index('b')
     found = {}

@@ -98,7 +98,7 @@ FORMS = (*SMOOTH_FORMS, 'matern', 'polygon')
 
 
 def nodes_of(low, high, pitch):
-    """Table nodes of INTERFACES section 2: from low in steps of the pitch, the last at high."""
+    """Table nodes of docs/conventions.md: from low in steps of the pitch, the last at high."""
     nodes = np.arange(low, high - 1e-6 * pitch, pitch)
     return np.append(nodes, high)
 

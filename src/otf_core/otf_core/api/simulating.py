@@ -130,7 +130,7 @@ def simulate(
     plan : Plan or PlanReport, optional
         What is driven; of a report also the place of the tracker. The default path if not given.
     seed : int, optional
-        All random numbers hang on it; that of ``config`` if not given.
+        Seed of all random draws; that of ``config`` if not given.
     tables : ErrorTables, str or Path, optional
         Errors of the machine, or an error_tables.json; drawn if not given.
     effects : mapping, str or Path, optional

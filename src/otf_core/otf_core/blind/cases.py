@@ -238,7 +238,7 @@ def draw_case(seed: int, number: int, kind: str, turn: int, names: Sequence[str]
     Parameters
     ----------
     seed, number : int
-        All random numbers hang on these.
+        Seed of all random draws.
     kind : str
         Of ``KINDS``.
     turn : int

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drawing of a trial: machine, path, tracker places, noise, tables; all hangs on one seed."""
+"""Drawing of a trial: machine, path, tracker places, noise, tables; all from one seed."""
 
 from __future__ import annotations
 

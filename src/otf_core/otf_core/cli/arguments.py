@@ -169,7 +169,7 @@ def add_judging_verbs(verb: AddVerb) -> None:
 
     sub = verb('blind', run_blind)
     sub.add_argument('--trials', type=int, required=True, help='cells to draw')
-    sub.add_argument('--seed', type=int, required=True, help='all random numbers hang on it')
+    sub.add_argument('--seed', type=int, required=True, help='seed of all random draws')
     add_out(sub, 'folder; an interrupted trial goes on there')
     sub.add_argument('--jobs', type=int, default=2, help='processes at once (default 2)')
     sub.add_argument(

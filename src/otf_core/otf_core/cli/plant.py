@@ -38,7 +38,7 @@ def add_plant_verbs(verb: AddVerb) -> None:
     sub.add_argument('--trials', type=int, metavar='N', help='blind, validate: cells')
     sub.add_argument(
         '--seed', type=int, metavar='N',
-        help='blind: all random numbers hang on it; validate: that of the first cell',
+        help='blind: seed of all random draws; validate: that of the first cell',
     )  # fmt: skip
     sub.add_argument(
         '--leave-one-out', action='store_true',

@@ -25,6 +25,6 @@ def check_driven_range(model: Model) -> list[Finding]:
         for k in short
     )
     return [Finding('driven range', WARNING, (
-        f'driven was {parts} only; the tables end there, and beyond them nothing is known: drive '
-        f'the whole range, or state the range in machine.yaml that is used'
+        f'only part of the range was driven: {parts}; the tables end there, and beyond them '
+        f'nothing is known: drive the whole range, or state the range in use in machine.yaml'
     ))]  # fmt: skip

@@ -91,7 +91,7 @@ WITH_WORDS = {CYCLE, MOMENT, PLACE, *TURNS}
 
 @dataclass(frozen=True)
 class Unnamed:
-    """Cause without a name (INTERFACES section 8).
+    """Cause without a name (docs/conventions.md, gap.json).
 
     Attributes
     ----------

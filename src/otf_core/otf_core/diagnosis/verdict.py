@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on a gap (INTERFACES section 6), from its sizes and what is left of it."""
+"""The verdict on a gap (docs/conventions.md, gap.json), from its sizes and what is left of it."""
 
 from __future__ import annotations
 

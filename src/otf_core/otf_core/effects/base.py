@@ -86,7 +86,7 @@ class Effect(ABC):
     """
 
     name: ClassVar[str]
-    """Name in files and reports (INTERFACES section 6)."""
+    """Name in files and reports (docs/conventions.md, gap.json)."""
     cause: ClassVar[str]
     equation: ClassVar[str]
     coefficients: ClassVar[str] = ''

@@ -100,7 +100,7 @@ class Chain:
         return tuple(a for a in AXES if a in own)
 
     def lever_axes(self, axis: str) -> tuple[str, ...]:
-        """Axes whose travel is part of the lever arm L of one axis (INTERFACES model)."""
+        """Axes whose travel is part of the lever arm L of an axis (docs/conventions.md)."""
         if axis in self.target_side:
             return self.target_side[self.target_side.index(axis) + 1 :]
         return self.table_side[self.table_side.index(axis) :] + self.target_side

@@ -22,7 +22,7 @@ class EffectForecast:
     Attributes
     ----------
     effect : str
-        Name of INTERFACES section 6.
+        Name in gap.json.
     words : str
         One line for forecast.txt.
     data : mapping

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files and the text of a calibration.
 
-``error_tables.json`` (INTERFACES layout; holds the covariance in full precision, so that a copy
+``error_tables.json`` (holds the covariance in full precision, so that a copy
 of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv``
 (the same, forward and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``,
 ``report.html`` (all of it for a reader).

@@ -24,7 +24,7 @@ REPORT_FILE, BESIDE_TABLES = 'report.html', 'gap_report.html'
 
 
 def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return a diagnosis as plain data in the layout of gap.json (INTERFACES section 6)."""
+    """Return a diagnosis as plain data in the layout of gap.json."""
     return {
         'schema': SCHEMA,
         'runs': list(diagnosis.runs),

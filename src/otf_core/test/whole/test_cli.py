@@ -62,7 +62,7 @@ def test_prediction_leaves_less_than_two_per_cent_of_the_truth(done):
     np.testing.assert_array_equal(rows[:, :3], done.q)
     truth = np.array([error_by_hand(done.truth, point) for point in done.q])
     left = without_rigid_motion(rows[:, 3:6] - truth, done.q)
-    # INTERFACES demands at most 2 % left
+    # the contract demands at most 2 % left
     assert mean_length(left) < 0.02 * mean_length(without_rigid_motion(truth, done.q))
 
 

@@ -85,7 +85,7 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
 
 
 def gap_um(measured_um: float, simulated_um: float) -> float:
-    """Gap between a measured and a simulated residual (INTERFACES section 6), um."""
+    """Gap between a measured and a simulated residual (docs/conventions.md, gap.json), um."""
     return float(np.sqrt(max(0.0, measured_um**2 - simulated_um**2)))
 
 
