@@ -14,7 +14,7 @@ from otf_tracker_driver.emscon.errors import LinkError
 CHUNK = 1 << 16
 ENDED_WITHIN = 0.3
 """s"""
-HINT = 'is it on, and the address right?'
+HINT = 'check that it is on and the address is correct'
 
 
 class Wire:

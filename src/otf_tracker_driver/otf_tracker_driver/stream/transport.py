@@ -140,7 +140,10 @@ def opened(source: Source, peer: str = '') -> Transport:
         return Socket(_probed(socket.create_connection(address, CONNECT_WITHIN)), False)
     except (OSError, UnicodeError) as error:
         reason = getattr(error, 'strerror', None) or error
-        raise InputError(f'{source}: cannot be opened ({reason}); check that the device is on and the address is correct') from None
+        raise InputError(
+            f'{source}: cannot be opened ({reason}); check that the device is on and the address '
+            f'is correct'
+        ) from None
 
 
 def _probed(made: socket.socket) -> socket.socket:
