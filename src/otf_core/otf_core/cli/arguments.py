@@ -93,6 +93,11 @@ def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
         '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
     )
     sub.add_argument(
+        '--certificate', action='store_true',
+        help='write certificate.html too: two pages for print; customer, number and the like come '
+        'from the sections certificate, instrument and conditions of machine.yaml',
+    )  # fmt: skip
+    sub.add_argument(
         '--no-report', dest='report', action='store_false', help='leave report.html out'
     )
 

@@ -77,6 +77,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
                 folder,
                 residuals_csv=arguments.residuals_csv,
                 report=arguments.report,
+                certificate=arguments.certificate,
                 facts=facts,
             )
     _answer_calibration(arguments, facts, files)
@@ -120,7 +121,11 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
         progress('writing', 0.0)
         with out.filled('calibrate') as folder:
             files = write_with_effects(
-                done, folder, residuals_csv=arguments.residuals_csv, report=arguments.report
+                done,
+                folder,
+                residuals_csv=arguments.residuals_csv,
+                report=arguments.report,
+                certificate=arguments.certificate,
             )
     _answer_calibration(arguments, facts_of(done.result), files)
     return _judged(arguments, done.result)

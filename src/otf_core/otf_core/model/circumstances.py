@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a report states and no recording holds: sections ``instrument`` and ``conditions``.
+"""What a report states and no recording holds: instrument, conditions, certificate.
 
-Both are optional in machine.yaml, and so are their keys; nothing is computed from them. Units are
-in the names; temperature is in degrees Celsius, as on thermometers (REP 103).
+These sections are optional in machine.yaml, and so are their keys; nothing is computed from them.
+Units are in the names; temperature is in degrees Celsius, as on thermometers (REP 103).
 """
 
 from __future__ import annotations
@@ -20,6 +20,14 @@ INSTRUMENT = {
     'mpe': 'maximum permissible error',
     'mode': 'distance meter (IFM or ADM)',
     'target': 'target (SMR)',
+}
+CERTIFICATE = {
+    'number': 'certificate number',
+    'customer': 'customer',
+    'order': 'order',
+    'laboratory': 'issued by',
+    'manufacturer': 'manufacturer of the machine',
+    'machine_serial': 'serial number of the machine',
 }
 TEXTS = {'operator': 'operator', 'place': 'place', 'remark': 'remark'}
 NUMBERS: dict[str, tuple[str, str, float, float]] = {
@@ -39,14 +47,20 @@ NUMBERS: dict[str, tuple[str, str, float, float]] = {
 
 @dataclass(frozen=True)
 class Circumstances:
-    """As stated in machine.yaml, by the keys of ``INSTRUMENT``, ``TEXTS`` and ``NUMBERS``."""
+    """As stated in machine.yaml, by the keys of ``INSTRUMENT``, ``TEXTS`` and ``NUMBERS``.
+
+    ``certificate``: by those of ``CERTIFICATE``, for the certificate alone.
+    """
 
     instrument: Mapping[str, str] = field(default_factory=dict)
     conditions: Mapping[str, str | float] = field(default_factory=dict)
+    certificate: Mapping[str, str] = field(default_factory=dict)
 
 
-def circumstances_from_fields(instrument: Fields, conditions: Fields) -> Circumstances:
-    """Read both sections.
+def circumstances_from_fields(
+    instrument: Fields, conditions: Fields, certificate: Fields
+) -> Circumstances:
+    """Read the three sections.
 
     Raises
     ------
@@ -62,4 +76,6 @@ def circumstances_from_fields(instrument: Fields, conditions: Fields) -> Circums
         if conditions.has(key):
             stated[key] = conditions.number(key, low=low, high=high, unit=unit, closed=True)
     conditions.done(known=(*TEXTS, *NUMBERS))
-    return Circumstances(own, stated)
+    named = {key: certificate.text(key) for key in CERTIFICATE if certificate.has(key)}
+    certificate.done(known=CERTIFICATE)
+    return Circumstances(own, stated, named)

@@ -34,7 +34,7 @@ space are ``frames.XYZ``.
 
 KEYS = (
     'name', 'chain', 'axes', 'target_offset', 'tracker', 'uncertainty', 'limits', 'instrument',
-    'conditions', 'signals',
+    'conditions', 'certificate', 'signals',
 )  # fmt: skip
 """Of machine.yaml; all from ``uncertainty`` on are optional."""
 
@@ -123,7 +123,7 @@ class Machine:
     limits : Limits, optional
         What a calibration is judged by.
     stated : Circumstances
-        Instrument and conditions, for reports alone.
+        Instrument, conditions and certificate, for reports alone.
     signals : tuple of SignalSpec
         What is recorded beside the samples.
     file_sha256 : str
@@ -179,7 +179,7 @@ class Machine:
                 data['uncertainty']['preset'] = self.uncertainty.preset
         if self.limits is not None:
             data['limits'] = dict(self.limits.values)
-        for key in ('instrument', 'conditions'):
+        for key in ('instrument', 'conditions', 'certificate'):
             if getattr(self.stated, key):
                 data[key] = dict(getattr(self.stated, key))
         if self.signals:
@@ -226,11 +226,11 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
     elif spec.preset is not None:
         declared = declared_from_fields(Fields({}, where), spec.preset)
     limits = limits_from_fields(top.mapping('limits')) if top.has('limits') else None
-    instrument, conditions = (
+    instrument, conditions, certificate = (
         top.mapping(key) if top.has(key) else Fields({}, where)
-        for key in ('instrument', 'conditions')
+        for key in ('instrument', 'conditions', 'certificate')
     )
-    circumstances = circumstances_from_fields(instrument, conditions)
+    circumstances = circumstances_from_fields(instrument, conditions, certificate)
     signals: tuple[SignalSpec, ...] = ()
     if top.has('signals'):
         section = top.mapping('signals')

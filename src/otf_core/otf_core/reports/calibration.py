@@ -4,7 +4,7 @@
 ``error_tables.json`` (holds the covariance in full precision, so that a copy
 of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv``
 (the same, forward and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``,
-``report.html`` (all of it for a reader).
+``report.html`` (all of it for a reader), ``certificate.html`` (two pages for print, on request).
 """
 
 from __future__ import annotations
@@ -33,12 +33,14 @@ from otf_core.prediction.volumetric import volumetric_error
 from otf_core.reports.budget import BudgetLine, budget_lines, budget_to_dict, expanded
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_report import calibration_html, calibration_sections
+from otf_core.reports.certificate import certificate_html
 from otf_core.reports.residuals import write_residuals
 from otf_core.reports.reversal import reversal_csv, reversal_to_dict
 from otf_core.reports.section import sections_to_text
 from otf_core.threads import in_one_thread
 
 TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
+CERTIFICATE_FILE = 'certificate.html'
 
 
 def result_to_dict(
@@ -153,6 +155,7 @@ def write_calibration(
     *,
     residuals_csv: bool = False,
     report: bool = True,
+    certificate: bool = False,
     facts: Facts | None = None,
 ) -> list[Path]:
     """Write all files of a calibration; error_tables.json last.
@@ -168,6 +171,8 @@ def write_calibration(
         Write the residuals as text too.
     report : bool
         Write report.html.
+    certificate : bool
+        Write certificate.html.
     facts : Facts, optional
         Worked out if not given.
 
@@ -189,9 +194,12 @@ def write_calibration(
     write_text(folder / 'summary.txt', format_result(result, facts) + '\n')
     if report:
         write_report(folder, facts)
+    if certificate:
+        write_text(folder / CERTIFICATE_FILE, certificate_html(facts))
     data = result_to_dict(result, verb, facts)
     write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
-    names = (TABLES_FILE, 'error_tables.csv', 'reversal.csv', *((REPORT_FILE,) if report else ()))
+    pages = [n for n, on in ((REPORT_FILE, report), (CERTIFICATE_FILE, certificate)) if on]
+    names = (TABLES_FILE, 'error_tables.csv', 'reversal.csv', *pages)
     return [*(folder / name for name in names), *residuals, folder / 'summary.txt']
 
 

@@ -25,7 +25,7 @@ class Heading:
     title : str
         What the page is, and of what.
     sentence : str
-        The verdict.
+        The verdict; may be empty.
     badges : tuple of State
         The verdict in a word or two; one badge for each question that is answered.
     tiles : tuple of (what, value, remark)
@@ -132,7 +132,7 @@ def page_html(heading: Heading, sections: Sequence[Section]) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<title>{text(heading.title)}</title><style>{style}</style></head><body><main>\n'
         f'<h1>{text(heading.title)} <span class="badges">{badges}</span></h1>'
-        f'<p class="verdict">{text(heading.sentence)}</p>\n'
+        + (f'<p class="verdict">{text(heading.sentence)}</p>\n' if heading.sentence else '')
         + (f'<div class="tiles">{tiles}</div>\n' if tiles else '')
         + '\n'.join(map(_section, first))
         + f'\n<nav aria-label="sections">{named}</nav>\n'

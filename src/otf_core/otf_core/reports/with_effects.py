@@ -21,6 +21,7 @@ def write_with_effects(
     *,
     residuals_csv: bool = False,
     report: bool = True,
+    certificate: bool = False,
 ) -> list[Path]:
     """Write the calibration, the effects taken off, and the plain calibration in ``plain/``.
 
@@ -34,7 +35,9 @@ def write_with_effects(
     files = []
     if done.applied[0]:
         files = write_calibration(done.plain, folder / PLAIN_FOLDER, report=report)[:1]
-    written = write_calibration(done.result, folder, residuals_csv=residuals_csv, report=report)
+    written = write_calibration(
+        done.result, folder, residuals_csv=residuals_csv, report=report, certificate=certificate
+    )
     machine = done.result.tables.machine
     for number, applied in enumerate(done.applied):
         if applied and (not number or _differs(applied, done.applied[0])):

@@ -92,7 +92,7 @@ th, td { text-align: left; vertical-align: top; padding: 0.35rem 0.8rem 0.35rem 
 th { font-weight: 600; color: var(--soft); font-size: 0.85rem; }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 td.number { white-space: nowrap; }
-td > b { font-weight: 600; }
+td > b { font-weight: 600; } td > b[class] { white-space: nowrap; }
 .sheet { columns: 28rem 2; column-gap: 2.5rem; } .sheet > * { break-inside: avoid; }
 .pictures { display: grid; gap: 0.6rem 1rem; }
 @media screen and (min-width: 620px) { .pictures.two, .pictures.three {
@@ -119,6 +119,8 @@ li { margin: 0.25rem 0; overflow-wrap: anywhere; }
   padding: 0.1rem 0; text-align: left; } .cards td:empty { display: none; }
   .cards td[data-head]::before { font-size: 0.8rem;
   content: attr(data-head) ": "; color: var(--soft); } }
+.signatures { display: grid; grid-template-columns: 1fr 1fr 1fr; gap: 2rem; margin-top: 3.2rem; }
+.signatures div { border-top: 1px solid var(--ink); padding-top: 0.2rem; font-size: 0.85rem; }
 @media print { body { max-width: none; padding: 0; font-size: 10pt; } nav, .screen,
   .screen-only { display: none; } h2 { margin-top: 1rem; padding-top: 0.5rem; }
   h2, h3, caption { break-after: avoid; } tr, li { break-inside: avoid; }
@@ -128,7 +130,12 @@ li { margin: 0.25rem 0; overflow-wrap: anywhere; }
   break-after: avoid; } details:not([open]) { display: none; } p { orphans: 3; widows: 3; }
   tbody tr:first-child, tbody tr:nth-child(2), tbody tr:nth-child(3) { break-before: avoid; }
   tbody tr:nth-last-child(-n+2) { break-before: avoid; } .facts { break-inside: avoid; }
-  figure { margin: 0.5rem 0; } figure svg { max-height: 13cm; }
+  #certificate-errors { break-before: page; } #certificate-errors td { padding: 0.08rem 0.8rem
+  0.08rem 0; font-size: 9pt; }
+  #certificate-volume svg { max-height: 52mm; } #subject table { margin: 0.2rem 0; }
+  #subject td:first-child { width: 42%; } #statement p { font-size: 9pt; }
+  #subject td { padding: 0.1rem 0.8rem 0.1rem 0; font-size: 9pt; }
+  .sheet { columns: 2; } figure { margin: 0.5rem 0; } figure svg { max-height: 13cm; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 )
