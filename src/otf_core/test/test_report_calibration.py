@@ -164,7 +164,8 @@ TEN_QUESTIONS = {
         r'.* Largest displacement: E[XYZ]{2}, [a-z]+, [\d.−]+ ± [\d.]+ µm at [XYZ] [\d.−]+ mm',
     'What is not known?': r'Not known: ',
     'Is Y square to X, which way does it lean, and how sure is that?':
-        r'C0Y: angle between \+X and \+Y is 90° [+−-] [\d.]+ µrad.* U, 95 % \(µrad\) k C0Y',
+        r'C0Y: angle between \+X and \+Y is 90° [+−-] [\d.]+ µrad.* U \(µrad\) '
+        r'u in the files, k = 1 \(µrad\) Holds C0Y',
     'Is a positive error towards larger or smaller positions?':
         r'an error is actual minus nominal position .* A correction has the opposite sign',
     'Does the machine go another way forward than backward?': r'Reversal model: \w+',
@@ -209,14 +210,21 @@ def test_nodes_in_the_page_are_those_of_json_and_csv(page, tables, folder, motio
         assert (row[7] in {'ok', 'few data'}) == seen
 
 
-def test_squareness_in_the_page_is_that_of_json_in_both_habits_of_sign(page, tables):
+def test_squareness_in_the_page_is_that_of_json_in_both_habits_of_sign(page, tables, result):
     rows = {row[0]: row for row in page.rows('Squareness')}
     for name, sign in (('C0Y', 1), ('B0Z', -1), ('A0Z', 1)):
         entry = tables['squareness'][name]
-        value, other, u, wide = map(number, rows[name][1:5])
-        assert value == pytest.approx(1e6 * entry['value'], abs=5.1e-3)
+        value, other, wide, u = map(number, rows[name][1:5])
+        assert value == pytest.approx(1e6 * entry['value'], abs=0.06 * wide)
         assert other == pytest.approx(sign * value)
-        assert (u, wide) == pytest.approx((1e6 * entry['u'], 1e6 * entry['U']), abs=5.1e-3)
+        assert wide == pytest.approx(1e6 * result.expanded[name][0], rel=0.06)
+        assert u == pytest.approx(1e6 * entry['u'], rel=0.06)
+        assert wide > 2 * u, 'U holds what is systematic, typical where it is not declared'
+        offset = '(20, −30, −150) mm'
+        holds = {'C0Y': 'ECY', 'B0Z': 'EBZ, ECZ', 'A0Z': 'EAZ, ECZ'}[name]
+        assert (
+            rows[name][5].replace('\u00a0', ' ') == f'at target offset {offset}, contains {holds}'
+        )
 
 
 def test_volumetric_error_agrees_in_page_terminal_and_json(page, tables, result, folder):

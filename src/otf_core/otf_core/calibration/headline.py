@@ -27,7 +27,86 @@ DECLARED, PARTLY, ASSUMED = 'declared', 'partly typical', 'typical'
 
 
 @dataclass(frozen=True)
-class Headline:
+class Expected:
+    """Expanded uncertainty of the error vectors on a grid: what compensation will leave.
+
+    Attributes
+    ----------
+    expanded : mapping of 'mean', 'p95', 'max' to float, m
+        Systematic contributions included.
+    observed : mapping of the same, m
+        Nothing systematic: what is seen to scatter.
+    k : float
+        Coverage factor of both.
+    assumed : tuple of str
+        Contributions for which typical values stand, as the budget calls them.
+    nothing_declared : bool
+        True if machine.yaml declares no contribution at all.
+    """
+
+    expanded: Mapping[str, float]
+    observed: Mapping[str, float]
+    k: float
+    assumed: tuple[str, ...]
+    nothing_declared: bool
+
+    @property
+    def systematic(self) -> str:
+        """'declared', 'typical' or 'partly typical': where systematic contributions come from."""
+        if not self.assumed:
+            return DECLARED
+        return ASSUMED if self.nothing_declared else PARTLY
+
+    @property
+    def label(self) -> str:
+        """The same in a few words."""
+        return {
+            DECLARED: 'systematic contributions as declared',
+            PARTLY: f'systematic contributions as declared; {", ".join(self.assumed)} typical, '
+            f'not declared',
+            ASSUMED: 'systematic contributions typical, not declared in machine.yaml',
+        }[self.systematic]
+
+    @property
+    def expanded_words(self) -> str:
+        """What is to be expected after compensation."""
+        return (
+            f'expected after compensation: {self._sizes(self.expanded)} '
+            f'(U, k = {self.k:.3g}; {self.label})'
+        )
+
+    @property
+    def observed_words(self) -> str:
+        """The part that holds nothing systematic."""
+        return f'noise and misfit of this run alone: {self._sizes(self.observed)} (U)'
+
+    @property
+    def forecast_words(self) -> str:
+        """The same part before anything is measured."""
+        return f'noise of the tracker alone: {self._sizes(self.observed)} (U)'
+
+    def _sizes(self, sizes: Mapping[str, float]) -> str:
+        return ', '.join(
+            f'{word} {micro_significant(sizes[name])}'
+            for word, name in (('mean', 'mean'), ('largest', 'max'))
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, SI."""
+        return {
+            'expected_after_compensation': {
+                'U': dict(self.expanded),
+                'k': self.k,
+                'systematic': self.systematic,
+                'typical_for': list(self.assumed),
+                'presets': list(TYPICAL) if self.assumed else [],
+            },
+            'noise_and_misfit_alone': {'U': dict(self.observed), 'k': self.k},
+        }
+
+
+@dataclass(frozen=True)
+class Headline(Expected):
     """Volumetric error and its expanded uncertainty on one grid.
 
     Attributes
@@ -36,38 +115,13 @@ class Headline:
         Of the grid over the whole volume.
     error : mapping of 'mean', 'p95', 'max' to float, m
         Lengths of the error vectors as the machine stands.
-    expanded : mapping of the same, m
-        Expanded uncertainty of the error vectors, systematic contributions included: what is to
-        be expected after compensation.
-    observed : mapping of the same, m
-        Expanded uncertainty that the run itself shows: noise and misfit, nothing systematic.
     of_largest : float, m
         Expanded uncertainty of the length of the largest error vector.
-    k : float
-        Coverage factor of all of them.
-    systematic : str
-        'declared', 'typical' or 'partly typical': where the systematic contributions come from.
-    assumed : tuple of str
-        Contributions for which typical values stand, as the budget calls them.
     """
 
     points: int
     error: Mapping[str, float]
-    expanded: Mapping[str, float]
-    observed: Mapping[str, float]
     of_largest: float
-    k: float
-    systematic: str
-    assumed: tuple[str, ...]
-
-    @property
-    def label(self) -> str:
-        """Where the systematic contributions come from, in a few words."""
-        return {
-            DECLARED: 'systematic contributions as declared',
-            PARTLY: 'systematic contributions declared, the missing ones typical, not declared',
-            ASSUMED: 'systematic contributions typical, not declared',
-        }[self.systematic]
 
     @property
     def error_words(self) -> str:
@@ -75,21 +129,6 @@ class Headline:
         mean = micro_figure(self.error['mean'], self.expanded['mean'])
         largest = micro_with_expanded(self.error['max'], self.of_largest)
         return f'volumetric error as the machine stands: mean {mean}, largest {largest}'
-
-    @property
-    def expanded_words(self) -> str:
-        """What is to be expected after compensation."""
-        mean, largest = (micro_significant(self.expanded[s]) for s in ('mean', 'max'))
-        return (
-            f'expected after compensation: mean {mean}, largest {largest} '
-            f'(U, k = {self.k:.3g}; {self.label})'
-        )
-
-    @property
-    def observed_words(self) -> str:
-        """The part that the run itself shows."""
-        mean, largest = (micro_significant(self.observed[s]) for s in ('mean', 'max'))
-        return f'noise and misfit of this run alone: mean {mean}, largest {largest} (U)'
 
     @property
     def words(self) -> tuple[str, str, str]:
@@ -104,14 +143,7 @@ class Headline:
             'rigid_motion': 'taken out',
             'error': dict(self.error),
             'U_of_largest': self.of_largest,
-            'expected_after_compensation': {
-                'U': dict(self.expanded),
-                'k': self.k,
-                'systematic': self.systematic,
-                'typical_for': list(self.assumed),
-                'presets': list(TYPICAL) if self.assumed else [],
-            },
-            'noise_and_misfit_alone': {'U': dict(self.observed), 'k': self.k},
+            **super().to_dict(),
         }
 
 
@@ -139,16 +171,13 @@ def headline_of(
         variance = parts.sum(axis=0).reshape(-1, 3) + volume.beyond
         return length_sizes(k * np.sqrt(variance.sum(axis=1)))
 
-    assumed = typical.missing if typical else ()
     return Headline(
-        points=len(volume.grid),
-        error=volume.sizes(),
         expanded=sizes(variances),
         observed=sizes(variances[own]),
-        of_largest=k * float(np.sqrt(longest)),
         k=k,
-        systematic=(
-            DECLARED if typical is None else ASSUMED if typical.nothing_declared else PARTLY
-        ),
-        assumed=assumed,
+        assumed=typical.missing if typical else (),
+        nothing_declared=typical is not None and typical.nothing_declared,
+        points=len(volume.grid),
+        error=volume.sizes(),
+        of_largest=k * float(np.sqrt(longest)),
     )

@@ -24,7 +24,9 @@ from otf_core.model.tables import ErrorTables
 from otf_core.noise.events import Lost
 from otf_core.noise.model import Misfit, NoiseModel
 from otf_core.pieces.pieces import Pieces
+from otf_core.prediction.absorbed import OffsetBound, offset_bound
 from otf_core.prediction.table_prior import MotionPrior
+from otf_core.prediction.volumetric import table_places
 from otf_core.solving.reversal import Reversal
 from otf_core.solving.tabulate import TableCost
 
@@ -212,6 +214,26 @@ class CalibrationResult:
     def covariance_with_typical(self) -> Array:
         """Its covariance of squareness and nodes, in the order of ``covariance``."""
         return self.covariance if self.typical is None else self.budget_with_typical.covariance
+
+    @cached_property
+    def offset_bound(self) -> OffsetBound:
+        """Values that hold at the target offset of the measurement only."""
+        return offset_bound(self.tables.machine, self.not_identifiable)
+
+    @cached_property
+    def expanded(self) -> dict[str, Array]:
+        """Expanded uncertainty of squareness errors (1,) and nodes (k,), m and rad.
+
+        That of the headline: with typical values where nothing is declared; zero where a value
+        is not identifiable.
+        """
+        u = np.sqrt(np.maximum(np.diag(self.covariance_with_typical), 0.0))
+        variances = self.budget_with_typical.variances()
+        found = {}
+        for name, place in table_places(self.tables).items():
+            k, _ = self.budget_with_typical.expansion(variances[:, place])
+            found[name] = k * u[place] * (name not in self.not_identifiable)
+        return found
 
     @property
     def T_machine_tracker(self) -> RigidTransform:

@@ -14,7 +14,7 @@ from otf_core.cli.measuring import (
     run_noise,
     run_predict,
 )
-from otf_core.cli.options import AddVerb, add_out, add_parameters, add_reading
+from otf_core.cli.options import AddVerb, add_out, add_parameters, add_reading, add_verbose
 from otf_core.cli.plant import run_blind
 from otf_core.cli.simulating import run_plan, run_simulate, run_validate
 from otf_core.config import (
@@ -138,6 +138,7 @@ def add_measuring_verbs(verb: AddVerb) -> None:
     _add_runs(sub)
     add_out(sub, 'folder for the results')
     _add_calibrate_options(sub)
+    add_verbose(sub, 'summary.txt')
     add_parameters(sub, CalibrationConfig)
 
     _add_diagnose(verb)
@@ -211,6 +212,7 @@ def add_planning_verbs(verb: AddVerb) -> None:
     sub = verb('plan', run_plan)
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'folder for path, forecast and program')
+    add_verbose(sub, 'forecast.txt')
     sub.add_argument('--path', help='CSV x,y,z, plan.json or NC program: take this path instead')
     sub.add_argument(
         '--after', metavar='DIR',

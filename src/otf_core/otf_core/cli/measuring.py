@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import given_of, output_folder, parameters
@@ -14,8 +15,6 @@ from otf_core.errors import ConfigError, OtfError
 from otf_core.live.stages import CALIBRATE, DIAGNOSE
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from otf_core.calibration.result import CalibrationResult
     from otf_core.pieces.runs import Recording
     from otf_core.reports.calibration_facts import Facts
@@ -87,11 +86,15 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
 def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list[Path]) -> None:
     """Print a calibration."""
     from otf_core.reports.calibration_report import calibration_sections
+    from otf_core.reports.calibration_summary import calibration_summary
     from otf_core.reports.section import sections_to_dict, sections_to_text
 
     sections = calibration_sections(facts)
     report = sections_to_dict(sections)
-    answer_from(arguments, f'{sections_to_text(sections)}\n', files, TABLES, report=report)
+    words = sections_to_text(sections) if arguments.verbose else calibration_summary(facts)
+    open_next = 'report.html' if arguments.report else 'summary.txt'
+    words = f'{words}\nopen {Path(arguments.out) / open_next}; all numbers: --verbose, summary.txt'
+    answer_from(arguments, words, files, TABLES, report=report)
 
 
 def _judged(arguments: argparse.Namespace, result: CalibrationResult) -> int:
@@ -167,8 +170,6 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
 
 def run_noise(arguments: argparse.Namespace) -> int:
     """Tracker noise in the standstills of a bag."""
-    from pathlib import Path
-
     from otf_core.inputs.recordings import read_samples
     from otf_core.model.provenance import origin_of, provenance
     from otf_core.noise.report import noise_report

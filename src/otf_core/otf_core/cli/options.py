@@ -55,6 +55,13 @@ def add_out(parser: argparse.ArgumentParser, text: str) -> None:
     )
 
 
+def add_verbose(parser: argparse.ArgumentParser, where: str) -> None:
+    """Add --verbose: all numbers on the terminal too, which otherwise stand in a file."""
+    parser.add_argument(
+        '--verbose', action='store_true', help=f'print all numbers, as they stand in {where}'
+    )
+
+
 def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
     """Add the options that say how recordings are read."""
     group = parser.add_argument_group('how recordings are read')

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from otf_core.cli.options import output_folder, parameters
@@ -116,7 +117,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from otf_core.planning.after import measured_runs, open_questions
     from otf_core.planning.job import PlanRequest, make_plan, read_place
     from otf_core.planning.nc import DIALECTS
-    from otf_core.reports.plan import format_report, write_report
+    from otf_core.reports.plan import format_report, plan_summary, write_report
 
     given = (arguments.machine, arguments.path, arguments.noise, arguments.after)
     out = output_folder(arguments, *(name for name in given if name))
@@ -143,7 +144,10 @@ def run_plan(arguments: argparse.Namespace) -> int:
             files = write_report(report, folder, dialect, about)
     if dialect is None and not arguments.quiet:
         note(f'no NC program: give --dialect {"|".join(DIALECTS)} for one')
-    answer_from(arguments, format_report(report), files, 'plan.json')
+    words = format_report(report) if arguments.verbose else plan_summary(report)
+    shown = next((f.name for f in files if f.name == 'report.html'), 'plan.svg')
+    words += f'open {Path(arguments.out) / shown}; all numbers: --verbose, forecast.txt'
+    answer_from(arguments, words, files, 'plan.json')
     return 0
 
 

@@ -20,11 +20,15 @@ from otf_core.budget.systematic import (
     systematic_sensitivities,
 )
 from otf_core.budget.typical import missing_keys, typical_runs
+from otf_core.calibration.headline import Expected
+from otf_core.model.declared import KEYS
+from otf_core.model.expanded import COVERAGE_FACTOR
 from otf_core.model.plan import Plan
 from otf_core.model.presets import TYPICAL
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.planning.forecast import Forecast, Setup, grid_uncertainty, tracker_pose
+from otf_core.prediction.volumetric import length_sizes
 from otf_core.solving.joint import JointSolution, SolvedRun, tables_of
 from otf_core.solving.roughness import Roughness
 from otf_core.solving.system import build_system
@@ -48,12 +52,18 @@ def planned_solution(plan: Plan, setup: Setup, found: Forecast) -> Planned:
         pose=tracker_pose(setup),
         noise=setup.noise,
     )
-    system = build_system(setup.machine, found.pieces, observed.pose, found.unknowns)
-    whitener = Whitener.of(system, found.pieces, setup.noise)
+    return solution_of_pieces(observed, found)
+
+
+def solution_of_pieces(observed: Observed, found: Forecast) -> Planned:
+    """What pieces show, planned or recorded, and solution and tables with zero deviations."""
+    machine = observed.machine
+    system = build_system(machine, found.pieces, observed.pose, found.unknowns)
+    whitener = Whitener.of(system, found.pieces, observed.noise)
     solved = SolvedRun(observed.pose, system, whitener, np.zeros_like(system.deviation))
     nothing = Roughness({}, np.zeros((found.unknowns.free,) * 2), np.zeros((0, 0)), 0.0, 0.0)
     done = JointSolution(found.unknowns, found.solution, nothing, found.normal, (solved,), 1)
-    return observed, done, tables_of(setup.machine, found.unknowns, found.solution)
+    return observed, done, tables_of(machine, found.unknowns, found.solution)
 
 
 @dataclass(frozen=True)
@@ -67,6 +77,8 @@ class PlannedSystematic:
     noise, with_declared, with_typical : float
         m, k = 1: of the noise alone; with the declared contributions; with typical values for
         the missing keys too.
+    expected : Expected
+        Expanded, with all of them: what a calibration would state first.
     """
 
     declared: tuple[str, ...]
@@ -74,23 +86,7 @@ class PlannedSystematic:
     noise: float
     with_declared: float
     with_typical: float
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """Lines for forecast.txt."""
-        lines = []
-        if self.declared:
-            lines.append(
-                f'with the declared contributions ({", ".join(self.declared)}) the mean grid '
-                f'uncertainty is {1e6 * self.with_declared:.3f} um'
-            )
-        if self.missing:
-            lines.append(
-                f'WARNING {", ".join(self.missing)}: not or only in part declared in '
-                f'machine.yaml; with typical values (presets {", ".join(TYPICAL)}) it would be '
-                f'{1e6 * self.with_typical:.3f} um'
-            )
-        return tuple(lines)
+    expected: Expected
 
     def to_dict(self) -> dict[str, Any]:
         """Entry of plan.json."""
@@ -101,6 +97,7 @@ class PlannedSystematic:
             'mean_grid_u_noise': self.noise,
             'mean_grid_u_with_declared': self.with_declared,
             'mean_grid_u_with_typical': self.with_typical,
+            **self.expected.to_dict(),
         }
 
 
@@ -125,18 +122,29 @@ def planned_systematic(planned: Planned, found: Forecast) -> PlannedSystematic:
             total += change @ change.T
         return total
 
-    def mean(covariance: Array) -> float:
+    def lengths(covariance: Array) -> Array:
         free = grid_uncertainty(run.machine, found.nodes, covariance, found.grid)[1]
-        return float(np.linalg.norm(free, axis=1).mean())
+        return np.asarray(np.linalg.norm(free, axis=1))
 
     keys = missing_keys([run])
     missing = [s for s in SYSTEMATIC if set(s.keys) & set(keys)]
     declared = declared_sources([run])
     own = found.covariance + added(declared, [run])
+    noise = np.linalg.norm(found.grid_u_free, axis=1)
+    stated = lengths(own) if declared else noise
+    whole = lengths(own + added(missing, typical_runs([run], keys))) if missing else stated
+    expected = Expected(
+        expanded=length_sizes(COVERAGE_FACTOR * whole),
+        observed=length_sizes(COVERAGE_FACTOR * noise),
+        k=COVERAGE_FACTOR,
+        assumed=tuple(s.source for s in missing),
+        nothing_declared=len(keys) == len(KEYS),
+    )
     return PlannedSystematic(
         tuple(s.source for s in declared),
-        tuple(s.source for s in missing),
+        expected.assumed,
         found.mean_grid_u,
-        mean(own) if declared else found.mean_grid_u,
-        mean(own + added(missing, typical_runs([run], keys))),
+        float(stated.mean()),
+        float(whole.mean()),
+        expected,
     )

@@ -80,6 +80,7 @@ def result_to_dict(
         'failed_gates': list(result.failed_gates),
         'verdicts': result.verdicts.to_dict(),
         'headline': result.headline.to_dict(),
+        'target_offset_bound': result.offset_bound.to_dict(),
         'config': asdict(result.config),
         'volumetric_error': volumetric_error(result.tables),
         'provenance': dict(facts.provenance),
@@ -119,27 +120,37 @@ def _spacing(result: CalibrationResult) -> dict[str, Any]:
 
 
 def _tidy_rows(result: CalibrationResult, budget: list[BudgetLine]) -> str:
-    lines = ['motion,axis,position,value,unit,u,identifiable,U,k']
+    lines = ['motion,axis,position,value,unit,u,identifiable,U,k,U_with_typical,target_offset']
     wide = expanded(result.tables, budget)
     for motion in MOTIONS:
         table = result.tables.motions[motion]
         known = table.node_identifiable
         flags = np.ones(len(table.position)) if known is None else known
         k = wide[motion]['k']
-        rows = zip(table.position, table.value, table.u, flags, wide[motion]['U'], strict=True)
-        for position, value, u, seen, wide_u in rows:
+        whole, offset = result.expanded[motion], _offset_cell(result, motion)
+        rows = zip(
+            table.position, table.value, table.u, flags, wide[motion]['U'], whole, strict=True
+        )
+        for position, value, u, seen, wide_u, whole_u in rows:
             lines.append(
                 f'{motion},{motion.axis},{tidy(position)!r},{float(value) + 0.0!r},{motion.unit},'
-                f'{float(u)!r},{str(bool(seen)).lower()},{wide_u!r},{_factor(k)}'
+                f'{float(u)!r},{str(bool(seen)).lower()},{wide_u!r},{_factor(k)},{float(whole_u)!r},{offset}'
             )
     for name in SQUARENESS:
         entry = result.tables.squareness[name]
         seen = name not in result.not_identifiable
         lines.append(
             f'{name},,,{entry.value + 0.0!r},rad,{entry.u!r},{str(seen).lower()},'
-            f'{wide[name]["U"]!r},{_factor(wide[name]["k"])}'
+            f'{wide[name]["U"]!r},{_factor(wide[name]["k"])},'
+            f'{float(result.expanded[name][0])!r},{_offset_cell(result, name)}'
         )
     return '\n'.join(lines) + '\n'
+
+
+def _offset_cell(result: CalibrationResult, name: str) -> str:
+    """Target offset at which alone a value holds, m; empty: at any."""
+    bound = result.offset_bound
+    return ' '.join(f'{v:g}' for v in bound.offset) if name in bound.contains else ''
 
 
 def _factor(k: float | None) -> str:

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from otf_core.checking.check import CheckReport
-from otf_core.checking.checked import ERROR
+from otf_core.checking.checked import ERROR, Checked
+from otf_core.checking.forecast import FORECAST
 
 
 def format_check(report: CheckReport) -> str:
-    """Return the text for a terminal: the answer, what is wrong, then the table."""
+    """Return the text for a terminal: the answer, what to expect, what is wrong, the table."""
     wrong = sum(p.severity == ERROR for _, p in report.problems)
     doubtful = len(report.problems) - wrong
     counted = [
@@ -17,11 +18,15 @@ def format_check(report: CheckReport) -> str:
         if count
     ]
     answer = 'usable' if report.usable else 'NOT USABLE'
-    lines = [f'{report.name}: {answer}{", " if counted else ""}{", ".join(counted)}', '']
+    lines = [f'{report.name}: {answer}{", " if counted else ""}{", ".join(counted)}']
+    expected = report.checked.get(FORECAST.name, Checked()).words
+    lines += [*expected.splitlines(), '']
     lines += [f'{p.severity.upper()} {name}: {p.what}' for name, p in report.problems]
     lines += [''] if report.problems else []
     width = max(len(name) for name in report.checked)
     lines += [
-        f'{name:<{width}}  {found.words}' for name, found in report.checked.items() if found.words
+        f'{name:<{width}}  {found.words}'
+        for name, found in report.checked.items()
+        if found.words and name != FORECAST.name
     ]
     return '\n'.join(lines)

@@ -19,6 +19,7 @@ import numpy as np
 from otf_core.files.csv_points import tidy, write_csv
 from otf_core.files.writing import write_text
 from otf_core.inputs.plan_json import SCHEMA
+from otf_core.model.expanded import micro_significant
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
 from otf_core.noise.fields import noise_to_fields
@@ -106,29 +107,54 @@ def _table(found: Forecast) -> list[str]:
     return lines
 
 
+def first_lines(report: PlanReport) -> list[str]:
+    """What is expected, what it takes, what it does not show."""
+    plan, found = report.plan, report.forecast
+    feeds = ', '.join(map(str, np.unique(np.rint(60e3 * plan.feed)).astype(int)))
+    expected = report.systematic.expected if report.systematic else None
+    return [
+        *((expected.expanded_words, expected.forecast_words) if expected else ()),
+        f'Plan: {report.how}',
+        f'{len(plan.path.points)} points, {plan.path.length:.2f} m, {found.duration:.0f} s; feeds '
+        f'{feeds} mm/min; at least {1e3 * _margin(report):.1f} mm inside the axis ranges',
+    ]
+
+
+def plan_summary(report: PlanReport) -> str:
+    """Return a dozen lines for a terminal; ``format_report`` holds all numbers."""
+    lines = first_lines(report)
+    lines += [f'says to the diagnosis: {a.words}' for a in report.after]
+    needs: dict[str, list[str]] = {}
+    for finding in report.findings:
+        needs.setdefault(finding.needs, []).append(finding.error)
+    lines += [f'does not show {", ".join(names)}; needs {what}' for what, names in needs.items()]
+    lines += [] if needs else ['shows all 21 errors']
+    lines += [f'tracker: {line}' for line in report.advice[:1]]
+    hidden = [e.effect for e in report.effects if not e.data['visible']]
+    if report.effects:
+        seen = len(report.effects) - len(hidden)
+        rest = f'; not visible: {", ".join(hidden)}' if hidden else ''
+        lines.append(
+            f'effects beyond the rigid body: {seen} of {len(report.effects)} visible{rest}'
+        )
+    return '\n'.join(lines) + '\n'
+
+
 def format_report(report: PlanReport) -> str:
     """Return the text of forecast.txt; it stands for itself in a terminal."""
-    plan, found, setup = report.plan, report.forecast, report.setup
-    free = np.linalg.norm(found.grid_u_free, axis=1)
+    found, setup = report.forecast, report.setup
     gauge = np.linalg.norm(found.grid_u, axis=1)
-    feeds = np.unique(np.rint(60e3 * plan.feed)).astype(int)
     lines = [
-        f'Plan: {report.how}',
-        f'{len(plan.path.points)} points, {plan.path.length:.2f} m, {found.duration:.0f} s with '
-        f'accelerations of {setup.config.acceleration:g} m/s^2 and dwells',
-        f'feeds {", ".join(map(str, feeds))} mm/min; at least {1e3 * _margin(report):.1f} mm '
-        f'inside the axis ranges',
+        *first_lines(report),
         f'Assumed: tracker at {place(setup.place)} in the machine frame, '
-        f'{setup.config.rate:g} samples/s; noise of a sample:',
+        f'{setup.config.rate:g} samples/s, '
+        f'accelerations of {setup.config.acceleration:g} m/s^2; noise of a sample:',
         *(f'  {part}' for part in str(setup.noise).split('; ')),
         '',
-        f'Forecast of tracker noise alone, standard uncertainties (k = 1), '
-        f'{found.solution.rank} of {found.solution.unknowns} unknowns determined',
-        f'mean grid uncertainty {1e6 * free.mean():.3f} um, largest {1e6 * free.max():.3f} um '
-        f'(best rigid motion of the grid taken out)',
-        f'in the gauge of the tables {1e6 * gauge.mean():.3f} um, largest '
-        f'{1e6 * gauge.max():.3f} um',
-        *(report.systematic.words if report.systematic else ()),
+        f'Of the noise of the tracker alone, standard uncertainties (k = 1), '
+        f'{found.solution.rank} of {found.solution.unknowns} unknowns determined:',
+        f'in the gauge of the tables, on the grid: mean {micro_significant(gauge.mean())}, '
+        f'largest {micro_significant(gauge.max())}',
         *_table(found),
         '',
         *(['What it would say to the diagnosis:'] if report.after else []),

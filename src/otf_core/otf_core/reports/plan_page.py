@@ -31,13 +31,7 @@ def expanded_forecast(report: PlanReport) -> tuple[float, str]:
     found = report.systematic
     if found is None:
         return COVERAGE_FACTOR * report.forecast.mean_grid_u, 'tracker noise alone'
-    if not found.missing:
-        label = 'systematic contributions as declared'
-    elif found.declared:
-        label = 'systematic contributions declared, the missing ones typical'
-    else:
-        label = 'systematic contributions typical, not declared'
-    return COVERAGE_FACTOR * found.with_typical, label
+    return found.expected.expanded['mean'], found.expected.label
 
 
 def _heading(report: PlanReport) -> Heading:

@@ -70,11 +70,13 @@ def asked(tmp_path, capsys):
 def test_the_object_of_a_calibration_is_its_file_and_comes_as_checked(asked, tmp_path, capsys):
     assert run('check', ROOM / 'bag', *MACHINE, '--json') == 0
     expected = json.loads(capsys.readouterr().out)
-    code, answer, words = asked('calibrate', ROOM / 'bag', *MACHINE, '--no-report')
-    assert code == 0 and 'mean u, k = 1' in words
-    (line,) = (line for line in words.splitlines() if line.startswith('grid  um'))
-    found = float(line.split('dof')[1].split()[2])
-    assert 0.5 < expected['forecast']['mean_grid_u_um'] / found < 2.0
+    code, answer, words = asked('calibrate', ROOM / 'bag', *MACHINE, '--no-report', '--verbose')
+    assert code == 0 and (tmp_path / 'out/summary.txt').read_text().rstrip() in words
+    for key in ('expected_after_compensation', 'noise_and_misfit_alone'):
+        forecast, stated = (
+            found[key]['U'] for found in (expected['forecast'], answer['headline'])
+        )
+        assert 0.5 < forecast['mean'] / stated['mean'] < 2.0
     assert expected['coverage'] == pytest.approx(answer['fit']['coverage'], abs=0.01)
     written = json.loads((tmp_path / 'out/error_tables.json').read_text())
     assert answer['motions'] == written['motions'] and answer['verb'] == 'calibrate'

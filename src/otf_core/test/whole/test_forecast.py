@@ -308,7 +308,8 @@ def test_plan_writes_path_forecast_and_no_program_unasked(tmp_path, machine_file
     assert sorted(f.name for f in out.iterdir()) == names
     assert 'no NC program: give --dialect' in hints.splitlines()[-1]
     text = (out / 'forecast.txt').read_text()
-    assert text in said
+    assert len(said.splitlines()) <= 14
+    assert said.splitlines()[:4] == text.splitlines()[:4]
     data = json.loads((out / 'plan.json').read_text())
     assert data['schema'] == 'otf-plan/1'
     assert data['assumed']['tracker_place'] == [-0.3, 0.1, -0.1]
@@ -350,7 +351,7 @@ def test_plan_judges_a_given_path(tmp_path, machine_file, capsys):
     assert code == 0
     said = capsys.readouterr().out
     assert 'Plan: the path given' in said
-    assert 'EYZ: the path does not move Z' in said
+    assert 'EYZ: the path does not move Z' in (out / 'forecast.txt').read_text()
 
 
 def test_recorded_plan_of_the_shared_cell_has_the_forecast_rank(cell):

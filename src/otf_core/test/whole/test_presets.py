@@ -239,9 +239,12 @@ def test_a_forecast_says_that_it_holds_noise_only_and_what_else_there_is(cell):
     assert len(found.missing) == 6
     assert found.with_declared == found.noise
     assert found.with_typical > 3 * found.noise
-    assert 'Forecast of tracker noise alone' in text
-    assert 'WARNING tracker scale, air, ' in text
-    assert f'{1e6 * found.with_typical:.3f} um' in text
+    first, second = text.splitlines()[:2]
+    assert first == found.expected.expanded_words
+    assert 'typical, not declared in machine.yaml' in first
+    assert second == found.expected.forecast_words
+    assert found.expected.expanded['mean'] == pytest.approx(2 * found.with_typical)
+    assert found.expected.observed['mean'] == pytest.approx(2 * found.noise)
     assert data['forecast']['holds'] == 'noise'
     assert data['systematic']['mean_grid_u_with_typical'] == found.with_typical
 
@@ -253,9 +256,10 @@ def test_a_forecast_with_declared_contributions_is_what_the_calibration_states(c
     result = calibrate(samples, cell.path, machine)
     found, text, _ = planned(machine, cell.plan)
     assert found.missing == ()
-    assert 'WARNING' not in text
     nodes = {a: result.tables.motions[f'E{a}{a}'].position for a in 'XYZ'}
     free = grid_uncertainty(machine, nodes, result.covariance, lattice(machine, 7))[1]
     stated = np.linalg.norm(free, axis=1).mean()
     assert found.with_declared == pytest.approx(stated, rel=0.05)
-    assert 'with the declared contributions (tracker scale, air, ' in text
+    first = result.headline
+    assert text.splitlines()[0].endswith('systematic contributions as declared)')
+    assert found.expected.expanded == pytest.approx(first.expanded, rel=0.05)

@@ -221,15 +221,17 @@ def test_squareness_in_words_is_the_angle_that_the_axes_enclose(name, one, other
     moved = ends + displacement(tables, ends) - displacement(tables, np.zeros((1, 3)))
     cosine = moved[0] @ moved[1] / np.prod(np.linalg.norm(moved, axis=1))
     more = np.arccos(cosine) - np.pi / 2
-    assert squareness_words(name, value) == (
-        f'angle between +{one} and +{other} is 90 deg {"+" if more > 0 else "-"} 30.0 urad '
-        f'(6.2 arcsec)'
+    assert squareness_words(name, value, 2e-7) == (
+        f'angle between +{one} and +{other} is 90 deg {"+" if more > 0 else "-"} 30.00 urad '
+        f'(6.188 arcsec)'
     )
 
 
 def test_tables_in_csv_have_expanded_uncertainty_and_tidy_positions(cell):
     header, *rows = (cell.tables.parent / 'error_tables.csv').read_text().splitlines()
-    assert header == 'motion,axis,position,value,unit,u,identifiable,U,k'
+    assert header == (
+        'motion,axis,position,value,unit,u,identifiable,U,k,U_with_typical,target_offset'
+    )
     data = json.loads(cell.tables.read_text())
     for row in (r.split(',') for r in rows):
         entry = data['squareness' if row[0][0] in 'ABC' else 'motions'][row[0]]

@@ -44,7 +44,7 @@ def section(facts: Facts) -> Section:
         *_largest(facts),
         'One picture for each error motion, over the position of its axis. Scales differ.',
     )
-    text = ('motion  unit  nodes       min       max    mean u, k = 1',
+    text = ('motion  unit  nodes       min       max  largest U  holds',
             *(_text(facts, name) for name in MOTIONS),
             '', f'Gauge: {GAUGE}.', spacing_words(facts.result), '')  # fmt: skip
     return Section('motions', 'Error motions', words_, _data(facts), (table,), text,
@@ -100,8 +100,10 @@ def _text(facts: Facts, name: ErrorMotion) -> str:
     row = f'{name:<8}{micro_unit(name.unit):<6}{len(table.position):>5}'
     if not table.identifiable:
         return row + '   not identifiable in these data'
-    row += f'{1e6 * table.value.min():>10.2f}{1e6 * table.value.max():>10.2f}'
-    return row + f'{1e6 * table.u.mean():>17.2f}'
+    wide = 1e6 * float(facts.result.expanded[name].max())
+    low, high = (figure(1e6 * float(v), wide) for v in (table.value.min(), table.value.max()))
+    row += f'{low:>10}{high:>10}{significant(wide):>11}'
+    return f'{row}  {facts.result.offset_bound.words(name)}'.rstrip()
 
 
 def spacing_words(result: CalibrationResult) -> str:

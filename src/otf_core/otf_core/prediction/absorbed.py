@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values that hold at one target offset only: those that contain a rotation nobody saw.
+
+A rotation r(q_a) along d of an axis a moves a target at the offset T by r d x T more than one at
+the machine zero that the axes carry along. Where the data do not show r, this part of it is a
+translation like any other: it is in the straightness, the positioning and the squareness that
+were determined, and with another tool it would be another one. Which values take it up follows
+from the model: the displacement d x T of smooth functions r is split into what the values that
+are seen, in their gauge, and a rigid motion of the whole can make.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.evaluation import rigid_columns
+from otf_core.model.kinematics import motion_influence, squareness_influence, turned
+from otf_core.model.machine import Machine
+from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
+
+Array = NDArray[np.float64]
+
+COUNT = 5
+"""Places per axis at which displacements are compared; as many as a cubic needs, and one."""
+LEAST = 1e-6
+"""Share of the displacement below which a value takes up nothing of it."""
+
+
+def offset_words(offset: Array) -> str:
+    """A target offset: '(0, 0, -150) mm'."""
+    return f'({", ".join(f"{1e3 * v + 0.0:.6g}" for v in offset)}) mm'
+
+
+@dataclass(frozen=True)
+class OffsetBound:
+    """Values that contain rotations which the data do not show.
+
+    Attributes
+    ----------
+    offset : ndarray, shape (3,), m
+        Target offset at which they hold.
+    contains : mapping of motion or squareness error to tuple of str
+        The rotations that a value contains; values that hold at any target offset are left out.
+    """
+
+    offset: Array
+    contains: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def words(self, name: str) -> str:
+        """What stands beside a value; empty for one that holds at any target offset."""
+        rotations = self.contains.get(name)
+        if not rotations:
+            return ''
+        return f'at target offset {offset_words(self.offset)}, contains {", ".join(rotations)}'
+
+    @property
+    def sentence(self) -> str:
+        """All of them in one sentence; empty if there are none."""
+        if not self.contains:
+            return ''
+        unseen = dict.fromkeys(r for found in self.contains.values() for r in found)
+        return (
+            f'{", ".join(self.contains)} hold at the target offset {offset_words(self.offset)} '
+            f'only: they contain {", ".join(unseen)} times the lever of the target, which these '
+            f'data do not show'
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Entry ``target_offset_bound`` of error_tables.json, SI."""
+        return {
+            'unit': 'm',
+            'offset': self.offset.tolist(),
+            'contains': {name: list(found) for name, found in self.contains.items()},
+        }
+
+
+def offset_bound(machine: Machine, hidden: Collection[str]) -> OffsetBound:
+    """Find the values that hold at the target offset of the measurement only.
+
+    Parameters
+    ----------
+    machine : Machine
+        With the target offset that was measured with.
+    hidden : collection of str
+        Motions and squareness errors that the data cannot see.
+    """
+    places = [np.linspace(-1.0, 1.0, COUNT)] * 3
+    s = np.stack([g.ravel() for g in np.meshgrid(*places, indexing='ij')], axis=1)
+    q = 0.5 * (machine.lower + machine.upper) + 0.5 * s * (machine.upper - machine.lower)
+    names, columns = _seen_columns(machine, hidden, s, q)
+    basis = np.concatenate([rigid_columns(q), *columns], axis=2).reshape(3 * len(q), -1)
+    scale = np.linalg.norm(basis, axis=0)
+    used = scale > 0
+    found: dict[str, list[str]] = {}
+    for rotation in (m for m in MOTIONS if m in hidden and not m.is_translation):
+        arm = np.broadcast_to(machine.target_offset, q.shape)
+        functions = _shapes(rotation, s[:, rotation.place])
+        moved = turned(rotation.along, arm)[:, :, None] * functions[:, None, :]
+        moved = moved.reshape(3 * len(q), -1)
+        if not np.abs(moved).max() > 0:
+            continue
+        weights = np.zeros((basis.shape[1], moved.shape[1]))
+        weights[used] = np.linalg.lstsq(basis[:, used] / scale[used], moved, rcond=None)[0]
+        size = np.abs(weights).max(axis=1) / np.linalg.norm(moved, axis=0).max()
+        start = 6
+        for name, own in zip(names, columns, strict=True):
+            stop = start + own.shape[2]
+            if size[start:stop].max() > LEAST:
+                found.setdefault(name, []).append(rotation)
+            start = stop
+    return OffsetBound(
+        machine.target_offset,
+        {n: tuple(found[n]) for n in (*SQUARENESS, *MOTIONS) if n in found},
+    )
+
+
+def _seen_columns(
+    machine: Machine, hidden: Collection[str], s: Array, q: Array
+) -> tuple[list[str], list[Array]]:
+    """Names of what is seen, and the displacements (n, 3, k) that each can make at q (n, 3)."""
+    names: list[str] = [n for n in SQUARENESS if n not in hidden]
+    columns = [squareness_influence(n, q)[:, :, None] for n in names]
+    for motion in (m for m in MOTIONS if m not in hidden):
+        shapes = _shapes(motion, s[:, motion.place])
+        names.append(motion)
+        columns.append(motion_influence(machine, motion, q)[:, :, None] * shapes[:, None, :])
+    return names, columns
+
+
+def _shapes(motion: ErrorMotion, s: Array) -> Array:
+    """Smooth functions (n, k) of -1 <= s <= 1 in the gauge of a motion."""
+    if motion.is_straightness:
+        return np.stack([1.0 - s**2, s - s**3], axis=1)
+    return np.stack([1.0 + s, 1.0 - s**2, s - s**3], axis=1)
