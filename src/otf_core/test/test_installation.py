@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 from cli_cells import run
 
-from otf_core.installation import graph, packages, python, space, texts
-from otf_core.installation.doctor import examine
-from otf_core.installation.state import ERROR, OK
+from otf_core.installation import doctor
+from otf_core.installation.doctor import ERROR, OK, examine
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -40,7 +39,7 @@ def test_this_installation_can_calibrate(capsys):
 def test_what_is_needed_is_what_the_package_requires():
     lines = (ROOT / 'src/otf_core/setup.cfg').read_text(encoding='utf-8')
     required = dict(re.findall(r'^ +([\w-]+)>=([\d.]+)$', lines, re.MULTILINE))
-    assert required == packages.NEEDED
+    assert required == doctor.OLDEST_VERSIONS
 
 
 def test_a_package_that_is_missing_or_old_is_named(monkeypatch):
@@ -48,37 +47,37 @@ def test_a_package_that_is_missing_or_old_is_named(monkeypatch):
 
     def version(name):
         if have.get(name, '99') is None:
-            raise packages.PackageNotFoundError(name)
+            raise doctor.PackageNotFoundError(name)
         return have.get(name, '99')
 
-    monkeypatch.setattr(packages, 'version', version)
-    missing, old = packages.check()
+    monkeypatch.setattr(doctor, 'version', version)
+    missing, old = doctor.check_packages()
     assert (missing.severity, missing.what) == (ERROR, 'missing: mcap')
     assert old.what == 'too old: numpy 1.20.3 (needed 1.26)' and old.do
 
 
 def test_an_old_interpreter_is_an_error(monkeypatch):
     monkeypatch.setattr(sys, 'version_info', (3, 9, 1))
-    assert of(python.check, 'python').severity == ERROR
+    assert of(doctor.check_python, 'python').severity == ERROR
 
 
 @pytest.mark.parametrize('domain', ['233', '-1', 'cell 5', '7\n'])
 def test_a_domain_that_is_none_is_named(monkeypatch, domain):
     monkeypatch.setenv('ROS_DOMAIN_ID', domain)
-    assert of(graph.check, 'domain').severity != OK
+    assert of(doctor.check_graph, 'domain').severity != OK
 
 
 def test_a_port_that_is_taken_is_named(monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', '199')
-    assert of(graph.check, 'domain').severity == OK
+    assert of(doctor.check_graph, 'domain').severity == OK
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(('', graph.FIRST_PORT + 199 * graph.PER_DOMAIN))
-        assert 'UDP port 57150 cannot be opened' in of(graph.check, 'domain').what
+        other.bind(('', doctor.FIRST_PORT + 199 * doctor.PER_DOMAIN))
+        assert 'UDP port 57150 cannot be opened' in of(doctor.check_graph, 'domain').what
 
 
 def test_another_distribution_is_named(monkeypatch):
     monkeypatch.setenv('ROS_DISTRO', 'humble')
-    assert 'jazzy' in of(graph.check, 'ros').do
+    assert 'jazzy' in of(doctor.check_graph, 'ros').do
 
 
 def test_little_room_is_named(monkeypatch):
@@ -86,13 +85,13 @@ def test_little_room_is_named(monkeypatch):
     class Full:
         free = 5e7
 
-    monkeypatch.setattr(space.shutil, 'disk_usage', lambda folder: Full)
-    assert of(space.check, 'disk').severity == ERROR
+    monkeypatch.setattr(doctor.shutil, 'disk_usage', lambda folder: Full)
+    assert of(doctor.check_disk_and_memory, 'disk').severity == ERROR
 
 
 def test_a_terminal_that_is_not_utf_8_is_named():
     code = (
-        'from otf_core.installation.texts import check; '
+        'from otf_core.installation.doctor import check_locale_and_variables as check; '
         'print(*(s.severity for s in check() if s.part == "locale"))'
     )
     env = {**os.environ, 'PYTHONIOENCODING': 'latin-1'}
@@ -104,7 +103,7 @@ def test_a_terminal_that_is_not_utf_8_is_named():
 
 def test_a_variable_that_changes_python_is_named(monkeypatch):
     monkeypatch.setenv('PYTHONOPTIMIZE', '1')
-    assert 'PYTHONOPTIMIZE=1' in of(texts.check, 'environment').what
+    assert 'PYTHONOPTIMIZE=1' in of(doctor.check_locale_and_variables, 'environment').what
 
 
 def test_the_doctor_needs_no_numpy():

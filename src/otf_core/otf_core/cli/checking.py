@@ -32,8 +32,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 def run_doctor(arguments: argparse.Namespace) -> int:
     """Say what is wrong with an installation."""
-    from otf_core.installation.doctor import examine
-    from otf_core.installation.state import ERROR, OK
+    from otf_core.installation.doctor import ERROR, OK, examine
 
     states = examine()
     lines = [f'{s.severity:<9}{s.part:<12}{s.what}{f": {s.do}" if s.do else ""}' for s in states]
