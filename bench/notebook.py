@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the cells of the notebooks in examples/ in their order, as a reader would.
 
+They are stored with their outputs; nbconvert and ipykernel store them anew.
+
 Usage: PYTHONPATH=src/otf_core .venv/bin/python bench/notebook.py
+       PYTHONPATH=../src/otf_core python -m nbconvert --to notebook --execute --inplace NOTEBOOK
+       (in examples/)
 """
 
 import json

@@ -5,6 +5,7 @@ import ast
 import inspect
 import json
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -132,11 +133,17 @@ def test_results_travel_between_processes():
     assert again.recording.machine.name == machine.name
 
 
-def test_notebook_uses_public_names_only_and_its_code_is_code():
+def test_notebook_is_stored_with_its_pictures_and_uses_public_names_only():
     (notebook,) = (ROOT / 'examples').glob('*.ipynb')
     data = json.loads(notebook.read_text(encoding='utf-8'))
     code = [''.join(c['source']) for c in data['cells'] if c['cell_type'] == 'code']
-    assert not any(c.get('outputs') for c in data['cells'])  # bench/notebook.py runs it
+    outputs = [o for c in data['cells'] for o in c.get('outputs', ())]
+    assert not any(o['output_type'] == 'error' or o.get('name') == 'stderr' for o in outputs)
+    assert sum('image/png' in o.get('data', ()) for o in outputs) == 2
+    assert all(c['execution_count'] and c['outputs'] for c in data['cells']
+               if c['cell_type'] == 'code')  # fmt: skip
+    whole = notebook.read_text(encoding='utf-8')
+    assert len(whole) < 250_000 and not re.search(r'(?<![\w:])/(work|tmp|root|home)/', whole)
     used = {
         node.attr
         for text in code

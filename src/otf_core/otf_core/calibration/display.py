@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget
 from otf_core.errors import ConfigError
+from otf_core.files.csv_points import tidy
 from otf_core.model.expanded import micro_with_expanded
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.tables import ErrorTables
@@ -106,7 +107,7 @@ def data_frame(result: CalibrationResult) -> Any:
         known = table.node_identifiable
         flags = np.ones(len(table.position), bool) if known is None else known
         rows += [
-            (str(motion), motion.axis, p, v, motion.unit, u, bool(seen), _expanded(k, u), k)
+            (str(motion), motion.axis, tidy(p), v, motion.unit, u, bool(seen), _expanded(k, u), k)
             for p, v, u, seen in zip(table.position, table.value, table.u, flags, strict=True)
         ]
     for name in SQUARENESS:
@@ -150,6 +151,7 @@ def figure(result: CalibrationResult) -> Any:
             panel.set_xlabel(f'{axis} (mm)')
             panel.set_ylabel('µm' if unit_of(motion) == 'm' else 'µrad')
             if not table.identifiable:
+                panel.set(xticks=[], yticks=[])
                 panel.text(0.5, 0.5, 'not seen', ha='center', transform=panel.transAxes)
                 continue
             wide = factors[motion] * spread[places[motion]]
