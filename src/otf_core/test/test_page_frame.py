@@ -7,7 +7,7 @@ from html_cells import Page, unloading
 
 from otf_core.reports.drawing.style import STYLE, running_head
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Section, State, Table
+from otf_core.reports.section import Picture, Section, State, Table
 
 SENTENCE = 'Errors within 5.0 um.'
 
@@ -78,3 +78,16 @@ def test_paper_cuts_no_row_off_its_table():
         'h2, h3, caption { break-after: avoid; }',
     ):
         assert rule in paper
+
+
+def test_paper_may_break_long_figures_alone_and_leaves_hints_to_screens():
+    def of(count):
+        picture = Picture(('<svg></svg>',) * count, 'Captions.', hint='Drag it.')
+        return page_of(Section('a', 'A', draw=lambda: (picture,)))
+
+    assert '<figure class="long">' in of(18)
+    assert '<figure>' in of(2)
+    assert 'Captions. <span class="screen">Drag it.</span>' in of(2)
+    paper = STYLE[STYLE.index('@media print') :]
+    assert '.long { break-inside: auto; }' in paper
+    assert '.pictures > div { break-inside: avoid; }' in paper

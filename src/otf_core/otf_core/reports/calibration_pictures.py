@@ -137,8 +137,9 @@ def volume_pictures(facts: Facts) -> Picture:
         (_arrows(facts, step, shown), _spheres(facts, shown)),
         f'Left, before: error vectors as the machine stands{stated}. Right, after: what is to be '
         f'expected with these tables loaded, U (95 %) of the vector as radius; predicted, not '
-        f'measured. Both at one scale. {TURNED}',
+        f'measured. Both at one scale.',
         columns=2,
+        hint=TURNED,
         key=heat_key(step, 1e6 * longest, 'µm'),
     )
 

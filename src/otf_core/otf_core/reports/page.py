@@ -13,6 +13,8 @@ from otf_core.reports.section import Cell, Picture, Section, State, Table
 
 LONG = 400
 """Letters of a section's words from which they stand in two columns."""
+LONG_FIGURE = 6
+"""Parts of a figure beyond which paper may break it between its rows."""
 COLUMNS = {1: '', 2: ' two', 3: ' three'}
 
 
@@ -78,11 +80,12 @@ def _table(table: Table) -> str:
 def _picture(picture: Picture) -> str:
     title = f'<h3>{text(picture.title)}</h3>' if picture.title else ''
     kind = COLUMNS[picture.columns]
-    caption = f'<figcaption>{text(picture.caption)}</figcaption>' if picture.caption else ''
+    hint = f' <span class="screen">{text(picture.hint)}</span>' if picture.hint else ''
+    said = text(picture.caption) + hint
+    caption = f'<figcaption>{said}</figcaption>' if said else ''
+    long = ' class="long"' if len(picture.parts) > LONG_FIGURE else ''
     parts = ''.join(f'<div>{part}</div>' for part in picture.parts)
-    return (
-        f'<figure>{title}{picture.key}<div class="pictures{kind}">{parts}</div>{caption}</figure>'
-    )
+    return f'<figure{long}>{title}{picture.key}<div class="pictures{kind}">{parts}</div>{caption}</figure>'
 
 
 def _tables(tables: Sequence[Table]) -> str:

@@ -60,6 +60,8 @@ class Picture:
     title : str
     key : str
         What colours mean, as markup.
+    hint : str
+        What the reader can do on a screen; not printed.
     """
 
     parts: tuple[str, ...]
@@ -67,6 +69,7 @@ class Picture:
     columns: int = 1
     title: str = ''
     key: str = ''
+    hint: str = ''
 
 
 def no_pictures() -> Sequence[Picture]:

@@ -50,8 +50,8 @@ def _pictures(facts: Facts) -> Sequence[Picture]:
         name = f'Run {number}. ' if len(runs) > 1 else ''
         space = Picture(
             (_space(facts, run),),
-            f'{name}Path coloured by the length of the residual across it, after '
-            f'compensation. {TURNED}',
+            f'{name}Path coloured by the length of the residual across it, after compensation.',
+            hint=TURNED,
             title='In space' if number == 1 else '',
         )
         time = Picture(

@@ -135,7 +135,10 @@ li { margin: 0.25rem 0; overflow-wrap: anywhere; }
   #certificate-volume svg { max-height: 52mm; } #subject table { margin: 0.2rem 0; }
   #subject td:first-child { width: 42%; } #statement p { font-size: 9pt; }
   #subject td { padding: 0.1rem 0.8rem 0.1rem 0; font-size: 9pt; }
-  .sheet { columns: 2; } figure { margin: 0.5rem 0; } figure svg { max-height: 13cm; }
+  .sheet { columns: 2; } figure { margin: 0.5rem 0; }
+  .tile { padding: 0.4rem 0.6rem; } .tile span, figcaption, .keys { font-size: 8.5pt; }
+  figure svg { max-height: 13cm; } .long { break-inside: auto; }
+  .pictures > div { break-inside: avoid; } #overview svg.turn { max-height: 5cm; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 )
