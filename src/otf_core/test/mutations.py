@@ -16,8 +16,8 @@ from mcap.writer import CompressionType
 from otf_core.bags.bag import read_bag
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import OtfError
-from otf_core.files.csv_points import read_points_csv
 from otf_core.inputs.plan_json import read_plan
+from otf_core.inputs.points_file import read_points
 from otf_core.model.machine import load_machine
 from otf_core.model.tables import load_tables
 from otf_core.noise.fields import read_noise
@@ -67,7 +67,7 @@ def readers(folder):
         'effects.yaml': (
             yaml.safe_dump(EFFECTS).encode(), lambda file: read_effects(file, known)
         ),
-        'points.csv': (b'x,y,z\n0.1,0.2,0.3\n0.2,-1e-3,0.0\n', read_points_csv),
+        'points.csv': (b'x,y,z\n0.1,0.2,0.3\n0.2,-1e-3,0.0\n', read_points),
         'error_tables.json': (json.dumps(tables()).encode(), load_tables),
         'noise.json': (json.dumps(NOISE).encode(), read_noise),
         'plan.json': (json.dumps(plan()).encode(), read_plan),

@@ -22,8 +22,8 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        # argparse takes -1e-3 for an option
-        self._negative_number_matcher = re.compile(r'-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$')
+        # argparse takes -1e-3, and a list of columns such as -,x_mm,y_mm,z_mm, for an option
+        self._negative_number_matcher = re.compile(r'-((\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|,.*)$')
 
     def error(self, message: str) -> Any:
         """Print what is wrong and leave with exit code 2."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,8 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.errors import ConfigError
-from otf_core.files.writing import unreadable, write_text
+from otf_core.errors import ConfigError, InputError
+from otf_core.files.text_dialect import read_lines
+from otf_core.files.text_table import TextTable, fault_words, is_comment, read_text_table
+from otf_core.files.writing import write_text
 from otf_core.model.direct_measurement import AxisReadings, DirectMeasurement
 from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS
@@ -21,10 +22,12 @@ Array = NDArray[np.float64]
 
 LENGTH = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
 ANGLE = {'rad': 1.0, 'urad': 1e-6, 'arcsec': np.pi / 648000}
+LARGEST = 0.01
+"""Of the travel, rad; no machine has larger errors."""
 TWO_WAYS = ('forward', 'backward')
 SAME_PLACE = 5e-5
 """m; readings this close belong to one position."""
-_COMMENT = re.compile(r'#\s*(point [XYZ]|target_offset|u_length_scale)\s*:\s*(.*)')
+_COMMENT = re.compile(r'(point [XYZ]|target_offset|u_length_scale)\s*:\s*(.*)')
 _COLUMN = re.compile(r'(position|E[XYZABC])_(\w+)')
 
 
@@ -49,23 +52,28 @@ def _columns(header: Sequence[str], where: str) -> dict[str, tuple[int, float]]:
     return found
 
 
-def _reading(
-    row: Sequence[str], header: Sequence[str], columns: Mapping[str, tuple[int, float]], where: str
-) -> tuple[str, str, str, list[float]]:
-    try:
-        axis, run, way = (row[header.index(n)].strip() for n in ('axis', 'run', 'direction'))
-        numbers = []
-        for name in ('position', *(f'E{d}' for d in DIRECTIONS)):
-            place, factor = columns.get(name, (-1, 0.0))
-            text = row[place].strip() if place >= 0 else ''
-            numbers.append(float(text) * factor if text else float('nan'))
-    except (ValueError, IndexError):
-        raise ConfigError(f'{where}: expected a reading, got {",".join(row)!r}') from None
-    if way not in TWO_WAYS:
-        raise ConfigError(f'{where}: direction: {way!r}; possible: forward, backward')
-    if not np.isfinite(numbers[0]) or np.any(np.isinf(numbers)):
-        raise ConfigError(f'{where}: position and errors have to be finite')
-    return axis, run, way, numbers
+def _readings(
+    table: TextTable, header: Sequence[str], columns: Mapping[str, tuple[int, float]]
+) -> list[tuple[str, str, str, list[float]]]:
+    """Axis, run, direction and numbers, SI, of every line; an empty error was not measured."""
+    read = table.numbers({place: header[place] for place, _ in columns.values()})
+    numbers = np.full((len(table.lines), 1 + len(DIRECTIONS)), np.nan)
+    named = ('position', *(f'E{d}' for d in DIRECTIONS))
+    for (name, (place, factor)), column in zip(columns.items(), read, strict=True):
+        for row, fault in column.faults.items():
+            if name == 'position' or table.row(row)[place]:
+                raise ConfigError(
+                    f'{table.where}: line {table.lines[row]}: expected a reading, but {fault}'
+                )
+        numbers[:, named.index(name)] = column.values * factor
+    axis, run, way = (table.column(header.index(n)) for n in ('axis', 'run', 'direction'))
+    for row, line in enumerate(table.lines):
+        where = f'{table.where}: line {line}'
+        if way[row] not in TWO_WAYS:
+            raise ConfigError(f'{where}: direction: {way[row]!r}; possible: forward, backward')
+        if not np.isfinite(numbers[row, 0]) or np.any(np.isinf(numbers[row])):
+            raise ConfigError(f'{where}: position and errors have to be finite')
+    return list(zip(axis, run, way, numbers.tolist(), strict=True))
 
 
 def _grid(rows: Sequence[tuple[str, str, list[float]]], where: str) -> tuple[Array, Array]:
@@ -94,7 +102,7 @@ def _grid(rows: Sequence[tuple[str, str, list[float]]], where: str) -> tuple[Arr
 
 
 def _comment(line: str, where: str) -> tuple[str, Array] | None:
-    match = _COMMENT.fullmatch(line.strip())
+    match = _COMMENT.fullmatch(line)
     if match is None:
         return None
     parts, size = match[2].split(','), 1 if match[1] == 'u_length_scale' else 3
@@ -108,6 +116,40 @@ def _comment(line: str, where: str) -> tuple[str, Array] | None:
     return match[1], values
 
 
+def _table(path: str | Path) -> tuple[TextTable, tuple[str, ...]]:
+    """The table of a file in which every line is a reading, and its header."""
+    try:
+        table = read_text_table(path, lambda fields: {'axis', 'direction'} <= set(fields))
+    except InputError as error:
+        lines = enumerate(read_lines(path), start=1)
+        first = next(((n, t) for n, t in lines if t.strip() and not is_comment(t)), None)
+        if first is None:
+            raise ConfigError(f'{path}: holds no readings') from None
+        _columns([cell.strip() for cell in first[1].split(',')], f'{path}: line {first[0]}')
+        raise ConfigError(str(error)) from None
+    if table.names is None:
+        _columns(table.row(0), f'{path}: line {table.lines[0]}')
+        raise ConfigError(f'{path}: holds no line of names')
+    if table.faults:
+        line = min(table.faults)
+        raise ConfigError(f'{path}: line {line}: expected a reading; {fault_words(table.faults)}')
+    return table, table.names
+
+
+def _check_size(
+    numbers: Sequence[float], machine: Machine, where: str, header: Sequence[str]
+) -> None:
+    """Refuse errors that no machine has: they are in another unit."""
+    size = float(np.max(machine.upper - machine.lower))
+    moved, turned = np.nanmax(np.abs([*numbers[1:4], 0.0])), np.nanmax(np.abs([*numbers[4:], 0.0]))
+    if moved > LARGEST * size or turned > LARGEST:
+        what = f'{moved:g} m' if moved > LARGEST * size else f'{turned:g} rad'
+        raise ConfigError(
+            f'{where}: an error of {what} is none of a machine of {size:g} m; state its unit in '
+            f'the header ({",".join(header)}), as in EX_um or EA_urad'
+        )
+
+
 def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
     """Read a direct measurement.
 
@@ -116,37 +158,24 @@ def read_direct_csv(path: str | Path, machine: Machine) -> DirectMeasurement:
     ConfigError
         Names file, line and what is wrong.
     """
-    try:
-        lines = Path(path).read_text(encoding='utf-8-sig').splitlines()
-    except OSError as error:
-        raise unreadable(path, error) from None
-    except UnicodeDecodeError:
-        raise ConfigError(f'{path}: not a CSV text file') from None
-    header: list[str] = []
-    columns: dict[str, tuple[int, float]] = {}
-    rows: dict[str, list[tuple[str, str, list[float]]]] = {}
+    table, header = _table(path)
+    columns = _columns(header, f'{path}: line {table.head_line}')
     stated: dict[str, Array] = {}
     notes = []
-    for number, line in enumerate(lines, start=1):
-        where = f'{path}: line {number}'
-        if line.startswith('#'):
-            known = _comment(line, where)
-            if known is None:
-                notes.append(line.lstrip('# ').rstrip())
-            else:
-                stated[known[0]] = known[1]
-        elif line.strip():
-            cells = [c.strip() for c in next(csv.reader([line]))]
-            if not header:
-                header, columns = cells, _columns(cells, where)
-                continue
-            axis, run, way, numbers = _reading(cells, header, columns, where)
-            if axis not in machine.axes:
-                possible = ', '.join(machine.axis_names)
-                raise ConfigError(f'{where}: axis: {axis!r}; possible: {possible}')
-            rows.setdefault(axis, []).append((run, way, numbers))
-    if not rows:
-        raise ConfigError(f'{path}: holds no readings')
+    for number, text in table.comments.items():
+        known = _comment(text, f'{path}: line {number}')
+        if known is None:
+            notes.append(text)
+        else:
+            stated[known[0]] = known[1]
+    rows: dict[str, list[tuple[str, str, list[float]]]] = {}
+    readings = _readings(table, header, columns)
+    for line, (axis, run, way, numbers) in zip(table.lines, readings, strict=True):
+        if axis not in machine.axes:
+            possible = ', '.join(machine.axis_names)
+            raise ConfigError(f'{path}: line {line}: axis: {axis!r}; possible: {possible}')
+        _check_size(numbers, machine, f'{path}: line {line}', header)
+        rows.setdefault(axis, []).append((run, way, numbers))
     middle = 0.5 * (machine.lower + machine.upper)
     axes = {}
     for axis, found in rows.items():

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.exports.lattice import Lattice
+from otf_core.files.units import unit_hint
 from otf_core.model.kinematics import has_constant_lever
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -30,6 +31,11 @@ SMALLEST = 1e-10
 """Relative size of singular values below which a combination is not determined."""
 EDGE = 1e-3
 """m; a lattice further outside the axes is not of this machine."""
+
+LARGEST = 0.01
+"""Of the travel; no machine has larger errors."""
+SMALLEST_IN_UM = 1.0
+"""Of the travel; errors in mm, read as m, are less."""
 
 
 @dataclass(frozen=True)
@@ -61,15 +67,10 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
     Raises
     ------
     ConfigError
-        If the lattice reaches beyond the axes of the machine.
+        If the lattice reaches beyond the axes of the machine, or its errors are none of a machine.
     """
     q = lattice.points
-    beyond = float(np.maximum(machine.lower - q, q - machine.upper).max())
-    if beyond > EDGE:
-        raise ConfigError(
-            f'lattice: reaches {1e3 * beyond:.4g} mm beyond the axes of {machine.name}; '
-            f'positions are in m'
-        )
+    _check_size(lattice, machine)
     nodes: dict[str, Array] = {m: lattice.axes[m.place] for m in MOTIONS}
     matrix = prediction_rows(machine, nodes, q).reshape(3 * len(q), -1)
     sizes = [1] * len(SQUARENESS) + [len(nodes[m]) for m in MOTIONS]
@@ -90,6 +91,27 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
     left = wanted - matrix @ solved
     tables = _tables(machine, nodes, solved, hidden)
     return ImportedTables(tables, float(_rms(wanted)), float(_rms(left)))
+
+
+def _check_size(lattice: Lattice, machine: Machine) -> None:
+    """Refuse positions and errors in another unit than m."""
+    q, size = lattice.points, float(np.max(machine.upper - machine.lower))
+    beyond = float(np.maximum(machine.lower - q, q - machine.upper).max())
+    if beyond > EDGE:
+        reach = float(np.abs([machine.lower, machine.upper]).max())
+        hint = unit_hint(float(np.abs(q).max()), reach)
+        words = f'; are they in {hint}? write x_{hint},y_{hint},z_{hint} into the header'
+        raise ConfigError(
+            f'lattice: reaches {1e3 * beyond:.4g} mm beyond the axes of {machine.name}; '
+            f'positions are in m{words if hint else ""}'
+        )
+    largest = float(np.abs(lattice.error).max())
+    if largest > LARGEST * size:
+        unit = 'um' if largest > SMALLEST_IN_UM * size else 'mm'
+        raise ConfigError(
+            f'lattice: an error of {largest:g} m is none of a machine of {size:g} m; are dx, dy, '
+            f'dz in {unit}? write dx_{unit},dy_{unit},dz_{unit} into the header'
+        )
 
 
 def _rms(values: Array) -> Array:

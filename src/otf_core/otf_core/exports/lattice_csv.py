@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from otf_core.errors import ConfigError
+from otf_core.errors import ConfigError, InputError
 from otf_core.exports.base import Exported, Format, Request
 from otf_core.exports.lattice import Lattice, sampled_lattice
-from otf_core.files.writing import unreadable
+from otf_core.files.text_table import fault_words, read_text_table
+from otf_core.files.units import LENGTHS, known_lengths, parted
 from otf_core.prediction.predict import predict
 
 HEADER = ('x', 'y', 'z', 'dx', 'dy', 'dz', 'u_dx', 'u_dy', 'u_dz')
@@ -84,34 +85,41 @@ def read_lattice_csv(path: str | Path) -> Lattice:
 
 
 def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and errors, each (n, 3), m."""
+    """Positions and errors, each (n, 3), m, or in the units that the header states."""
+    wanted = HEADER[:6]
     try:
-        text = Path(path).read_text(encoding='utf-8-sig')
-    except OSError as error:
-        raise unreadable(path, error) from None
-    except UnicodeDecodeError:
-        raise ConfigError(f'{path}: not a CSV text file') from None
-    lines = text.splitlines()
-    first = next((n for n, line in enumerate(lines) if line and not line.startswith('#')), None)
-    header = [] if first is None else [h.strip() for h in lines[first].split(',')]
-    if first is None or not set(HEADER[:6]) <= set(header):
+        table = read_text_table(path, _is_head)
+    except InputError as error:
+        raise ConfigError(f'{error}; expected the header {",".join(wanted)}') from None
+    if table.names is None:
+        raise ConfigError(f'{path}: expected the header {",".join(wanted)}, in m')
+    headings = [parted(name) for name in table.names]
+    names = [name for name, _ in headings]
+    places = [names.index(name) for name in wanted]
+    read = table.numbers({place: table.names[place] for place in places})
+    faults = dict(table.faults)
+    for column in read:
+        faults |= {table.lines[row]: reason for row, reason in column.faults.items()}
+    if faults:
         raise ConfigError(
-            f'{path}: expected the header {",".join(HEADER[:6])} after lines that begin with #'
+            f'{path}: line {min(faults)}: expected six numbers; {fault_words(faults)}'
         )
-    places, rows = [header.index(k) for k in HEADER[:6]], []
-    for number, row in enumerate(csv.reader(lines[first + 1 :]), start=first + 2):
-        if not row or row[0].startswith('#'):
-            continue
-        try:
-            rows.append([float(row[k]) for k in places])
-        except (ValueError, IndexError):
-            raise ConfigError(f'{path}: line {number}: expected six numbers, got {row}') from None
-        if not np.all(np.isfinite(rows[-1])):
-            raise ConfigError(f'{path}: line {number}: not finite')
-    if not rows:
-        raise ConfigError(f'{path}: holds no points')
-    values = np.array(rows)
+    values = np.stack([column.values for column in read], axis=1)
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if bad.size:
+        raise ConfigError(f'{path}: line {table.lines[bad[0]]}: not finite')
+    for k, place in enumerate(places):
+        unit = headings[place][1] or 'm'
+        if unit not in LENGTHS:
+            raise ConfigError(
+                f'{path}: {table.names[place]}: no unit of length; possible: {known_lengths()}'
+            )
+        values[:, k] *= LENGTHS[unit]
     return values[:, :3], values[:, 3:]
+
+
+def _is_head(fields: Sequence[str]) -> bool:
+    return set(HEADER[:6]) <= {parted(field)[0] for field in fields}
 
 
 FORMAT = LatticeCsv()

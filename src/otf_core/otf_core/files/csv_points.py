@@ -1,58 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points in CSV: header ``x,y,z`` (further columns ignored), metres."""
+"""Numbers to CSV, with full precision; reading is ``text_table``."""
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.errors import ConfigError
-from otf_core.files.strict_yaml import shown
-from otf_core.files.writing import unreadable, write_text
-
-
-def read_points_csv(path: str | Path) -> NDArray[np.float64]:
-    """Read points.
-
-    Returns
-    -------
-    ndarray, shape (n, 3), m
-
-    Raises
-    ------
-    ConfigError
-        Names file, line and column of what is wrong.
-    """
-    try:
-        with open(path, newline='', encoding='utf-8-sig') as file:
-            rows = list(csv.reader(file))
-    except OSError as error:
-        raise unreadable(path, error) from None
-    except (UnicodeDecodeError, csv.Error):
-        raise ConfigError(f'{path}: not a CSV text file') from None
-    header = [h.strip() for h in rows[0]] if rows else []
-    if not {'x', 'y', 'z'} <= set(header):
-        got = shown(','.join(header))
-        raise ConfigError(f'{path}: line 1: expected the header x,y,z, got {got}')
-    places = [header.index(k) for k in 'xyz']
-    points = []
-    for number, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
-        try:
-            points.append([float(row[k]) for k in places])
-        except (ValueError, IndexError):
-            raise ConfigError(
-                f'{path}: line {number}: expected three numbers, got {shown(row)}'
-            ) from None
-        if not np.all(np.isfinite(points[-1])):
-            raise ConfigError(f'{path}: line {number}: not finite')
-    if not points:
-        raise ConfigError(f'{path}: holds no points')
-    return np.array(points)
+from otf_core.files.writing import write_text
 
 
 def begins_with(path: str | Path, header: str) -> bool:

@@ -20,8 +20,8 @@ from otf_core.files.writing import refuse_pipe, unreadable
 
 SEPARATORS = ('\t', ';', '|', ',', None)
 """In the order in which they are tried; None: any white space."""
-SAMPLE = 200
-"""Lines at the beginning, in the middle and at the end from which the dialect is found."""
+QUOTED_HEAD = 200
+"""Lines in which fields of a head may take several."""
 FEWEST = 3
 """Columns with numbers that a table has at least."""
 COMMENT = re.compile(r'^\s*(#|//|!|%|"""|\*)+\s?')
@@ -83,14 +83,29 @@ class Dialect:
             return [field.strip() for field in row]
         return [field.strip() for field in line.split(self.separator)]
 
-    def rows(self, lines: Sequence[str]) -> list[list[str]]:
-        """Fields of many lines, a row for each; white space may be left around them."""
-        text_is_plain = not any('"' in line for line in lines)
-        if self.separator is not None and text_is_plain:
-            separator = self.separator
-            return [line.split(separator) for line in lines]
-        if self.separator is None and text_is_plain and not self.dated:
-            return [line.split() for line in lines]
+    def columns(self, lines: Sequence[str]) -> list[list[str]] | None:
+        """Fields of many lines by columns; None if not all have the same number of them.
+
+        White space may be left around the fields.
+        """
+        text = '\n'.join(lines)
+        if '"' not in text and not self.dated:
+            if self.separator is None:
+                if any(len(line.split()) != self.width for line in lines):
+                    return None
+                fields = text.split()
+            else:
+                gaps, separator = self.width - 1, self.separator
+                if any(line.count(separator) != gaps for line in lines):
+                    return None
+                fields = text.replace(separator, '\n').split('\n')
+            return [fields[k :: self.width] for k in range(self.width)]
+        rows = self._quoted_rows(lines)
+        if any(len(row) != self.width for row in rows):
+            return None
+        return [[row[k] for row in rows] for k in range(self.width)]
+
+    def _quoted_rows(self, lines: Sequence[str]) -> list[list[str]]:
         if self.separator is not None:
             try:
                 rows = list(self._reader([line.strip(' ') for line in lines]))
@@ -166,7 +181,7 @@ BROKEN = 5
 
 def _join_quoted(lines: list[str]) -> None:
     """Join the lines of quoted fields of the head, in place."""
-    for first in range(min(len(lines), SAMPLE)):
+    for first in range(min(len(lines), QUOTED_HEAD)):
         if lines[first].count('"') % 2 == 0 or COMMENT.match(lines[first]):
             continue
         for last in range(first + 1, min(first + BROKEN, len(lines))):
@@ -182,23 +197,17 @@ def find_dialect(lines: Sequence[str], head_widths: Sequence[int] = ()) -> Diale
     Parameters
     ----------
     lines : sequence of str
-        Of the file, neither empty nor comments.
+        Of the whole file, neither empty nor comments.
     head_widths : sequence of int
         For each of ``candidates()``, columns of the head, 0 where it names none; it decides
         between dialects, and numbers of columns, that suit as many lines.
     """
-    middle = max(len(lines) // 2 - SAMPLE // 2, 0)
-    taken = sorted(
-        {*range(min(SAMPLE, len(lines))), *range(middle, min(middle + SAMPLE, len(lines))),
-         *range(max(len(lines) - SAMPLE, 0), len(lines))}
-    )  # fmt: skip
-    sample = [lines[k] for k in taken]
     best: tuple[tuple[int, bool], Dialect] | None = None
     for k, dialect in enumerate(candidates()):
-        if dialect.dated and not any(map(DATED.search, sample)):
+        if dialect.dated and not any(map(DATED.search, lines)):
             continue
         named = head_widths[k] if head_widths else 0
-        widths = Counter(w for line in sample if (w := _width(dialect, line)))
+        widths = Counter(w for line in lines if (w := _width(dialect, line)))
         if not widths:
             continue
         width, often = max(widths.items(), key=lambda item: (item[1], item[0] == named))

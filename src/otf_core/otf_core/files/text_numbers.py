@@ -11,10 +11,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.errors import InputError
 from otf_core.files.text_dialect import NUMBER, is_missing
+
+Array = NDArray[np.float64]
 
 UNCLEAN = re.compile(r'[^0-9+\-.eE\n]')
 """Without these, what float() takes are numbers with a decimal point."""
@@ -31,8 +36,10 @@ COMMA_FOR_SURE = re.compile(
     rf'|\d{{1,3}}(?:\.\d{{3}}){{2,}}|\d{{1,3}}(?:[{GROUPS}]\d{{3}})+,\d+){_POWER}',
     re.MULTILINE,
 )
+_TWO_COMMAS, _TWO_POINTS = re.compile(r',\d+,'), re.compile(r'\.\d+\.')
 OPEN = re.compile(r'^[-+]?[1-9]\d{0,2}([.,])\d{3}$', re.MULTILINE)
 """1,234 or 1.234."""
+COMMAS = 'with decimal commas'
 NOT_FINITE = ('nan', '+nan', '-nan', 'inf', '+inf', '-inf')
 
 
@@ -44,6 +51,7 @@ class NumberColumn:
     ----------
     texts : list of str
         With a decimal point, without thousands separators; 'nan' where there is no number.
+    values : ndarray, shape (n,)
     faults : dict of int to str
         Of rows without a number: why.
     form : str
@@ -51,6 +59,7 @@ class NumberColumn:
     """
 
     texts: list[str]
+    values: Array
     faults: dict[int, str] = field(default_factory=dict)
     form: str = ''
 
@@ -84,23 +93,13 @@ def number_columns(
     InputError
         If how numbers are written contradicts itself or stays open; names column and line.
     """
-    written = []
-    for name, texts in columns:
-        stripped = [text.strip() for text in texts]
-        joined = '\n'.join(stripped)
-        if '−' in joined:
-            joined = joined.replace('−', '-')
-            stripped = joined.split('\n') if stripped else []
-        written.append(_Written(name, stripped, joined))
-    if not any(UNCLEAN.search(column.joined) for column in written):
-        try:
-            for column in written:
-                for text in column.texts:
-                    float(text)
-            return [NumberColumn(column.texts) for column in written]
-        except ValueError:
-            pass  # an empty field, two points
+    written = [_Written(name, texts, '\n'.join(texts)) for name, texts in columns]
+    clean = [_clean(column.texts, column.joined) for column in written]
+    if all(column is not None for column in clean):
+        return [column for column in clean if column is not None]
     for column in written:
+        column.texts = [text.strip().replace('−', '-') for text in column.texts]
+        column.joined = '\n'.join(column.texts)
         column.mark = _sure_mark(where, lines, column)
     sure = {column.mark for column in written} - {None}
     for column in written:
@@ -109,13 +108,28 @@ def number_columns(
     return [_read(where, lines, column) for column in written]
 
 
+def _clean(texts: list[str], joined: str) -> NumberColumn | None:
+    """A column of plain numbers with decimal points, without going through its fields."""
+    if UNCLEAN.search(joined):
+        return None
+    try:
+        return NumberColumn(texts, np.array(list(map(float, texts)), dtype=np.float64))
+    except ValueError:
+        return None  # an empty field, two points
+
+
 def _line_of(lines: Sequence[int], column: _Written, at: int) -> int:
     return lines[column.joined.count('\n', 0, at)]
 
 
 def _sure_mark(where: str, lines: Sequence[int], column: _Written) -> str | None:
     """Decimal mark that fields leave no doubt about; InputError if they contradict each other."""
-    point, comma = (r.search(column.joined) for r in (POINT_FOR_SURE, COMMA_FOR_SURE))
+    joined = column.joined
+    point = comma = None
+    if '.' in joined or _TWO_COMMAS.search(joined):
+        point = POINT_FOR_SURE.search(joined)
+    if ',' in joined or _TWO_POINTS.search(joined):
+        comma = COMMA_FOR_SURE.search(joined)
     if point and comma:
         raise InputError(
             f'{where}: {column.name}: line {_line_of(lines, column, point.start())} has '
@@ -148,12 +162,17 @@ def _read(where: str, lines: Sequence[int], column: _Written) -> NumberColumn:
     """Numbers of a column whose decimal mark is known."""
     mark = column.mark or '.'
     other = ',' if mark == '.' else '.'
-    numbers = [text for text in column.texts if NUMBER.match(text)]
-    joined = ''.join(numbers)
-    groups = [sign for sign in (other, *GROUPS) if sign in joined]
+    signs = [sign for sign in (other, *GROUPS) if sign in column.joined]
+    if mark == ',' and not signs:
+        joined = column.joined.replace(',', '.')
+        fast = _clean(joined.split('\n'), joined)
+        if fast is not None:
+            return replace(fast, form=COMMAS if ',' in column.joined else '')
+    numbers = ''.join(text for text in column.texts if NUMBER.match(text))
+    groups = [sign for sign in signs if sign in numbers]
     if not groups:
         plain = rf'(?:\d+(?:{re.escape(mark)}\d*)?|{re.escape(mark)}\d+)'
-        form = 'with decimal commas' if mark == ',' and ',' in joined else ''
+        form = COMMAS if mark == ',' and ',' in numbers else ''
     else:
         group = re.escape(groups[0])
         plain = rf'\d{{1,3}}(?:{group}\d{{3}})*(?:{re.escape(mark)}\d*)?'
@@ -178,7 +197,8 @@ def _read(where: str, lines: Sequence[int], column: _Written) -> NumberColumn:
         else:
             texts.append('nan')
             faults[row] = _fault(column.name, text)
-    return NumberColumn(texts, faults, form)
+    values = np.array(list(map(float, texts)), dtype=np.float64)
+    return NumberColumn(texts, values, faults, form)
 
 
 def _fault(name: str, text: str) -> str:

@@ -36,6 +36,7 @@ IsHead = Callable[[Sequence[str]], bool]
 STATEMENT = re.compile(r'^[\w ]+=')
 """'AXES = CARTESIAN: X, Y, Z (mm)' names no columns."""
 RULE = re.compile(r'[-=_+|: \t]{3,}$')
+SIGNED = re.compile(r'^\s*(?:#|//|%|!)', re.MULTILINE)
 SIGNS = ('#', '//', '%', '!')
 """With which comments may begin between the data."""
 
@@ -48,10 +49,10 @@ class TextTable:
     ----------
     where : str
         File name, for messages.
-    rows : list of list of str
-        Fields of the lines of data; all of the same number; white space may be left around them.
-    lines : list of int
-        Number of each in the file, from 1.
+    columns : list of list of str
+        Fields of the lines of data; white space may be left around them.
+    lines : sequence of int
+        Number of each line of data in the file, from 1.
     head : list of str
         Lines before them, without signs of comments.
     names : tuple of str, optional
@@ -59,17 +60,23 @@ class TextTable:
     units : tuple of str
         Of the columns, as a line below the head states them; empty: there is none.
     dialect : Dialect
+    head_line : int
+        Number of the line of names; 0: there is none.
+    comments : mapping of int to str
+        Numbers of the lines of comments, and their texts without the sign.
     faults : mapping of int to str
         Numbers of the lines that are no rows, and why.
     """
 
     where: str
-    rows: list[list[str]]
-    lines: list[int]
+    columns: list[list[str]]
+    lines: Sequence[int]
     head: list[str]
     names: tuple[str, ...] | None
     units: tuple[str, ...]
     dialect: Dialect
+    head_line: int = 0
+    comments: Mapping[int, str] = field(default_factory=dict)
     faults: Mapping[int, str] = field(default_factory=dict)
 
     @property
@@ -79,7 +86,11 @@ class TextTable:
 
     def column(self, place: int) -> list[str]:
         """Fields of a column."""
-        return [row[place].strip() for row in self.rows]
+        return [text.strip() for text in self.columns[place]]
+
+    def row(self, at: int) -> list[str]:
+        """Fields of a line of data."""
+        return [column[at].strip() for column in self.columns]
 
     def numbers(self, columns: Mapping[int, str]) -> list[NumberColumn]:
         """Columns of numbers; places and names, for messages.
@@ -89,7 +100,7 @@ class TextTable:
         InputError
             See ``text_numbers.number_columns``.
         """
-        named = [(name, self.column(place)) for place, name in columns.items()]
+        named = [(name, self.columns[place]) for place, name in columns.items()]
         return number_columns(self.where, self.lines, named)
 
 
@@ -137,16 +148,37 @@ def read_text_table(path: str | Path, is_head: IsHead | None = None) -> TextTabl
     """
     where, every = str(path), read_lines(path)
     _open_ply(where, every)
-    plain = [line for line in every if line.strip() and not _is_comment(line)]
+    plain = _plain(every[:LOOKED_AT])
     widths = [_head_width(plain, dialect, is_head) for dialect in candidates()] if is_head else ()
-    dialect = find_dialect(plain, widths)
+    dialect = find_dialect(_sample(every), widths)
     if dialect is None:
+        head = next((n for n, line in enumerate(every) if _is_named(line, is_head)), None)
+        if head is not None:
+            raise InputError(f'{where}: holds no points: no line of numbers below line {head + 1}')
         first = next((line.strip()[:60] for line in every if line.strip()), '')
         raise InputError(
             f'{where}: holds no lines of at least {FEWEST} numbers; the first line is {first!r}; '
             f'export time, x, y, z of every sample, one sample a line'
         )
     return _Reader(where, every, dialect, is_head).table()
+
+
+def _plain(lines: Sequence[str]) -> list[str]:
+    """Lines that are neither empty nor comments."""
+    return [line for line in lines if line.strip() and not is_comment(line)]
+
+
+def _sample(lines: Sequence[str]) -> list[str]:
+    """Lines of the beginning, the middle and the end, from which the dialect is found."""
+    if len(lines) <= 3 * LOOKED_AT:
+        return _plain(lines)
+    middle = len(lines) // 2 - LOOKED_AT // 2
+    parts = lines[:LOOKED_AT], lines[middle : middle + LOOKED_AT], lines[-LOOKED_AT:]
+    return [line for part in parts for line in _plain(part)]
+
+
+LOOKED_AT = 300
+"""Lines of each."""
 
 
 def _open_ply(where: str, lines: list[str]) -> None:
@@ -174,7 +206,7 @@ PLY_HEAD = 200
 """Lines."""
 
 
-def _is_comment(line: str) -> bool:
+def is_comment(line: str) -> bool:
     """Tell whether a line is a comment by its sign, and no datum such as #N/A or ***."""
     if not COMMENT.match(line):
         return False
@@ -182,6 +214,11 @@ def _is_comment(line: str) -> bool:
     if not first.strip('#'):  # '####' of a column that was too narrow, or '## A comment'
         return line.strip()[len(first) : len(first) + 1] not in ('\t', ';', ',', '|')
     return not is_missing(first.strip('"'))
+
+
+def _is_named(line: str, is_head: IsHead | None) -> bool:
+    fields = [_named_fields(line, dialect) for dialect in candidates()] if is_head else []
+    return any(f and is_head is not None and is_head(f) for f in fields)
 
 
 def _head_width(plain: Sequence[str], dialect: Dialect, is_head: IsHead) -> int:
@@ -214,24 +251,25 @@ class _Reader:
     dialect: Dialect
     is_head: IsHead | None
     faults: dict[int, str] = field(default_factory=dict)
+    comments: dict[int, str] = field(default_factory=dict)
     signs: set[str] = field(default_factory=set)
 
     def table(self) -> TextTable:
         first = self._first_row()
         at, names = self._head(first)
         units = self._below(first, at)
-        rows, lines = self._rows(first)
-        names = self._fitting(names, rows, at)
+        columns, lines = self._rows(first)
+        names = self._fitting(names, columns, at)
         head = [COMMENT.sub('', line).strip() for line in self.every[:first]]
         return TextTable(
-            self.where, rows, lines, [h for h in head if h], names, units, self.dialect,
-            self.faults,
+            self.where, columns, lines, [h for h in head if h], names, units, self.dialect,
+            at + 1, self.comments, self.faults,
         )  # fmt: skip
 
     def _first_row(self) -> int:
         """Index of the first line that has the columns of the others, with numbers in them."""
         for k, line in enumerate(self.every):
-            if not line.strip() or _is_comment(line):
+            if not line.strip() or is_comment(line):
                 continue
             fields = self.dialect.fields(line)
             if len(fields) == self.dialect.width and sum(map(is_value, fields)) >= FEWEST:
@@ -245,7 +283,7 @@ class _Reader:
         misfit: tuple[int, tuple[str, ...]] | None = None
         for k in reversed(range(first)):
             line = self.every[k]
-            comment = _is_comment(line)
+            comment = is_comment(line)
             text = COMMENT.sub('', line).strip('\r\n ') if comment else line
             for dialect in (self.dialect, *candidates()) if comment else (self.dialect,):
                 fields = _named_fields(text, dialect)
@@ -267,7 +305,7 @@ class _Reader:
         """Names with those of their groups, which stand in the lines right above."""
         found = list(names)
         for k in range(at - 1, max(at - 1 - GROUP_LINES, -1), -1):
-            above = self.dialect.fields(self.every[k])
+            above = [] if is_comment(self.every[k]) else self.dialect.fields(self.every[k])
             if len(above) > self.dialect.width and not any(above[self.dialect.width :]):
                 above = above[: self.dialect.width]
             if self.dialect.separator is None or len(above) != len(names):
@@ -282,23 +320,19 @@ class _Reader:
     def _below(self, first: int, at: int) -> tuple[str, ...]:
         """Units below the head; what else stands between head and data is a fault."""
         units: tuple[str, ...] = ()
-        for k in range(at + 1, first):
-            line = self.every[k]
-            if not line.strip():
+        for k, line in enumerate(self.every[:first]):
+            comment = COMMENT.match(line) if is_comment(line) else None
+            text = COMMENT.sub('', line) if comment else line
+            if comment:
+                self.signs.add(comment[1])
+                self.comments[k + 1] = text.strip()
+            if k <= at or not line.strip():
                 continue
-            if _is_comment(line):
-                match = COMMENT.match(line)
-                self.signs.add(match[1] if match else '')
-                line = COMMENT.sub('', line)
-            fields = self.dialect.fields(line)
+            fields = self.dialect.fields(text)
             if self._are_units(fields):
                 units = tuple(f.strip('[](){} ') for f in fields)
-            elif not _is_comment(self.every[k]) and self._is_datum(fields, line, headed=at >= 0):
+            elif not comment and self._is_datum(fields, line, headed=at >= 0):
                 self.faults[k + 1] = self._misfit(fields)
-        for line in self.every[: max(at + 1, 0)]:
-            match = COMMENT.match(line)
-            if match and _is_comment(line):
-                self.signs.add(match[1])
         return units
 
     def _are_units(self, fields: Sequence[str]) -> bool:
@@ -325,45 +359,45 @@ class _Reader:
             return f'no line of {width} columns'
         return f'{len(fields)} columns instead of {width}'
 
-    def _rows(self, first: int) -> tuple[list[list[str]], list[int]]:
-        """Rows from the first on, with the numbers of their lines; faults of the others."""
+    def _rows(self, first: int) -> tuple[list[list[str]], Sequence[int]]:
+        """Columns from the first row on, with the numbers of their lines; faults of the others."""
         width, body = self.dialect.width, self.every[first:]
-        rows = self.dialect.rows(body)
-        if any(line.lstrip()[:1] in ('#', '/', '%', '!') for line in body):
-            for k, line in enumerate(body):
-                if line.lstrip().startswith(SIGNS) and self._is_comment_between(line, rows[k]):
-                    body[k], rows[k] = '', []
-        last = len(rows)
-        while last and not any(field.strip() for field in rows[last - 1]):
-            last -= 1
-        del rows[last:], body[last:]
-        if all(len(row) == width for row in rows):
-            return rows, list(range(first + 1, first + 1 + len(rows)))
-        kept, lines = [], []
-        for k, row in enumerate(rows):
-            if len(row) == width:
-                kept.append(row)
-                lines.append(first + 1 + k)
-            elif body[k].strip():
-                self.faults[first + 1 + k] = self._misfit(self.dialect.fields(body[k]))
-        return kept, lines
+        while body and not any(self.dialect.fields(body[-1])):
+            body.pop()  # empty lines, or lines of separators, after the data
+        if SIGNED.search('\n'.join(body)) is None:
+            columns = self.dialect.columns(body)
+            if columns is not None:
+                return columns, range(first + 1, first + 1 + len(body))
+        rows, lines = [], []
+        for number, line in enumerate(body, start=first + 1):
+            if not line.strip():
+                continue
+            fields = self.dialect.fields(line)
+            if line.lstrip().startswith(SIGNS) and self._is_comment_between(line, fields):
+                self.comments[number] = COMMENT.sub('', line).strip()
+                continue
+            if len(fields) == width:
+                rows.append(fields)
+                lines.append(number)
+            else:
+                self.faults[number] = self._misfit(fields)
+        return [[row[k] for row in rows] for k in range(width)], lines
 
     def _is_comment_between(self, line: str, fields: Sequence[str]) -> bool:
         match = COMMENT.match(line)
-        if match is None or not _is_comment(line):
+        if match is None or not is_comment(line):
             return False
         return match[1] in self.signs or len(fields) != self.dialect.width
 
     def _fitting(
-        self, names: tuple[str, ...] | None, rows: list[list[str]], at: int
+        self, names: tuple[str, ...] | None, columns: list[list[str]], at: int
     ) -> tuple[str, ...] | None:
         """Refuse a head of another number of columns; a last one without a name is taken off."""
         width = self.dialect.width
         if names is None or len(names) == width:
             return names
-        if len(names) == width - 1 and not any(row[-1].strip() for row in rows):
-            for row in rows:
-                row.pop()
+        if len(names) == width - 1 and not any(text.strip() for text in columns[-1]):
+            columns.pop()
             self.dialect = Dialect(self.dialect.separator, self.dialect.dated, width - 1)
             return names
         line = self.every[at].strip()[:80]

@@ -69,3 +69,26 @@ def parted(heading: str) -> tuple[str, str | None]:
 def known_lengths() -> str:
     """Return units of length, as messages name them."""
     return 'm, dm, cm, mm, µm (or um), inch'
+
+
+def unit_hint(stated: float, expected: float) -> str:
+    """Unit that lengths may be in, whose size, read in m, is another than expected.
+
+    Parameters
+    ----------
+    stated, expected : float
+        m; the largest coordinates.
+
+    Returns
+    -------
+    str
+        'mm', 'um', 'inch', 'cm' or empty.
+    """
+    if expected <= 0.0 or stated <= 0.0:
+        return ''
+    fits = [u for u in HINTED if 0.5 < stated * LENGTHS[u] / expected < 1.05]
+    return fits[0] if fits else ''
+
+
+HINTED = ('mm', 'inch', 'um', 'cm')
+"""In the order of how usual they are."""

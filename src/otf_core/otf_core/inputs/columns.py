@@ -339,7 +339,7 @@ def _with_unit_of_head(found: Columns, table: TextTable) -> Columns:
 
 def _labels_between(table: TextTable) -> Columns | None:
     """Columns of lines such as 'X,1790.8,Y,10463.5,Z,1527.3,Time(sec),7.2'."""
-    row, last = ([f.strip() for f in table.rows[k]] for k in (0, -1))
+    row, last = table.row(0), table.row(-1)
     labelled = ['' for _ in row]
     for place, text in enumerate(row[:-1]):
         label = text.rstrip('=: ')
@@ -354,11 +354,12 @@ SHARE = 0.9
 
 def _value_places(table: TextTable) -> list[int]:
     """Columns that hold numbers in most rows."""
-    step = max(len(table.rows) // 500, 1)
-    rows = table.rows[::step]
-    counts = [sum(is_value(row[k].strip()) or is_missing(row[k].strip()) for row in rows)
-              for k in range(table.width)]  # fmt: skip
-    return [k for k, count in enumerate(counts) if count >= SHARE * len(rows)]
+    found = []
+    for place, column in enumerate(table.columns):
+        texts = [text.strip() for text in column[:: max(len(column) // 500, 1)]]
+        if sum(is_value(t) or is_missing(t) for t in texts) >= SHARE * len(texts):
+            found.append(place)
+    return found
 
 
 def counts_rows(texts: Sequence[str]) -> bool:
@@ -380,7 +381,7 @@ def _unnamed(table: TextTable) -> Columns | None:
     places = _value_places(table)
     if named and not _states_axes(table):
         return None
-    clocks = [k for k in places if ':' in table.rows[0][k]]
+    clocks = [k for k in places if ':' in table.columns[k][0]]
     numbers = [k for k in places if k not in clocks]
     remarks: tuple[str, ...] = ()
     if len(numbers) == 4 and counts_rows(table.column(numbers[0])):

@@ -56,7 +56,7 @@ def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
         given = ' and '.join(sorted(map(repr, stated)))
         raise ConfigError(f'{table.where}: x, y, z are in {given}; expected {known_lengths()}')
     unit = stated.pop()
-    points = np.array([list(map(float, c.texts)) for c in read]).T
+    points = np.stack([c.values for c in read], axis=1)
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise ConfigError(f'{table.where}: line {table.lines[bad[0]]}: not finite numbers')

@@ -150,7 +150,7 @@ class _Chosen:
     Attributes
     ----------
     where : str
-    lines : list of int
+    lines : sequence of int
     point : list of NumberColumn
     time : list of list of str
         Fields of each column of times.
@@ -161,7 +161,7 @@ class _Chosen:
     """
 
     where: str
-    lines: list[int]
+    lines: Sequence[int]
     point: list[NumberColumn]
     time: list[list[str]]
     faults: dict[int, str]
@@ -186,11 +186,13 @@ def _chosen(table: TextTable, columns: Columns) -> _Chosen:
             if not text or is_missing(text):
                 bad.setdefault(row, f'{c.name} is {f"{text!r}" if text else "empty"}')
     faults = dict(table.faults) | {table.lines[row]: reason for row, reason in bad.items()}
-    _refuse_many(table, faults, len(table.rows) - len(bad))
+    _refuse_many(table, faults, len(table.lines) - len(bad))
     if not bad:
         return _Chosen(table.where, table.lines, read[:3], times, faults, table.width)
-    kept = [row for row in range(len(table.rows)) if row not in bad]
-    point = [NumberColumn([c.texts[row] for row in kept], {}, c.form) for c in read[:3]]
+    kept = [row for row in range(len(table.lines)) if row not in bad]
+    point = [
+        NumberColumn([c.texts[row] for row in kept], c.values[kept], {}, c.form) for c in read[:3]
+    ]
     return _Chosen(
         table.where,
         [table.lines[row] for row in kept],
@@ -223,7 +225,7 @@ def _refuse_many(table: TextTable, faults: Mapping[int, str], kept: int) -> None
 
 def _points(chosen: _Chosen, columns: Columns) -> tuple[Array, str, float]:
     """Points (n, 3), m, the unit in words, and in m."""
-    values = np.stack([np.array(list(map(float, c.texts))) for c in chosen.point], axis=1)
+    values = np.stack([c.values for c in chosen.point], axis=1)
     if columns.polar:
         return *_from_polar(chosen.where, values, columns), 1.0
     units = {c.unit for c in columns.point}
