@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.exports.lattice import Lattice
-from otf_core.files.units import unit_hint
+from otf_core.files.units import unit_hint, unit_words
 from otf_core.model.kinematics import has_constant_lever
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -100,7 +100,8 @@ def _check_size(lattice: Lattice, machine: Machine) -> None:
     if beyond > EDGE:
         reach = float(np.abs([machine.lower, machine.upper]).max())
         hint = unit_hint(float(np.abs(q).max()), reach)
-        words = f'; are they in {hint}? write x_{hint},y_{hint},z_{hint} into the header'
+        named = f'x_{hint},y_{hint},z_{hint}'
+        words = f'; are they in {unit_words(hint)}? write {named} into the header'
         raise ConfigError(
             f'lattice: reaches {1e3 * beyond:.4g} mm beyond the axes of {machine.name}; '
             f'positions are in m{words if hint else ""}'
@@ -110,7 +111,7 @@ def _check_size(lattice: Lattice, machine: Machine) -> None:
         unit = 'um' if largest > SMALLEST_IN_UM * size else 'mm'
         raise ConfigError(
             f'lattice: an error of {largest:g} m is none of a machine of {size:g} m; are dx, dy, '
-            f'dz in {unit}? write dx_{unit},dy_{unit},dz_{unit} into the header'
+            f'dz in {unit_words(unit)}? write dx_{unit},dy_{unit},dz_{unit} into the header'
         )
 
 

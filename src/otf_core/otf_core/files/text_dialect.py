@@ -133,14 +133,25 @@ def _unquoted(field: str) -> str:
     return field
 
 
+def is_number(text: str) -> bool:
+    """Tell whether a field is a number in the form of any country, well formed or not."""
+    return len(text) <= LONGEST and NUMBER.match(text) is not None
+
+
 def is_value(text: str) -> bool:
     """Tell whether a field is a number, in any form, or a time of day."""
+    if len(text) > LONGEST:
+        return False
     return bool(NUMBER.match(text) or MOMENT.match(text)) or text.lower() in ('nan', 'inf', '-inf')
+
+
+LONGEST = 80
+"""Letters of a field that may be a number."""
 
 
 def is_missing(text: str) -> bool:
     """Tell whether a field says that there is no number."""
-    return bool(MISSING.fullmatch(text))
+    return len(text) <= LONGEST and MISSING.fullmatch(text) is not None
 
 
 def read_lines(path: str | Path) -> list[str]:

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import InputError
-from otf_core.files.text_dialect import NUMBER, is_missing
+from otf_core.files.strict_yaml import shown
+from otf_core.files.text_dialect import is_missing, is_number
 
 Array = NDArray[np.float64]
 
@@ -93,7 +94,7 @@ def number_columns(
     InputError
         If how numbers are written contradicts itself or stays open; names column and line.
     """
-    written = [_Written(name, texts, '\n'.join(texts)) for name, texts in columns]
+    written = [_Written(shown_name(name), texts, '\n'.join(texts)) for name, texts in columns]
     clean = [_clean(column.texts, column.joined) for column in written]
     if all(column is not None for column in clean):
         return [column for column in clean if column is not None]
@@ -106,6 +107,15 @@ def number_columns(
         if column.mark is None:
             column.mark = _open_mark(where, lines, column, sure)
     return [_read(where, lines, column) for column in written]
+
+
+def shown_name(name: str) -> str:
+    """Name of a column, for messages."""
+    return name if len(name) <= LONGEST_NAME else f'{name[:LONGEST_NAME]} ...'
+
+
+LONGEST_NAME = 60
+"""Letters."""
 
 
 def _clean(texts: list[str], joined: str) -> NumberColumn | None:
@@ -133,9 +143,9 @@ def _sure_mark(where: str, lines: Sequence[int], column: _Written) -> str | None
     if point and comma:
         raise InputError(
             f'{where}: {column.name}: line {_line_of(lines, column, point.start())} has '
-            f'{point[0]!r}, with a decimal point, and line '
-            f'{_line_of(lines, column, comma.start())} has {comma[0]!r}, with a decimal comma; '
-            f'write the column in one form'
+            f'{shown(point[0])}, with a decimal point, and line '
+            f'{_line_of(lines, column, comma.start())} has {shown(comma[0])}, with a decimal '
+            f'comma; write the column in one form'
         )
     return '.' if point else ',' if comma else None
 
@@ -146,15 +156,15 @@ def _open_mark(where: str, lines: Sequence[int], column: _Written, sure: set[str
     if found is None:
         return '.'
     sign = found[1]
-    fixed = all(OPEN.match(text) or not NUMBER.match(text) for text in column.texts)
+    fixed = all(OPEN.match(text) or not is_number(text) for text in column.texts)
     if sure == {sign} or (not sure and (fixed or sign == '.')):
         return sign
     if sure and sign not in sure and len(sure) == 1 and not fixed:
         return '.' if sign == ',' else ','  # some are set off, those below 1000 are not
     raise InputError(
-        f'{where}: line {_line_of(lines, column, found.start())}: {column.name}: {found[0]!r} may '
-        f'hold a thousands separator or decimals, and nothing in the column decides; write the '
-        f'numbers without thousands separators'
+        f'{where}: line {_line_of(lines, column, found.start())}: {column.name}: '
+        f'{shown(found[0])} may hold a thousands separator or decimals, and nothing in the '
+        f'column decides; write the numbers without thousands separators'
     )
 
 
@@ -168,7 +178,7 @@ def _read(where: str, lines: Sequence[int], column: _Written) -> NumberColumn:
         fast = _clean(joined.split('\n'), joined)
         if fast is not None:
             return replace(fast, form=COMMAS if ',' in column.joined else '')
-    numbers = ''.join(text for text in column.texts if NUMBER.match(text))
+    numbers = ''.join(text for text in column.texts if is_number(text))
     groups = [sign for sign in signs if sign in numbers]
     if not groups:
         plain = rf'(?:\d+(?:{re.escape(mark)}\d*)?|{re.escape(mark)}\d+)'
@@ -188,11 +198,11 @@ def _read(where: str, lines: Sequence[int], column: _Written) -> NumberColumn:
             texts.append(text.replace(',', '.') if mark == ',' else text)
         elif text.lower() in NOT_FINITE:
             texts.append(text)
-        elif NUMBER.match(text):
+        elif is_number(text):
             raise InputError(
-                f'{where}: line {lines[row]}: {column.name}: {text!r} is not written as the other '
-                f'numbers of the column ({form or "with decimal points"}); thousands separators '
-                f'and decimal marks have to be the same throughout'
+                f'{where}: line {lines[row]}: {column.name}: {shown(text)} is not written as the '
+                f'other numbers of the column ({form or "with decimal points"}); thousands '
+                f'separators and decimal marks have to be the same throughout'
             )
         else:
             texts.append('nan')
@@ -204,4 +214,4 @@ def _read(where: str, lines: Sequence[int], column: _Written) -> NumberColumn:
 def _fault(name: str, text: str) -> str:
     if not text:
         return f'{name} is empty'
-    return f'{name} is {text!r}' if is_missing(text) else f'{name} is no number'
+    return f'{name} is {shown(text)}' if is_missing(text) else f'{name} is no number'

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from otf_core.errors import InputError
+from otf_core.files.strict_yaml import shown
 from otf_core.files.text_dialect import (
     COMMENT,
     FEWEST,
@@ -268,13 +269,21 @@ class _Reader:
 
     def _first_row(self) -> int:
         """Index of the first line that has the columns of the others, with numbers in them."""
+        lame = None
         for k, line in enumerate(self.every):
             if not line.strip() or is_comment(line):
                 continue
             fields = self.dialect.fields(line)
-            if len(fields) == self.dialect.width and sum(map(is_value, fields)) >= FEWEST:
+            if len(fields) != self.dialect.width:
+                continue
+            values = sum(map(is_value, fields))
+            if values >= FEWEST:
                 return k
-        raise AssertionError('a dialect was found, so there is a row')
+            if lame is None and values and values + sum(map(is_missing, fields)) >= FEWEST:
+                lame = k
+        if lame is None:
+            raise AssertionError('a dialect was found, so there is a row')
+        return lame
 
     def _head(self, first: int) -> tuple[int, tuple[str, ...] | None]:
         """Index of the line of names, -1 if there is none, and the names."""
@@ -354,7 +363,7 @@ class _Reader:
         width = self.dialect.width
         if len(fields) == width:
             missing = next((f for f in fields if f and not is_value(f)), '')
-            return f'{missing!r} in place of a number' if missing else 'an empty field'
+            return f'{shown(missing)} in place of a number' if missing else 'an empty field'
         if len(fields) == 1:
             return f'no line of {width} columns'
         return f'{len(fields)} columns instead of {width}'

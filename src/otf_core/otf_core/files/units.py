@@ -42,6 +42,8 @@ SUFFIX = re.compile(
     r'(?P<unit>m|mm|cm|um|µm|μm|inch|in|s|sec|ms|us|µs|ns|deg|gon|rad|mrad|urad)$'
 )
 
+LONGEST = 200
+"""Letters of a heading."""
 LINK = re.compile(r'(?:\s+in|[\s/,:-]+)$')
 """Between a name and its unit: 'X in mm', 'X / mm'."""
 
@@ -54,6 +56,8 @@ def is_unit(text: str) -> bool:
 
 def parted(heading: str) -> tuple[str, str | None]:
     """Name, in lower case, and unit of a heading; what stands in brackets and is no unit stays."""
+    if len(heading) > LONGEST:
+        return heading[:LONGEST].lower(), None
     text = ' '.join(heading.strip().lstrip('%').split())
     match = BRACKETED.match(text)
     if match is not None and not match['name'].strip():
@@ -92,3 +96,8 @@ def unit_hint(stated: float, expected: float) -> str:
 
 HINTED = ('mm', 'inch', 'um', 'cm')
 """In the order of how usual they are."""
+
+
+def unit_words(unit: str) -> str:
+    """Unit as people read it."""
+    return 'µm' if unit == 'um' else unit

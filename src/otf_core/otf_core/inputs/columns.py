@@ -17,6 +17,7 @@ from pathlib import Path
 
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_dialect import is_missing, is_value
+from otf_core.files.text_numbers import shown_name
 from otf_core.files.text_table import TextTable, read_text_table
 from otf_core.files.units import LENGTHS, OTHERS, TIMES, is_unit, parted
 from otf_core.inputs.heading_words import AXES, coordinate_of, without_fillers, words_of
@@ -110,7 +111,7 @@ class AmbiguousPointError(InputError):
 
 
 def _column(place: int, heading: str) -> Column:
-    return Column(place, parted(heading)[1], ' '.join(heading.split()))
+    return Column(place, parted(heading)[1], shown_name(' '.join(heading.split())))
 
 
 def offers(headings: Sequence[str]) -> list[Offer]:
@@ -187,7 +188,7 @@ def _times(headings: Sequence[str]) -> tuple[Column, ...]:
             continue
         if unit not in TIMES and unit not in OTHERS:
             unit = words[-1] if words[-1] in TIMES else None
-        found.append(Column(place, unit, ' '.join(heading.split())))
+        found.append(Column(place, unit, shown_name(' '.join(heading.split()))))
     stamps = [c for c in found if 'stamp' in c.name.lower()] or found
     whole = [c for c in stamps if TIMES.get(c.unit or '') == 0]
     parts = [c for c in stamps if TIMES.get(c.unit or '') == -9]

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from otf_core.bags.bag_reading import Received
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import ConfigError, InputError
-from otf_core.files.text_dialect import NUMBER, is_missing
+from otf_core.files.strict_yaml import shown
+from otf_core.files.text_dialect import is_missing, is_number
 from otf_core.files.text_numbers import NOT_FINITE, NumberColumn
 from otf_core.files.text_table import TextTable, counted, fault_words
 from otf_core.files.units import ANGLES, LENGTHS, TIMES, known_lengths
@@ -184,7 +185,7 @@ def _chosen(table: TextTable, columns: Columns) -> _Chosen:
         times.append(texts[c.place])
         for row, text in enumerate(texts[c.place]):
             if not text or is_missing(text):
-                bad.setdefault(row, f'{c.name} is {f"{text!r}" if text else "empty"}')
+                bad.setdefault(row, f'{c.name} is {shown(text) if text else "empty"}')
     faults = dict(table.faults) | {table.lines[row]: reason for row, reason in bad.items()}
     _refuse_many(table, faults, len(table.lines) - len(bad))
     if not bad:
@@ -207,10 +208,7 @@ def _is_decimal(texts: Sequence[str]) -> bool:
     """Tell whether a column holds numbers, not times of day."""
     there = (text for text in texts if text and not is_missing(text))
     first = list(itertools.islice(there, 9))
-    return (
-        sum(bool(NUMBER.match(text)) or text.lower() in NOT_FINITE for text in first)
-        > len(first) // 2
-    )
+    return sum(is_number(text) or text.lower() in NOT_FINITE for text in first) > len(first) // 2
 
 
 def _refuse_many(table: TextTable, faults: Mapping[int, str], kept: int) -> None:
@@ -303,9 +301,9 @@ def _without_noise(chosen: _Chosen, columns: Columns, unit: float, xyz: Array) -
     step = unit * 10.0 ** -np.array(digits, dtype=float)
     if not np.all(size <= np.maximum(1.01 * step, QUIET)) or np.ptp(xyz, axis=0).max() < MOVED:
         return ''
-    shown = max(1e6 * float(step.max()), 1e-6)
+    size_um = max(1e6 * float(step.max()), 1e-6)
     return (
-        f'the points have no noise beyond their rounding ({shown:g} um): commanded or smoothed '
+        f'the points have no noise beyond their rounding ({size_um:g} µm): commanded or smoothed '
         f'positions give tables that show no errors; export the measured ones'
     )
 
