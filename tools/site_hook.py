@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What mkdocs does not do itself: links into the sources, pages the navigation does not name."""
+"""What mkdocs does not do itself: equations, links into the sources, pages without a place."""
 
+import html
 import re
 from pathlib import Path
 
+from latex2mathml.converter import convert
+
 OUTSIDE = re.compile(r'\[([^\]]+)\]\((\.\./[^)]*)\)')
 """Links to files beside docs/; in the repository they lead somewhere, on the site they do not."""
+EQUATION = re.compile(r'<div class="arithmatex">\\\[(.*?)\\\]</div>', re.DOTALL)
 
 
 def listed(nav):
@@ -35,3 +39,12 @@ def on_page_markdown(markdown, page, **_):
         return match[1] if match[2].startswith('../' * (depth + 1)) else match[0]
 
     return OUTSIDE.sub(shown, markdown)
+
+
+def on_page_content(page_html, **_):
+    """TeX of equations as MathML."""
+
+    def typeset(match):
+        return f'<p>{convert(html.unescape(match[1]).strip(), display="block")}</p>'
+
+    return EQUATION.sub(typeset, page_html)

@@ -114,14 +114,15 @@ def _digits(value: float) -> str:
 
 
 def format_rows(rows: Sequence[Row]) -> str:
-    """Return the table as text."""
+    """Return the table as text: of every quantity the mean and the range over the cells."""
     width = max(len(r.quantity) for r in rows) + 2
     paper = max(len(r.paper) for r in rows) + 2
-    lines = [f'{"":<6}{"quantity":<{width}}{"paper":<{paper}}ours, mean +/- 95 % interval']
+    lines = [f'{"":<6}{"quantity":<{width}}{"paper":<{paper}}ours: mean (smallest to largest)']
     for r in rows:
-        constant = np.isnan(r.half_width) or r.half_width < 1e-9 * abs(r.mean)
-        interval = '' if constant else f' +/- {_digits(r.half_width)}'
+        low, high = min(r.values), max(r.values)
+        constant = high - low <= 1e-9 * abs(r.mean)
+        interval = '' if constant else f' ({_digits(low)} to {_digits(high)})'
         verdict = {None: '', True: '  ok', False: '  NOT REACHED'}[r.passed]
-        ours = f'{_digits(r.mean)}{interval} {r.unit}'
+        ours = f'{_digits(r.mean)}{interval} {r.unit}'.rstrip()
         lines.append(f'{r.section:<6}{r.quantity:<{width}}{r.paper:<{paper}}{ours}{verdict}')
     return '\n'.join([*lines, '', NOTE])

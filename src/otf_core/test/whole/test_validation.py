@@ -96,14 +96,14 @@ def test_a_rigid_motion_is_no_error_across_the_path():
     assert np.abs(across_path(field, q, axes)).max() < 1e-15
 
 
-def test_interval_and_verdict_of_a_row():
+def test_range_and_verdict_of_a_row():
     passing = Row('2.1', 'a', '1 um', 'um', (1.0, 2.0, 3.0), (0.0, 2.5))
     assert passing.mean == 2.0
     assert passing.half_width == pytest.approx(4.303 / np.sqrt(3), rel=1e-3)  # t, 2 degrees
     failing = Row('2.1', 'b', '', '%', (3.0,), (0.0, 2.5))
     assert (passing.passed, failing.passed) == (True, False)
     text = format_rows([passing, failing])
-    assert '2 +/- 2.48 um  ok' in text
+    assert '2 (1 to 3) um  ok' in text
     assert '3 %  NOT REACHED' in text
 
 
