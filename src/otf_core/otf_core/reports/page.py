@@ -85,7 +85,8 @@ def _picture(picture: Picture) -> str:
     caption = f'<figcaption>{said}</figcaption>' if said else ''
     long = ' class="long"' if len(picture.parts) > LONG_FIGURE else ''
     parts = ''.join(f'<div>{part}</div>' for part in picture.parts)
-    return f'<figure{long}>{title}{picture.key}<div class="pictures{kind}">{parts}</div>{caption}</figure>'
+    shown = f'<div class="pictures{kind}">{parts}</div>'
+    return f'<figure{long}>{title}{picture.key}{shown}{caption}</figure>'
 
 
 def _tables(tables: Sequence[Table]) -> str:

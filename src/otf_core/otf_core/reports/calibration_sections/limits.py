@@ -29,7 +29,7 @@ def section(facts: Facts) -> Section:
         )
     rows = tuple(_row(one) for one in verdict.judged)
     head = ('Quantity', 'Value', 'U (95 %)', 'Limit', 'Unit', 'State')
-    table = Table(head, rows, numbers=(1, 2, 3))
+    table = Table(head, rows, numbers=(1, 2, 3), stacked=True)
     return Section('limits', 'Verdict', tuple(words), facts.result.verdicts.to_dict(), (table,))
 
 
