@@ -16,8 +16,8 @@ from core_cells import (
 )
 from scipy.linalg import block_diag
 
-from otf_core.effects.backlash import Backlash
-from otf_core.effects.direction_dependent_tables import DirectionDependentTables
+from otf_core.effects.catalogue.backlash import Backlash
+from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
 from otf_core.effects.state import state_of_travel
 from otf_core.model.nodes import table_nodes
 from otf_core.noise.model import Misfit

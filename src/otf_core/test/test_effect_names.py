@@ -21,7 +21,8 @@ SOURCES = sorted(
     f for f in ROOT.rglob('*.py')
     if f.name not in KEYS_OF_OTHERS
     and not {'test', 'tests', 'build', 'install'} & set(f.relative_to(ROOT).parts)
-    and not (f.parent.name == 'effects' and f.stem in (*REGISTRY, 'catalogue'))
+    and not (f.parent.name == 'catalogue' and f.stem in REGISTRY)
+    and f.name != 'effects_page.py'
 )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from effect_cells import driven_state, some_plan
 from otf_core.blind.draw_effects import draw_effect
 from otf_core.config import SimulationConfig
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo, base, drawing, names_of
-from otf_core.effects.catalogue import catalogue_markdown
+from otf_core.effects.effects_page import catalogue_markdown
 from otf_core.effects.effects_yaml import read_effects, write_effects
 from otf_core.effects.state import probe_state
 from otf_core.errors import ConfigError
@@ -61,8 +61,8 @@ def test_effect_is_one_file_and_says_what_it_is(name):
     for text in ('cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs'):
         assert len(getattr(effect, text)) > 2, text
     assert not any(getattr(effect, n).endswith('.') for n in ('cause', 'signature', 'needs'))
-    module = Path(base.__file__).with_name(f'{name}.py')
-    assert type(effect).__module__ == f'otf_core.effects.{module.stem}' and module.exists()
+    module = Path(base.__file__).parent / 'catalogue' / f'{name}.py'
+    assert type(effect).__module__ == f'otf_core.effects.catalogue.{name}' and module.exists()
 
 
 @every_effect
@@ -74,7 +74,7 @@ def test_documentation_has_a_row_and_a_section(name):
 def test_generated_documentation_is_current():
     document = Path(__file__).parents[3] / 'docs' / 'effects.md'
     assert document.read_text(encoding='utf-8') == catalogue_markdown(), (
-        'run python3 -m otf_core.effects.catalogue docs/effects.md'
+        'run python3 -m otf_core.effects.effects_page docs/effects.md'
     )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from otf_core.blind.view import SENSOR
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import AppliedEffect
-from otf_core.effects.tracker_noise import TrackerNoise
+from otf_core.effects.catalogue.tracker_noise import TrackerNoise
 from otf_core.model.declared_signals import DRIVEN, HEAD, USUAL, SignalSpec
 from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.motions import ErrorMotion

@@ -4,25 +4,25 @@
 from __future__ import annotations
 
 from otf_core.effects.applied import AppliedEffect, total_displacement
-from otf_core.effects.backlash import Backlash
 from otf_core.effects.base import BelongsTo, Effect, Shape, State, Terms
-from otf_core.effects.corner_rounding import CornerRounding
-from otf_core.effects.cross_coupling import CrossCoupling
-from otf_core.effects.cyclic_error import CyclicError
-from otf_core.effects.direction_dependent_tables import DirectionDependentTables
-from otf_core.effects.servo_mismatch import ServoMismatch
-from otf_core.effects.table_resolution import TableResolution
-from otf_core.effects.table_tilt import TableTilt
-from otf_core.effects.target_incidence import TargetIncidence
-from otf_core.effects.target_offset import TargetOffset
-from otf_core.effects.thermal_axis_expansion import ThermalAxisExpansion
-from otf_core.effects.thermal_structure_drift import ThermalStructureDrift
-from otf_core.effects.tracker_angles import TrackerAngles
-from otf_core.effects.tracker_noise import TrackerNoise
-from otf_core.effects.tracker_pose_drift import TrackerPoseDrift
-from otf_core.effects.tracker_range_offset import TrackerRangeOffset
-from otf_core.effects.tracker_scale import TrackerScale
-from otf_core.effects.vibration import Vibration
+from otf_core.effects.catalogue.backlash import Backlash
+from otf_core.effects.catalogue.corner_rounding import CornerRounding
+from otf_core.effects.catalogue.cross_coupling import CrossCoupling
+from otf_core.effects.catalogue.cyclic_error import CyclicError
+from otf_core.effects.catalogue.direction_dependent_tables import DirectionDependentTables
+from otf_core.effects.catalogue.servo_mismatch import ServoMismatch
+from otf_core.effects.catalogue.table_resolution import TableResolution
+from otf_core.effects.catalogue.table_tilt import TableTilt
+from otf_core.effects.catalogue.target_incidence import TargetIncidence
+from otf_core.effects.catalogue.target_offset import TargetOffset
+from otf_core.effects.catalogue.thermal_axis_expansion import ThermalAxisExpansion
+from otf_core.effects.catalogue.thermal_structure_drift import ThermalStructureDrift
+from otf_core.effects.catalogue.tracker_angles import TrackerAngles
+from otf_core.effects.catalogue.tracker_noise import TrackerNoise
+from otf_core.effects.catalogue.tracker_pose_drift import TrackerPoseDrift
+from otf_core.effects.catalogue.tracker_range_offset import TrackerRangeOffset
+from otf_core.effects.catalogue.tracker_scale import TrackerScale
+from otf_core.effects.catalogue.vibration import Vibration
 
 REGISTRY: dict[str, Effect] = {
     effect.name: effect

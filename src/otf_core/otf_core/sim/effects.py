@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.effects import AppliedEffect, Shape, State
+from otf_core.effects.catalogue.tracker_noise import SPECIFIED, TrackerNoise
 from otf_core.effects.state import state_on_path
-from otf_core.effects.tracker_noise import SPECIFIED, TrackerNoise
 from otf_core.errors import ConfigError
 from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform

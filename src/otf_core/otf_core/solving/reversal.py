@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.effects.backlash import HELD, travel_sign
-from otf_core.effects.direction_dependent_tables import ORDER, polynomials
+from otf_core.effects.catalogue.backlash import HELD, travel_sign
+from otf_core.effects.catalogue.direction_dependent_tables import ORDER, polynomials
 from otf_core.effects.position import scaled_position
 from otf_core.effects.state import state_of_travel
 from otf_core.model.machine import Machine

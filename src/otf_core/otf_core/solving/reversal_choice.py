@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from otf_core.config import CalibrationConfig
-from otf_core.effects.servo_mismatch import ServoMismatch
+from otf_core.effects.catalogue.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
 from otf_core.memory import give_back
 from otf_core.pieces.observed import AnyRun, Observed

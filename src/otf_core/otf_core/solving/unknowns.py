@@ -43,7 +43,7 @@ class Unknowns:
     reversal : int
         Reversal polynomials per motion.
     held : bool
-        Axes that stand stay on the side of their last travel, see ``effects.backlash``.
+        Axes that stand stay on the side of their last travel, see ``effects.catalogue.backlash``.
     """
 
     bases: dict[str, Basis]

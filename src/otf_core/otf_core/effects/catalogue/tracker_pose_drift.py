@@ -14,9 +14,9 @@ import numpy as np
 from otf_core.effects import drift
 from otf_core.effects.acting import Acting, rigid_tracker
 from otf_core.effects.base import Shape, State, Terms
+from otf_core.effects.catalogue.thermal_structure_drift import translation_columns
 from otf_core.effects.drawing import Axes, Either, Trial
 from otf_core.effects.free import Free
-from otf_core.effects.thermal_structure_drift import translation_columns
 from otf_core.model.frames import XYZ
 
 _SHIFT, _TURN = Axes('M'), Axes('W', 2e-6)
