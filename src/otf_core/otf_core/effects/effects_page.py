@@ -21,8 +21,8 @@ INTRODUCTION = """<!-- Generated: python3 -m otf_core.effects.catalogue docs/eff
 # Effects
 
 What makes a real cell differ from the rigid-body simulation. Every effect is one file in
-`src/otf_core/otf_core/effects/catalogue/` and one line in its registry; its `terms` are the only formula,
-used by simulation (`./otf simulate --effects effects.yaml`), fit, diagnosis and report alike.
+`src/otf_core/otf_core/effects/catalogue/` and one line in its registry; its `terms` are the only
+formula, used by simulation (`./otf simulate --effects effects.yaml`), fit, diagnosis and report.
 
 An effect displaces the measured point, in the machine frame, actual minus nominal: linear in its
 coefficients, not linear in its shape parameters. Symbols: q axis positions, u positions scaled to
