@@ -238,9 +238,17 @@ def _named_fields(line: str, dialect: Dialect) -> list[str]:
     """Fields of a line of names; empty if it is none."""
     if STATEMENT.match(line):
         return []
-    fields = dialect.fields(line)
+    fields = dialect.fields(_APART.sub(_together, line) if dialect.separator is None else line)
     is_none = len(fields) < FEWEST or any(is_value(f) or (f and is_missing(f)) for f in fields)
     return [] if is_none else fields
+
+
+_APART = re.compile(r'(?<=\S)[ \t]+[\[(]([^\s\])]*)[\])](?=\s|$)')
+"""A unit in brackets after a name: 'X [mm] Y [mm]'."""
+
+
+def _together(match: re.Match[str]) -> str:
+    return match[0].lstrip() if is_unit(match[1]) else match[0]
 
 
 @dataclass

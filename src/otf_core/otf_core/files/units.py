@@ -39,7 +39,8 @@ BRACKETED = re.compile(
 )
 SUFFIX = re.compile(
     r'^(?P<name>.+?)[_ /]'
-    r'(?P<unit>m|mm|cm|um|µm|μm|inch|in|s|sec|ms|us|µs|ns|deg|gon|rad|mrad|urad)$'
+    r'(?P<unit>m|dm|cm|mm|um|µm|μm|inch|in|mil|ft|nm|km|s|sec|ms|us|µs|ns|min|deg|grad|gon|'
+    r'rad|mrad|urad)$'
 )
 
 LONGEST = 200

@@ -120,6 +120,14 @@ def offers(headings: Sequence[str]) -> list[Offer]:
     return found or _offers(headings, keep_fillers=False)
 
 
+def _with_last_unit(offer: Offer) -> Offer:
+    """Take a unit that is stated once, after z, for all three: 'X, Y, Z (mm)'."""
+    x, y, z = offer.point
+    if x.unit is None and y.unit is None and z.unit is not None:
+        return replace(offer, point=(replace(x, unit=z.unit), replace(y, unit=z.unit), z))
+    return offer
+
+
 def _offers(headings: Sequence[str], *, keep_fillers: bool) -> list[Offer]:
     groups: dict[tuple[tuple[str, ...], str], dict[str, list[Column]]] = defaultdict(
         lambda: defaultdict(list)
@@ -215,7 +223,7 @@ def columns_of(
     AmbiguousPointError
         If words do not say which point is wanted; names both.
     """
-    offered, time = offers(headings), _times(headings)
+    offered, time = list(map(_with_last_unit, offers(headings))), _times(headings)
     if not offered:
         polar = _polar(headings)
         return None if polar is None else Columns(polar[0], time, polar[1])
@@ -426,7 +434,8 @@ def _suggestion(table: TextTable) -> str:
     """Columns as they may be; a form that is accepted, for the user to correct."""
     places = _value_places(table)
     words = ['-'] * table.width
-    for word, place in zip(('z_mm', 'y_mm', 'x_mm', 'time_s'), places[::-1], strict=False):
+    names = ('time_s', 'x_mm', 'y_mm', 'z_mm') if len(places) > 3 else ('x_mm', 'y_mm', 'z_mm')
+    for word, place in zip(names, places, strict=False):
         words[place] = word
     return ','.join(words)
 
