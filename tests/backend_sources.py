@@ -27,7 +27,7 @@ def replay(folder):
 
 def emscon(folder):
     with emulator() as running:
-        yield {'emscon.port': running.port}, {'emscon.host': 'no.such.host.invalid'}
+        yield {'emscon.port': running.port}, {'emscon.reflector': 'no-such-reflector'}
 
 
 def stream(folder):

@@ -39,10 +39,24 @@ def time_of(x, y):
 
 
 class OtherTracker:
-    """Serves until closed; ``break_beam`` holds the beam off for a moment."""
+    """Serves until closed; ``break_beam`` holds the beam off for a moment.
 
-    def __init__(self):
-        self._listening = socket.create_server(('127.0.0.1', 0))
+    Parameters
+    ----------
+    keeps : bool
+        False: system settings (47) are acknowledged and not kept.
+    moved : float, m
+        Along x, of the transformation that is set.
+    silent : bool
+        Measurements are started, and nothing is sent.
+    port : int
+        0: any.
+    """
+
+    def __init__(self, keeps=True, moved=0.0, silent=False, port=0):
+        self._keeps, self._moved, self.silent = keeps, moved, silent
+        self.starts = []
+        self._listening = socket.create_server(('127.0.0.1', port))
         self.port = self._listening.getsockname()[1]
         self._stop = threading.Event()
         self._set = {
@@ -99,7 +113,8 @@ class OtherTracker:
 
     def _obey(self, command, values):
         if command in self._set:
-            self._set[command] = values
+            if command != 47 or self._keeps:
+                self._set[command] = values
             self._answer(command)
             if command in EVENTS:
                 self._send(8, struct.pack('<i', EVENTS[command]))
@@ -113,6 +128,10 @@ class OtherTracker:
             time.sleep(0.2)
             self._ready = True
             self._answer(7)
+        elif command == 13:
+            self._answer(13, bytes(48))
+        elif command == 15:
+            self._answer(15, struct.pack('<7d', self._moved, 0, 0, 0, 0, 0, 1))
         elif command == 42:
             for number, name in NAMES.items():
                 head = struct.pack('<3id', len(NAMES), number, 5, 0.0)
@@ -125,6 +144,7 @@ class OtherTracker:
         elif command == 49:
             self._answer(49, status=0 if self._seen else NOT_READY)
             self._began, self._sent = time.monotonic(), 0
+            self.starts.append(self._began)
         elif command == 52:
             self._began = None
             self._answer(52)
@@ -133,7 +153,7 @@ class OtherTracker:
 
     def _measure(self):
         """Send a third of a second of samples, if it is over."""
-        if self._began is None:
+        if self._began is None or self.silent:
             return
         if time.monotonic() < self._off_until:
             self._began, self._seen = None, False
@@ -141,12 +161,13 @@ class OtherTracker:
             return
         step = struct.unpack_from('<i', self._set[30])[0]
         ready = int((time.monotonic() - self._began) * 1e3) // step
-        if (ready - self._sent) * step < 333:
-            return
-        samples = b''.join(self._sample(k * step) for k in range(self._sent, ready))
-        head = struct.pack('<4i3d', 0, ready - self._sent, 1, 0, 22.0, 710.0, 33.0)
-        self._sent = ready
-        self._send(10, head + samples)
+        count = 333 // step
+        while ready - self._sent >= count:  # a client that does not read may have held it up
+            numbers = range(self._sent, self._sent + count)
+            samples = b''.join(self._sample(k * step) for k in numbers)
+            head = struct.pack('<4i3d', 0, count, 1, 0, 22.0, 710.0, 33.0)
+            self._send(10, head + samples)
+            self._sent += count
 
     def _sample(self, ms):
         values = point(self._began + ms / 1e3)
@@ -156,9 +177,9 @@ class OtherTracker:
 
 
 @contextmanager
-def other_tracker():
-    """Run it on a free port."""
-    tracker = OtherTracker()
+def other_tracker(**given):
+    """Run it on a free port, unless one is given."""
+    tracker = OtherTracker(**given)
     try:
         yield tracker
     finally:

@@ -9,8 +9,8 @@ from pathlib import Path
 FILE = Path(__file__).parents[1] / 'src/otf_bringup/config/policies.xml'
 ROLES = ('publish', 'subscribe', 'request', 'reply', 'call', 'execute')
 OTHER_SIDE = {'publish': 'subscribe', 'reply': 'request', 'execute': 'call'}
-ELSEWHERE = {('subscribe', '/clock'), ('publish', '/tf_static')}
-"""With use_sim_time, and with tf2_ros, only."""
+ELSEWHERE = {('subscribe', '/clock'), ('publish', '/tf_static'), ('publish', '/planner/path')}
+"""With use_sim_time, with tf2_ros, and by a driver that replays a path, only."""
 DISCOVERED = 20.0
 """s; what a node does is told apart from its names, and after them."""
 

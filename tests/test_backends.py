@@ -172,7 +172,7 @@ def test_parameters_are_described_bounded_and_frozen(name):
 @in_the_node
 def test_node_streams_until_deactivated_and_again_from_the_beginning(graph, name, source):
     points = graph.listen(PointStamped, 'tracker/point', qos.MEASUREMENT)
-    graph.start('tracker_driver', backend=name, **source[0])
+    graph.start('tracker_driver', backend=name, wait_for_subscribers=0, **source[0])
     if BACKENDS[name].needs_plan:
         graph.start('path_planner', machine_file=source[0]['machine_file'], **SHORT)
     streams = []

@@ -56,7 +56,7 @@ def test_calibrator_that_starts_late_gets_path_and_all_samples_without_any_clock
     given = {'machine_file': machine_file, 'use_sim_time': True}
     graph.start('path_planner', **given, **SHORT)
     graph.start('tracker_driver', **given, **FAST)
-    graph.wait_for_status('IDLE', 'waiting for subscriptions')
+    graph.wait_for_status('IDLE', 'waiting for calibrators')
     graph.start('calibrator', **given, output_directory=tmp_path / 'out')
     result, _ = graph.wait_for_result()
     assert (result.status, result.samples_lost) == (result.OK, 0)

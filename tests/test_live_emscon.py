@@ -38,5 +38,6 @@ def test_driver_says_what_hinders_the_stream_and_that_it_goes_on(graph):
         graph.start('tracker_driver', backend='emscon', wait_for_subscribers=0,
                     **{'emscon.port': running.port})  # fmt: skip
         graph.wait_for_status('STREAMING', 'streaming')
-        graph.wait_for_status('STREAMING', 'connecting again')
+        status = graph.wait_for_status('NO_CONNECTION', 'connecting again')
+        assert 'no samples for' in status.message
         graph.wait_for_status('STREAMING', 'streaming')

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from otf_tracker_driver.clock.arrival import receive, stamp_arrivals
+from otf_tracker_driver.clock.arrival import Arrivals
 from otf_tracker_driver.emscon.wire import wired
 
 LATE = 0.08
@@ -20,7 +20,7 @@ STARTING = 20
 
 
 def pair(kind):
-    """Two connected sockets of this computer; what the second receives is stamped."""
+    """Two connected sockets of this computer, the second one with the arrivals at it."""
     listening = socket.socket(socket.AF_INET, kind)
     listening.bind(('127.0.0.1', 0))
     sender = socket.socket(socket.AF_INET, kind)
@@ -32,19 +32,18 @@ def pair(kind):
     else:
         receiver = listening
         sender.connect(listening.getsockname())
-    stamp_arrivals(receiver)
-    return sender, receiver
+    return sender, receiver, Arrivals(receiver)
 
 
 @pytest.mark.parametrize('kind', [socket.SOCK_STREAM, socket.SOCK_DGRAM])
 def test_age_of_what_is_read_late_is_told(kind):
-    sender, receiver = pair(kind)
+    sender, receiver, arrivals = pair(kind)
     with sender, receiver:
         for _ in range(STARTING):
             before = time.monotonic_ns()
             sender.send(b'packet')
             time.sleep(LATE)
-            data, age, _ = receive(receiver, 100)
+            data, age, _ = arrivals.receive(100)
             longest = time.monotonic_ns() - before
             if age > LEAST:
                 break
@@ -52,13 +51,29 @@ def test_age_of_what_is_read_late_is_told(kind):
     assert LEAST < age <= 1.01 * longest  # the time of day may be slewed
 
 
-def test_time_of_day_that_is_set_back_makes_no_age(monkeypatch):
-    sender, receiver = pair(socket.SOCK_STREAM)
+@pytest.mark.parametrize('step', [-3600, 3600])
+def test_time_of_day_that_is_set_makes_no_age(monkeypatch, step):
+    sender, receiver, arrivals = pair(socket.SOCK_STREAM)
     with sender, receiver:
         sender.send(b'packet')
         now = time.time_ns()
-        monkeypatch.setattr(time, 'time_ns', lambda: now - 3600 * 10**9)
-        assert receive(receiver, 100)[:2] == (b'packet', 0)
+        monkeypatch.setattr(time, 'time_ns', lambda: now + step * 10**9)
+        assert arrivals.receive(100)[:2] == (b'packet', 0)
+
+
+def test_age_holds_after_a_process_has_stood_still_for_long(monkeypatch):
+    sender, receiver, arrivals = pair(socket.SOCK_STREAM)
+    with sender, receiver:
+        for _ in range(STARTING):
+            sender.send(b'packet')
+            time.sleep(LATE)
+            if arrivals.receive(100)[1]:
+                break
+        sender.send(b'packet')
+        now, monotonic, still = time.time_ns(), time.monotonic_ns(), 60 * 10**9
+        monkeypatch.setattr(time, 'time_ns', lambda: now + still)
+        monkeypatch.setattr(time, 'monotonic_ns', lambda: monotonic + still)
+        assert arrivals.receive(100)[1] == pytest.approx(still, rel=0.01)
 
 
 def test_wire_tells_the_arrival_also_when_its_event_loop_is_busy():
@@ -80,7 +95,7 @@ def test_wire_tells_the_arrival_also_when_its_event_loop_is_busy():
                 wire.write(b'?')
                 await served.wait()
                 time.sleep(LATE)  # as if other work held the loop up
-                data, age = await wire.read()
+                data, age = await wire.read(100)
                 if age > LEAST:
                     break
             return data, age

@@ -61,6 +61,26 @@ def test_packets_late_by_seconds_change_nothing():
     assert stamper.clock.late == 8 and stamper.clock.jumps == 0
 
 
+@pytest.mark.parametrize('still', [15, 60, 180])
+def test_backlog_of_a_process_that_stood_still_changes_nothing(still):
+    def read_late():
+        known = list(packets(3, 120, 18e-6))
+        for k, (device, true, arrival) in enumerate(known):
+            if 100 <= k < 100 + still:  # as the kernel has kept them, together
+                last = min(100 + 15 * ((k - 100) // 15 + 1), 100 + still) - 1
+                if k >= 100 + still // 3:  # and what it had no room for comes afterwards
+                    last = 100 + still
+                yield device, true, known[last][2]
+            else:
+                yield device, true, arrival
+
+    stamper = Stamper()
+    stamps, true = stamped(read_late(), stamper)
+    assert np.all(np.diff(stamps) > 0)
+    assert np.abs(stamps - true).max() < MILLISECOND
+    assert stamper.clock.jumps == 0
+
+
 @pytest.mark.parametrize('ahead', [0.3, 5.0, 86_400.0, -0.4, -30.0])
 @pytest.mark.parametrize('seed', range(2))
 def test_jump_of_the_clock_is_found_and_its_packets_wait_for_the_new_line(ahead, seed):

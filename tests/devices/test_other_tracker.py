@@ -4,17 +4,23 @@
 import time
 
 import numpy as np
+import pytest
 from other_tracker import RADIUS, TURN, other_tracker, time_of
 
+from otf_core.errors import OtfError
 from otf_tracker_driver.backends import CommonConfig
 from otf_tracker_driver.backends.base import joined
 from otf_tracker_driver.backends.emscon import Emscon, EmsconConfig
-from otf_tracker_driver.health import Beam
+from otf_tracker_driver.health import Beam, Flow
 
 PATIENCE = 40.0
 """s"""
 NEAR = 0.02
 """s; far from a third of a second, and from what a busy computer adds to all delays."""
+
+
+SILENCES = (1.0, 2.0, 4.0)
+"""s; before the measurement of a silent tracker is started again."""
 
 
 def off(samples):
@@ -25,6 +31,13 @@ def off(samples):
     return (stamps - told + TURN / 2) % TURN - TURN / 2
 
 
+def until(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, 'waited in vain'
+        time.sleep(0.005)
+
+
 def test_another_server_is_set_up_followed_and_helped_after_a_broken_beam():
     with other_tracker() as tracker:
         backend = Emscon(CommonConfig(), EmsconConfig(port=tracker.port, reflector='CCR 1.5in'))
@@ -33,15 +46,19 @@ def test_another_server_is_set_up_followed_and_helped_after_a_broken_beam():
             assert 'emScon 3.8.1' in said and 'CCR 1.5in' in said and '710.0 mbar' in said
             backend.start()
             parts, seen, until = [], set(), time.monotonic() + PATIENCE
+            broken = False
             while not backend.health.gaps:
                 assert time.monotonic() < until, backend.trouble
                 parts.append(backend.poll())
                 seen.add(backend.health.beam)
-                if sum(map(len, parts)) > 1000 and not backend.health.interruptions:
+                if sum(map(len, parts)) > 1000 and not broken:
+                    assert backend.health.interruptions == 0
+                    broken = True
                     tracker.break_beam(0.5)
                 time.sleep(0.005)
             samples = joined([*parts, backend.poll()])
             (gap,) = backend.health.gaps
+            assert backend.health.interruptions == 1
         finally:
             backend.disconnect()
     assert {Beam.ON_TARGET, Beam.SEARCHING} <= seen
@@ -49,3 +66,67 @@ def test_another_server_is_set_up_followed_and_helped_after_a_broken_beam():
     assert np.all(np.diff(samples.stamp_ns) > 0)
     assert np.allclose(np.hypot(*samples.xyz[:, :2].T), RADIUS)
     assert np.abs(off(samples)).max() < NEAR
+
+
+@pytest.fixture
+def connected():
+    made = []
+
+    def connected(tracker):
+        own = EmsconConfig(port=tracker.port, reflector='CCR 1.5in')
+        made.append(Emscon(CommonConfig(), own))
+        made[-1].connect()
+        return made[-1]
+
+    yield connected
+    for backend in made:
+        backend.disconnect()
+
+
+def test_settings_that_are_acknowledged_and_not_kept_are_warned_of_where_they_move_nothing(
+    connected,
+):
+    with other_tracker(keeps=False) as tracker:
+        backend = connected(tracker)
+        warnings = backend.health.warnings
+        assert any('transformation' in text and 'identity' in text for text in warnings)
+        assert any('station orientation' in text for text in warnings)
+        assert all(text in backend.remark for text in warnings)
+        backend.start()
+        until(lambda: len(backend.poll()))
+
+
+def test_transformation_that_stays_on_and_moves_samples_is_refused_by_its_name(connected):
+    with (
+        other_tracker(keeps=False, moved=0.1) as tracker,
+        pytest.raises(
+            OtfError, match=r'setting transformation \(command 47\) .*stays at 1.*reset'
+        ),
+    ):
+        connected(tracker)
+
+
+def test_silence_is_one_state_whose_restarts_grow_apart_and_are_counted(connected):
+    with other_tracker(silent=True) as tracker:
+        backend = connected(tracker)
+        backend.start()
+        kinds = set()
+
+        def restarted():
+            kinds.add(backend.hindrance.kind)
+            return len(tracker.starts) > len(SILENCES)
+
+        until(restarted)
+        until(lambda: backend.hindrance.restarts == len(SILENCES))
+        assert kinds == {Flow.STARTING, Flow.BEAM_BROKEN, Flow.SILENT}
+        assert 'sends nothing' in backend.trouble
+        assert np.all(np.diff(tracker.starts) > SILENCES)
+        assert backend.health.interruptions == 0 and not backend.health.gaps
+        tracker.silent = False
+        until(lambda: len(backend.poll()))
+        assert backend.hindrance is None
+        tracker.silent = True
+        until(lambda: backend.hindrance)
+        tracker.silent = False
+        until(lambda: backend.health.gaps)
+        assert backend.health.interruptions == 1

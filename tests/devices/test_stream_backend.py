@@ -123,7 +123,7 @@ def test_datagrams_of_others_than_the_peer_are_not_taken(make, tmp_path):
         backend = make(described(tmp_path, source=source.url, peer='127.0.0.2'))
         backend.connect()
         backend.start()
-        until(lambda: 'nothing for' in backend.trouble)
+        until(lambda: 'sends nothing; is it on?' in backend.trouble)
         assert len(backend.poll()) == 0
 
 

@@ -80,7 +80,7 @@ class Soak:
             'tracker_driver': {
                 'backend': 'emscon',
                 'emscon.port': self.tracker.port,
-                'wait_for_subscribers': 2,
+                'wait_for_subscribers': 1,
             },
         }
         self.nodes: list[NodeProcess] = []

@@ -25,12 +25,11 @@ from otf_ros.definitions import message_text
 
 
 def status_of(message: TrackerStatus) -> Status:
-    """Return what a driver says of its stream; one that is held up by a fault may go on."""
-    going = (TrackerStatus.STREAMING, TrackerStatus.FAULT)
+    """Return what a driver says of its stream; one that is held up may go on."""
     return Status(
         message.stream_id,
         message.samples_published,
-        message.state in going,
+        message.state not in (TrackerStatus.IDLE, TrackerStatus.FINISHED),
         message.state == TrackerStatus.FINISHED,
     )
 

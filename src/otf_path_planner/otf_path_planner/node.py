@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from nav_msgs.msg import Path
 from rclpy.node import Node
 
@@ -28,6 +30,7 @@ class PathPlanner(Node):
     def __init__(self) -> None:
         super().__init__('path_planner')
         self._settings = NodeParameters(self, PlannerFiles, PlannerConfig)
+        self._settings.tell_when(_when)
         self._path_publisher = self.create_publisher(Path, 'planner/path', qos.PATH)
         self._plan_publisher = self.create_publisher(Plan, 'planner/plan', qos.PATH)
         self.get_logger().info(self._plan())
@@ -50,6 +53,11 @@ class PathPlanner(Node):
             return True, self._plan()
         except OtfError as error:
             return False, f'{error}; the plan published before stays'
+
+
+def _when(names: Collection[str]) -> str:
+    """Say when parameters count that are set now."""
+    return 'counts when planner/replan is called' if set(names) - {'use_sim_time'} else ''
 
 
 def main(args: list[str] | None = None) -> int:

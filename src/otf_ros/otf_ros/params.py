@@ -96,6 +96,9 @@ class NodeParameters:
             self.read(group, name)
         frames.use(self.read(frames.FramesConfig))
         self._warn_of_unknown()
+        self._when: Callable[[Collection[str]], str] = lambda names: ''
+        self._set_atomically = node.set_parameters_atomically
+        node.set_parameters_atomically = self._set_and_tell  # type: ignore[method-assign]
         node.add_pre_set_parameters_callback(self._as_declared_type)
         node.add_on_set_parameters_callback(self._check)
 
@@ -129,6 +132,26 @@ class NodeParameters:
             ConfigError if they cannot.
         """
         self._checks[group] = check
+
+    def tell_when(self, when: Callable[[Collection[str]], str]) -> None:
+        """Tell whoever sets parameters when that takes effect, if not at once.
+
+        ``ros2 param set`` prints the reason of a success as well; rclpy leaves it out.
+
+        Parameters
+        ----------
+        when : callable
+            Takes the names that were set; returns in words when they count, or nothing.
+        """
+        self._when = when
+
+    def _set_and_tell(self, parameters: list[Parameter]) -> SetParametersResult:
+        result = self._set_atomically(parameters)
+        names = [parameter.name for parameter in parameters]
+        if result.successful and (when := self._when(names)):
+            result.reason = when
+            self._node.get_logger().info(f'{", ".join(names)}: {when}')
+        return result
 
     def _declare(self, info: ParameterInfo, read_only: bool) -> None:
         # first without a type: `feed:=1` shall be accepted for 1.0, and a wrong type is refused

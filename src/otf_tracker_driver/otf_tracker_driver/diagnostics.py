@@ -25,6 +25,13 @@ BEAMS = {
     Beam.LOST: (Level.ERROR, 'lost; bring it back onto the reflector'),
     Beam.SEARCHING: (Level.WARN, 'lost; the tracker searches for the reflector'),
 }
+LEVELS = {
+    TrackerStatus.IDLE: Level.OK,
+    TrackerStatus.FINISHED: Level.OK,
+    TrackerStatus.STARTING: Level.OK,
+    TrackerStatus.WAITING_FOR_CLOCK: Level.WARN,
+}
+"""Of a driver that publishes no samples; all other states are errors."""
 LOOKS = 4
 """Of these the oldest and the newest give the rate."""
 
@@ -34,6 +41,8 @@ def link(health: Health) -> Finding:
     values = {'connections': health.connections, 'unreadable': health.unreadable}
     if not health.connected:
         return Finding(Level.ERROR, 'not connected', values)
+    if health.warnings:
+        return Finding(Level.WARN, '; '.join(health.warnings), values)
     return Finding(Level.OK, health.device or 'connected', values)
 
 
@@ -106,8 +115,9 @@ class Rate:
         message = self._status.message
         if message.state != TrackerStatus.STREAMING:
             self._seen.clear()
-            level = Level.ERROR if message.state == TrackerStatus.FAULT else Level.OK
-            return Finding(level, f'{message.name}: {message.message}')
+            level = LEVELS.get(message.state, Level.ERROR)
+            values = {'no samples for [s]': message.silent_for, 'restarts': message.restarts}
+            return Finding(level, f'{message.name}: {message.message}', values)
         if message.stream_id != self._stream:
             self._stream = message.stream_id
             self._seen.clear()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a source of samples is: beam, clock, losses, gaps; for status and diagnostics."""
+"""How a source of samples is: flow, beam, clock, losses, gaps; for status and diagnostics."""
 
 from __future__ import annotations
 
@@ -19,6 +19,45 @@ class Beam(IntEnum):
     ON_TARGET = 1
     LOST = 2
     SEARCHING = 3
+
+
+class Flow(IntEnum):
+    """Why samples do not flow though a stream is under way; numbers as in TrackerStatus."""
+
+    STARTING = 4
+    WAITING_FOR_CLOCK = 5
+    BEAM_BROKEN = 6
+    SILENT = 7
+    NO_CONNECTION = 8
+
+
+ORDINARY = frozenset({Flow.STARTING, Flow.WAITING_FOR_CLOCK})
+"""What every stream passes through."""
+
+
+class Hindrance(NamedTuple):
+    """What keeps samples from flowing.
+
+    Attributes
+    ----------
+    kind : Flow
+    text : str
+        One sentence on why, and on what is done about it.
+    since : float, s
+        Of ``time.monotonic``: when the last sample came, or the stream was asked for.
+    restarts : int
+        Times that the measurement was started, or the source opened, again since then.
+    """
+
+    kind: Flow
+    text: str
+    since: float
+    restarts: int = 0
+
+    @property
+    def trouble(self) -> str:
+        """The text, if this is not what every stream passes through."""
+        return '' if self.kind in ORDINARY else self.text
 
 
 class Gap(NamedTuple):
@@ -48,7 +87,9 @@ class Health:
     ----------
     connected : bool
     device : str
-        What is connected.
+        What is connected, in words.
+    hardware : str
+        The same as a name that does not change while it is connected.
     beam : Beam
     clock : ClockState or None
         None if the samples bring their stamps as they are.
@@ -57,6 +98,9 @@ class Health:
     environment : tuple of float or None
         Temperature, C; pressure, mbar; relative humidity, %.
     connections, interruptions : int
+        Connections made; times that the stream broke off and went on.
+    warnings : tuple of str
+        What is not as it was asked for, and can be used all the same.
     left_out : mapping of str to int
         Samples that were left out, by reason.
     unreadable : int
@@ -66,12 +110,14 @@ class Health:
 
     connected: bool = True
     device: str = ''
+    hardware: str = ''
     beam: Beam = Beam.UNKNOWN
     clock: ClockState | None = None
     by_host: bool = False
     environment: tuple[float, float, float] | None = None
     connections: int = 0
     interruptions: int = 0
+    warnings: tuple[str, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
     unreadable: int = 0
     gaps: tuple[Gap, ...] = ()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from concurrent.futures import Future
 
-from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from otf_core.errors import InputError, OtfError
@@ -20,9 +19,10 @@ from otf_ros.params import NodeParameters
 from otf_tracker_driver.backends import BACKENDS, Backend, CommonConfig
 from otf_tracker_driver.diagnostics import tasks
 from otf_tracker_driver.operations import offer_operations
-from otf_tracker_driver.params import DriverConfig
+from otf_tracker_driver.params import DriverConfig, when_they_count
 from otf_tracker_driver.status import Status
 from otf_tracker_driver.streamer import Streamer
+from otf_tracker_driver.waiting import Waiting
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 NOT_CONFIGURED = 'not configured; configure, then activate to stream'
@@ -34,28 +34,27 @@ class TrackerDriver(SteadyLifecycleNode):
     Raises
     ------
     OtfError
-        If it cannot start as its parameters say and ``auto_start`` is set.
+        If ``auto_start`` is set and it cannot start as its parameters say; not if the source is
+        only not there yet.
     """
 
     def __init__(self) -> None:
         super().__init__('tracker_driver')
         own = {name: backend.parameters for name, backend in BACKENDS.items()}
         groups = (DriverConfig, CommonConfig)
-        self._settings = NodeParameters(self, *groups, named=own, read_only=['auto_start'])
+        self._settings = NodeParameters(
+            self, *groups, named=own, read_only=['auto_start', 'longest_retry']
+        )
+        self._settings.tell_when(lambda names: when_they_count(names, self.lifecycle_state))
         self._streamer: Streamer | None = None
         self._plan: Plan | None = None
-        self._error: OtfError | None = None
-        self._path = self.create_publisher(Path, 'planner/path', qos.PATH)
         self._status = Status(self)
         self._status.report(TrackerStatus.IDLE, NOT_CONFIGURED)
         self.create_subscription(Plan, 'planner/plan', self._on_plan, qos.PATH)
-        offer_operations(self, self._status, self._operate)
-        Diagnostics(self, lambda: self._status.health.device, tasks(self._status))
-        if self._settings.read(DriverConfig).auto_start:
-            self.trigger_configure()
-            if self._error:
-                raise self._error
-            self.trigger_activate()
+        offer_operations(self, self._status, self._operate, self._under_way)
+        Diagnostics(self, lambda: self._status.hardware, tasks(self._status))
+        self._waiting = Waiting(self, self._status, self._settings.read(DriverConfig))
+        self._waiting.start()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Connect to the source that the parameters name."""
@@ -65,13 +64,9 @@ class TrackerDriver(SteadyLifecycleNode):
             backend = self._make_backend(config.backend)
             self._streamer = Streamer(self, self._status, config, backend)
         except OtfError as error:
-            self._error = error
-            self._status.report(TrackerStatus.FAULT, f'{error}; correct it and configure again')
+            self._waiting.refused(error)
             return TransitionCallbackReturn.FAILURE
-        self._error = None
-        path = self._streamer.path()
-        if path:
-            self._path.publish(path)
+        self._waiting.stop()
         self._status.report(TrackerStatus.IDLE, f'{self._streamer.description}; not activated')
         return SUCCESS
 
@@ -109,9 +104,13 @@ class TrackerDriver(SteadyLifecycleNode):
 
     def close(self) -> None:
         """Stop the stream and release the source."""
+        self._waiting.stop()
         if self._streamer:
             self._streamer.release()
             self._streamer = None
+
+    def _under_way(self) -> bool:
+        return self._streamer is not None and self._streamer.under_way
 
     def _operate(self, name: str) -> Future[str]:
         backend = self._status.message.backend

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 import uuid
 
+from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from std_msgs.msg import Header
 
@@ -16,14 +17,22 @@ from otf_ros.convert import NS, header, time_from_ns
 from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
 from otf_tracker_driver.clock.device_clock import ClockState
-from otf_tracker_driver.health import Health
+from otf_tracker_driver.handover import NOTHING_LEFT, Handover, Left, place
+from otf_tracker_driver.health import ORDINARY, Flow, Gap, Health, Hindrance
 
 NAMES = {
     TrackerStatus.IDLE: 'IDLE',
     TrackerStatus.STREAMING: 'STREAMING',
     TrackerStatus.FINISHED: 'FINISHED',
     TrackerStatus.FAULT: 'FAULT',
+    **{int(flow): flow.name for flow in Flow},
 }
+HELD_UP = frozenset({Flow.SILENT, Flow.NO_CONNECTION})
+"""What is a fault once it has lasted; a broken beam waits for people as long as they take."""
+FAULT_AFTER = 10.0
+"""s"""
+AGAIN_AFTER = 2.0
+"""s; what lasts is logged again then, and whenever it has lasted twice as long."""
 PERIOD = 0.5
 """s; how often the status is repeated while active."""
 
@@ -46,13 +55,61 @@ class Status:
         self.message = TrackerStatus()
         self._backend: Backend | None = None
         self._told_ns = 0
+        self._handover = Handover(place(node.get_fully_qualified_name()))
+        self._lasting: tuple[int, Flow] | None = None
+        self._log_again = AGAIN_AFTER
         self.latency: float | None = None
 
     def report(self, state: int, text: str, trouble: bool = False) -> None:
         """Publish a state, and log it, as a warning if it is trouble; not the same once more."""
         message = self.message
+        self._lasting = None
         if (message.state, message.message) == (state, text):
             return
+        message.silent_for, message.restarts = 0.0, 0
+        self._change(state, text, trouble)
+
+    def hinder(self, hindrance: Hindrance, trouble: str = '') -> None:
+        """Tell that no samples flow, for how long, and why; log it now, and ever less often.
+
+        Parameters
+        ----------
+        hindrance : Hindrance
+        trouble : str
+            What else is wrong; instead of the text of the hindrance.
+        """
+        lasted, kind = time.monotonic() - hindrance.since, hindrance.kind
+        state = int(kind)
+        if kind in HELD_UP and lasted > FAULT_AFTER:
+            state = TrackerStatus.FAULT
+        text = trouble or hindrance.text
+        if kind not in ORDINARY or lasted >= 1.0:
+            text += f'; no samples for {lasted:.0f} s'
+        if hindrance.restarts:
+            text += f', {hindrance.restarts} restart{"s" if hindrance.restarts > 1 else ""}'
+        self.message.silent_for, self.message.restarts = lasted, hindrance.restarts
+        self._last(state, kind, text, lasted)
+
+    def wait(self, text: str, since: float) -> None:
+        """Tell that the source is not there yet, since when, s; as ``hinder`` does."""
+        self._last(int(Flow.NO_CONNECTION), Flow.NO_CONNECTION, text, time.monotonic() - since)
+        self._publish()
+
+    def _last(self, state: int, kind: Flow, text: str, lasted: float) -> None:
+        """Take a state that lasts; publish it when it begins, and log it now and then."""
+        if self._lasting != (state, kind):
+            self._log_again = max(AGAIN_AFTER, 2 * lasted)
+        elif lasted > self._log_again:
+            self._log_again = 2 * lasted
+        else:  # published by the timer
+            self.message.state, self.message.name, self.message.message = state, NAMES[state], text
+            return
+        self._lasting = state, kind
+        self._change(state, text, kind not in ORDINARY)
+
+    def _change(self, state: int, text: str, trouble: bool) -> None:
+        """Publish and log a state."""
+        message = self.message
         message.state, message.name, message.message = state, NAMES[state], text
         self._publish()
         logger = self._node.get_logger()
@@ -69,6 +126,11 @@ class Status:
         return self._backend.health if self._backend else Health(connected=False)
 
     @property
+    def hardware(self) -> str:
+        """What the samples come from: the device, or the backend while none is known."""
+        return self.health.hardware or self.message.backend or 'no source yet'
+
+    @property
     def pace(self) -> float:
         """Samples per second that the source promises, Hz; 0 if it does not."""
         return self.message.rate * (self._backend.time_scale if self._backend else 1.0)
@@ -82,11 +144,19 @@ class Status:
         """Begin a stream that can be told from all others."""
         self.message.stream_id = uuid.uuid4().hex[:12]
         self.message.samples_published = 0
+        self.message.first = Time()
         self.latency = None
         self.source(backend)
 
+    def end(self) -> None:
+        """End the stream in order: nothing is left for a driver to come."""
+        self._handover.clear()
+
     def take(self, batch: Samples) -> None:
-        """Take samples that are about to be published, and tell of gaps that they end."""
+        """Take samples that are about to be published, and publish the gaps that they end."""
+        self._tell_of_a_driver_before(batch)
+        if len(batch) and not self.message.samples_published:
+            self.message.first = time_from_ns(int(batch.stamp_ns[0]))
         self.message.samples_published += len(batch)
         health = self.health
         if len(batch) and (health.clock or health.by_host):
@@ -95,16 +165,36 @@ class Status:
             if gap.first_ns <= self._told_ns:
                 continue
             self._told_ns = gap.first_ns
-            message = TrackerGap(
-                header=self._header(),
-                stream_id=self.message.stream_id,
-                last=time_from_ns(gap.last_ns),
-                first=time_from_ns(gap.first_ns),
-                reason=gap.reason,
-            )
-            self._gaps.publish(message)
-            lasted = (gap.first_ns - gap.last_ns) / NS
-            self._node.get_logger().warning(f'gap of {lasted:.2f} s in the stream: {gap.reason}')
+            self._publish_gap(gap)
+
+    def note(self, samples: int, last_ns: int) -> None:
+        """Note that so many samples are published, and the stamp of the last one, ns."""
+        self._handover.note(self.message.stream_id, samples, last_ns)
+
+    def _tell_of_a_driver_before(self, batch: Samples) -> None:
+        """Publish the gap since a driver that was killed, if samples go on on the same clock."""
+        health = self.health
+        if not len(batch) or not (health.clock or health.by_host):
+            return
+        first_ns = int(batch.stamp_ns[0])
+        left = self._handover.take(first_ns)
+        if left:
+            gap = Gap(left.last_ns, first_ns, 'the driver ended and was started again')
+            self._publish_gap(gap, left)
+
+    def _publish_gap(self, gap: Gap, left: Left = NOTHING_LEFT) -> None:
+        message = TrackerGap(
+            header=self._header(),
+            stream_id=self.message.stream_id,
+            last=time_from_ns(gap.last_ns),
+            first=time_from_ns(gap.first_ns),
+            reason=gap.reason,
+            stream_before=left.stream_id,
+            published_before=left.samples,
+        )
+        self._gaps.publish(message)
+        lasted = (gap.first_ns - gap.last_ns) / NS
+        self._node.get_logger().warning(f'gap of {lasted:.2f} s in the stream: {gap.reason}')
 
     def source(self, backend: Backend) -> None:
         """Take what is known of the samples to come."""

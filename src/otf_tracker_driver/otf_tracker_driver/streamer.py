@@ -3,23 +3,33 @@
 
 from __future__ import annotations
 
+import time
 from concurrent.futures import Future
 
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleNode
+from rclpy.publisher import Publisher
 
 from otf_core.config import Parameters
 from otf_core.errors import OtfError
+from otf_core.model.observation import Samples
 from otf_msgs.msg import Plan, TrackerStatus
 from otf_ros import app, convert, qos
 from otf_ros.timers import create_timer
 from otf_tracker_driver.backends import Backend
+from otf_tracker_driver.backends.base import NO_SAMPLES, joined
+from otf_tracker_driver.listeners import calibrators
 from otf_tracker_driver.params import DriverConfig
 from otf_tracker_driver.status import Status
 
 PERIOD = 0.005
 """s; how often the backend is asked for samples."""
+LOOK = 0.1
+"""s; how often it is looked who listens."""
+MOST_AT_ONCE, MOST_PER_SECOND = 5000, 10_000
+"""Samples; what has piled up while the process stood still is published at a pace that subscribers
+can follow: their queues hold 20 000."""
 
 
 class Streamer:
@@ -37,6 +47,7 @@ class Streamer:
         self._node, self._status, self._config = node, status, config
         self._backend = backend
         backend.cancelled = app.ending
+        backend.now_ns = lambda: node.get_clock().now().nanoseconds or time.time_ns()
         try:
             self.description = backend.connect()
         except OtfError:
@@ -46,19 +57,25 @@ class Streamer:
         self._points = node.create_lifecycle_publisher(
             PointStamped, 'tracker/point', qos.MEASUREMENT
         )
+        self._path = self._offered_path()
         self._timer = create_timer(node, PERIOD, self._tick, autostart=False)
         self._plan_wanted = self._streaming = False
+        self._pending, self._allowed, self._ticked = NO_SAMPLES, 0.0, time.monotonic()
+        self._listening, self._looked = 0, 0.0
 
-    def path(self) -> Path | None:
-        """Return the path that comes with the samples, if one does."""
+    def _offered_path(self) -> Publisher | None:
+        """Publish the path that comes with the samples, if one does."""
         if self._backend.path is None:
             return None
+        publisher = self._node.create_publisher(Path, 'planner/path', qos.PATH)
         now = self._node.get_clock().now().to_msg()
-        return convert.path_to_message(self._backend.path, now)
+        publisher.publish(convert.path_to_message(self._backend.path, now))
+        return publisher
 
     def begin(self, plan: Plan | None) -> None:
         """Get ready for a stream from the beginning; it starts when nothing is missing."""
         self._streaming, self._plan_wanted = False, self._backend.needs_plan
+        self._pending = NO_SAMPLES
         self._timer.reset()
         self._status.repeat(True)
         if not self._plan_wanted:
@@ -79,9 +96,9 @@ class Streamer:
             self._status.report(TrackerStatus.FAULT, f'planner/plan cannot be driven: {error}')
 
     @property
-    def streaming(self) -> bool:
-        """True from the first to the last sample of a stream."""
-        return self._streaming
+    def under_way(self) -> bool:
+        """True if a stream goes on, or begins as soon as nothing is missing."""
+        return not self._timer.is_canceled()
 
     def operate(self, name: str, own: Parameters) -> Future[str]:
         """Have the source do what an operator asks for; see Backend."""
@@ -92,6 +109,7 @@ class Streamer:
         self._streaming = False
         self._timer.cancel()
         self._status.repeat(False)
+        self._status.end()
         self._backend.stop()
         self._plan_wanted = False
 
@@ -101,6 +119,8 @@ class Streamer:
         self._backend.disconnect()
         self._node.destroy_timer(self._timer)
         self._node.destroy_lifecycle_publisher(self._points)
+        if self._path:
+            self._node.destroy_publisher(self._path)
 
     def _tick(self) -> None:
         """Publish what the backend has measured since the last tick."""
@@ -113,9 +133,14 @@ class Streamer:
                 self._backend.start()
                 self._status.begin(self._backend)
                 self._streaming = True
-            batch = self._backend.poll()
-            remark, trouble = f'streaming {self._backend.remark}'.strip(), self._backend.trouble
-            self._status.report(TrackerStatus.STREAMING, trouble or remark, bool(trouble))
+            batch = self._due(self._backend.poll())
+            hindrance, trouble = self._backend.hindrance, self._backend.trouble
+            if hindrance and not len(batch):
+                self._status.hinder(hindrance, trouble)
+            else:
+                remark = f'streaming {self._backend.remark}'.strip()
+                warned = bool(trouble or self._backend.health.warnings)
+                self._status.report(TrackerStatus.STREAMING, trouble or remark, warned)
         except OtfError as error:
             self.stop()
             self._status.report(TrackerStatus.FAULT, f'{error}; deactivate, correct it, activate')
@@ -125,9 +150,12 @@ class Streamer:
             self._status.report(TrackerStatus.FAULT, text)
             raise
         self._status.take(batch)
-        for message in convert.points_to_messages(batch):
+        published = self._status.message.samples_published - len(batch)
+        stamps = batch.stamp_ns.tolist()
+        for at, message in enumerate(convert.points_to_messages(batch)):
             self._points.publish(message)
-        if self._backend.finished:
+            self._status.note(published + at + 1, stamps[at])
+        if self._backend.finished and not len(self._pending):
             self.stop()
             text = 'all samples published; deactivate and activate to stream again'
             self._status.report(TrackerStatus.FINISHED, text)
@@ -136,7 +164,30 @@ class Streamer:
         """Say what is not there yet that a stream needs; empty if nothing."""
         if self._plan_wanted:
             return 'waiting for planner/plan'
-        present, wanted = self._points.get_subscription_count(), self._config.wait_for_subscribers
-        if not self._backend.preparing and present < wanted:
-            return f'waiting for subscriptions of tracker/point: {present} of {wanted}'
+        wanted = self._config.wait_for_subscribers
+        if not self._backend.preparing and self._calibrators() < wanted:
+            return (
+                f'waiting for calibrators that listen to tracker/point: {self._listening} of '
+                f'{wanted}; with wait_for_subscribers 0 it waits for none'
+            )
         return self._backend.preparing
+
+    def _calibrators(self) -> int:
+        """Calibrators that are matched, as of a moment ago."""
+        now = time.monotonic()
+        if now - self._looked > LOOK:
+            known = calibrators(self._node, self._points.topic_name)
+            self._listening = min(known, self._points.get_subscription_count())
+            self._looked = now
+        return self._listening
+
+    def _due(self, new: Samples) -> Samples:
+        """Take new samples; return what is to be published now, in order."""
+        pending = joined([self._pending, new]) if len(self._pending) else new
+        now = time.monotonic()
+        self._allowed += MOST_PER_SECOND * (now - self._ticked)
+        self._allowed, self._ticked = min(self._allowed, MOST_AT_ONCE), now
+        count = min(len(pending), int(self._allowed))
+        self._allowed -= count
+        self._pending = pending.part(count, len(pending))
+        return pending.part(0, count)

@@ -10,6 +10,7 @@ what has arrived. How to add one: docs/add-a-backend.md.
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -23,7 +24,7 @@ from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-from otf_tracker_driver.health import Health
+from otf_tracker_driver.health import Health, Hindrance
 
 OPERATIONS = (
     'list_reflectors',
@@ -83,6 +84,8 @@ class Backend(ABC):
         What is worth saying about the stream when it starts.
     cancelled : callable
         Tells whether ``connect`` shall give up.
+    now_ns : callable
+        Time of the graph, ns: of the computer, or of ``/clock``.
     """
 
     parameters: ClassVar[type[Parameters]]
@@ -94,13 +97,17 @@ class Backend(ABC):
     path: NominalPath | None = None
     remark: str = ''
     cancelled: Callable[[], bool] = staticmethod(lambda: False)
+    now_ns: Callable[[], int] = staticmethod(time.time_ns)
 
     def __init__(self, common: CommonConfig, own: Parameters) -> None:
         self.common, self.own = common, own
 
     @abstractmethod
     def connect(self) -> str:
-        """Open the source; return one sentence on what it is. OtfError if it cannot be used."""
+        """Open the source; return one sentence on what it is.
+
+        OtfError if it cannot be used; Unreachable if it is not there, or not ready, yet.
+        """
 
     def prepare(self, plan: Plan | None) -> None:  # noqa: B027 - not every source needs it
         """Get ready for a new stream; returns at once, ``preparing`` tells when it is done."""
@@ -127,9 +134,14 @@ class Backend(ABC):
         """True once ``poll`` has returned the last sample."""
 
     @property
+    def hindrance(self) -> Hindrance | None:
+        """What keeps samples from flowing in a stream that goes on by itself; None: they flow."""
+        return None
+
+    @property
     def trouble(self) -> str:
-        """What hinders a stream that is under way and goes on by itself; empty if nothing."""
-        return ''
+        """What is wrong with a stream that is under way; empty if nothing."""
+        return self.hindrance.trouble if self.hindrance else ''
 
     @property
     def health(self) -> Health:

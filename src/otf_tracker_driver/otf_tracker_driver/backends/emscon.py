@@ -22,7 +22,7 @@ from otf_tracker_driver.emscon.state import (
     SessionState,
 )
 from otf_tracker_driver.emscon.thread import SessionThread
-from otf_tracker_driver.health import Health, left_out
+from otf_tracker_driver.health import Health, Hindrance, left_out
 
 PATIENCE, INITIALISED = 8.0, 3.0
 """s; longer than it takes to set up a tracker that is initialised; and one that initialises for
@@ -90,6 +90,11 @@ class Emscon(Backend):
         return f'{known or "tracker"} at {own.host}:{own.port}'
 
     @property
+    def remark(self) -> str:  # type: ignore[override]
+        """What the tracker does not keep."""
+        return ''.join(f'; WARNING: {text}' for text in self.health.warnings)
+
+    @property
     def preparing(self) -> str:
         """Not empty while the tracker initialises or is being set up."""
         if self._thread is None or self._thread.configured:
@@ -98,9 +103,9 @@ class Emscon(Backend):
         return 'the tracker initialises' if initialising else 'the tracker is being set up'
 
     @property
-    def trouble(self) -> str:
-        """What hinders the measurement just now; empty if nothing."""
-        return self._thread.state.trouble if self._thread else ''
+    def hindrance(self) -> Hindrance | None:
+        """What keeps samples from flowing just now."""
+        return self._thread.state.hindrance if self._thread else None
 
     @property
     def health(self) -> Health:
@@ -111,6 +116,7 @@ class Emscon(Backend):
         return Health(
             connected=state.phase not in (CONNECTING, CONFIGURING, INITIALISING),
             device=str(state.tracker or ''),
+            hardware=state.tracker.hardware if state.tracker else '',
             beam=state.beam,
             clock=state.clock,
             environment=state.environment or (state.tracker and state.tracker.environment),
@@ -118,6 +124,7 @@ class Emscon(Backend):
             interruptions=state.interruptions,
             left_out=left_out(state.repeated, state.left_out),
             unreadable=state.unreadable,
+            warnings=state.tracker.warnings if state.tracker else (),
             gaps=state.gaps,
         )
 

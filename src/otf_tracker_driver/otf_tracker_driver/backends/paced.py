@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 
@@ -27,7 +28,16 @@ class PacedBackend(Backend):
     own : Parameters
     clock : callable, optional
         Monotonic seconds.
+
+    Attributes
+    ----------
+    of_now : bool
+        True if the stamps are moved, all by the same, so that they are those of now: the first
+        sample is stamped with the moment of its start, or, if samples come faster than they were
+        measured, the last one with the moment at which it comes. No stamp is of the future.
     """
+
+    of_now: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -58,6 +68,12 @@ class PacedBackend(Backend):
     def start(self) -> None:
         """Start from the first sample, which is due at once."""
         self._next, self._elapsed, self._last = 0, 0.0, self._clock()
+        if self.of_now and len(self._samples):
+            stamp_ns = self._samples.stamp_ns
+            span_ns = int(stamp_ns[-1] - stamp_ns[0])
+            ahead_ns = max(0, span_ns - round(span_ns / self.time_scale))
+            shift_ns = self.now_ns() - ahead_ns - int(stamp_ns[0])
+            self._samples = Samples(stamp_ns + shift_ns, self._samples.xyz)
 
     def poll(self) -> Samples:
         """Return the samples that have become due."""

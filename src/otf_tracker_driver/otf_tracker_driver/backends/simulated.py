@@ -39,7 +39,7 @@ class SimulatedTracker(PacedBackend):
     """Streams a simulated run of the plan, start and end standstill included."""
 
     parameters = SimulatedConfig
-    needs_plan = True
+    needs_plan = of_now = True
     own: SimulatedConfig
 
     def __init__(self, common: CommonConfig, own: SimulatedConfig) -> None:

@@ -9,9 +9,9 @@ from otf_core.config import Parameters, parameter
 from otf_core.errors import ConfigError
 from otf_core.model.observation import Samples
 from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, joined
-from otf_tracker_driver.health import Health, left_out
+from otf_tracker_driver.health import Health, Hindrance, left_out
 from otf_tracker_driver.stream.description import read_description
-from otf_tracker_driver.stream.reader import Reader
+from otf_tracker_driver.stream.reader import NOT_FETCHED, Reader
 from otf_tracker_driver.stream.transport import opened
 
 BY_HOST = (
@@ -49,8 +49,13 @@ class Stream(Backend):
         return f'{how.format} lines from {how.source} ({self.own.source})'
 
     @property
+    def hindrance(self) -> Hindrance | None:
+        """What keeps points from flowing just now."""
+        return self._reader.hindrance if self._reader else None
+
+    @property
     def trouble(self) -> str:
-        """What hinders the stream just now; empty if nothing."""
+        """What is wrong with the stream just now; empty if nothing."""
         return self._reader.trouble if self._reader else ''
 
     @property
@@ -60,12 +65,14 @@ class Stream(Backend):
         if reader is None:
             return Health(connected=False)
         by_host = reader.by_host
+        not_fetched = {NOT_FETCHED: reader.not_fetched} if reader.not_fetched else {}
         return Health(
             connected=reader.connected,
             device=reader.source,
+            hardware=reader.source,
             clock=None if by_host else reader.stamper.clock,
             by_host=by_host,
-            left_out=left_out(reader.repeated),
+            left_out=left_out(reader.repeated, not_fetched),
             unreadable=reader.unreadable,
             connections=reader.connections,
             interruptions=reader.interruptions,

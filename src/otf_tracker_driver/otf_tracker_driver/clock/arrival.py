@@ -8,6 +8,7 @@ with every segment and datagram when the network handed it over (socket(7), SO_T
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import struct
 import sys
@@ -17,27 +18,49 @@ SO_TIMESTAMPNS = 35
 """asm-generic/socket.h; the module socket does not name it."""
 STAMP = struct.Struct('@ll')
 """struct timespec: s, ns."""
-OLDEST = 10 * 10**9
-"""ns; a greater age is that of a time of day that was set meanwhile."""
+SLACK = 10**6
+"""ns; between reading two clocks."""
 
 
-def stamp_arrivals(opened: socket.socket) -> None:
-    """Have the kernel stamp what arrives, where it can."""
-    if sys.platform == 'linux':
-        with contextlib.suppress(OSError):
-            opened.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+class Arrivals:
+    """A socket that tells how long ago what is read from it had arrived.
 
+    Nothing can have arrived before the socket was last found empty: an age beyond is that of a
+    time of day that was set meanwhile. So an age holds however long this process stood still.
 
-def receive(opened: socket.socket, size: int) -> tuple[bytes, int, object]:
-    """Return what has come, how long ago, ns, and from whom.
-
-    Of bytes that came one after another and are read together it is the age of the last. It is 0
-    where the kernel does not tell.
+    Parameters
+    ----------
+    opened : socket
     """
-    data, notes, _, peer = opened.recvmsg(size, socket.CMSG_SPACE(STAMP.size))
-    for level, kind, note in notes:
-        if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS) and len(note) == STAMP.size:
-            seconds, ns = STAMP.unpack(note)
-            age = time.time_ns() - (seconds * 10**9 + ns)
-            return data, age if 0 < age < OLDEST else 0, peer
-    return data, 0, peer
+
+    def __init__(self, opened: socket.socket) -> None:
+        self._socket = opened
+        self._empty_ns = time.monotonic_ns()
+        if sys.platform == 'linux':
+            with contextlib.suppress(OSError):
+                opened.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+
+    @property
+    def unread(self) -> bool:
+        """True if something, if only the end, is there to be read."""
+        return bool(select.select([self._socket], [], [], 0)[0])
+
+    def receive(self, size: int) -> tuple[bytes, int, object]:
+        """Return what has come, how long ago, ns, and from whom.
+
+        Of bytes that came one after another and are read together it is the age of the last. It is
+        0 where the kernel does not tell.
+        """
+        looked_ns = time.monotonic_ns()
+        try:
+            data, notes, _, peer = self._socket.recvmsg(size, socket.CMSG_SPACE(STAMP.size))
+        except (BlockingIOError, TimeoutError):
+            self._empty_ns = looked_ns
+            raise
+        for level, kind, note in notes:
+            if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS) and len(note) == STAMP.size:
+                seconds, ns = STAMP.unpack(note)
+                age = time.time_ns() - (seconds * 10**9 + ns)
+                oldest = time.monotonic_ns() - self._empty_ns + SLACK
+                return data, age if 0 < age <= oldest else 0, peer
+        return data, 0, peer

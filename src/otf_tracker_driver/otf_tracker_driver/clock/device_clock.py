@@ -36,7 +36,9 @@ HELD_UP = 10**9
 NEVER = 2**62
 """ns"""
 LATE_FOR = 5 * 10**9
-"""ns; if all packets are late for so long, the clock has jumped back."""
+"""ns; if all packets are late for so long, the clock has jumped back. A backlog that is read at
+once, after this process stood still, is late, too, but does not come for so long; a pause in which
+nothing comes counts for ``HELD_UP``."""
 RAISED = 3 * 10**6
 """ns; and if the least late ones of ``RAISED_FOR`` are late by more, beyond the usual delay."""
 RAISED_FOR = 40
@@ -104,6 +106,7 @@ class DeviceClock:
         self._ahead = 0
         self._points: deque[tuple[int, int]] = deque()
         self._suspects: list[tuple[int, int]] = []
+        self._late_ns = 0
         self._began = 0
         self._known = NOTHING
         self._quickest = NEVER
@@ -170,13 +173,26 @@ class DeviceClock:
             return self._jump([(device_ns, delay)], self._line)
         if above > LATE:
             self._late += 1
-            self._suspects.append((device_ns, delay))
-            lasted = device_ns - self._suspects[0][0]
-            return self._jump(self._suspects, None) if lasted >= LATE_FOR else Verdict.WAIT
+            self._suspect(device_ns, delay)
+            return self._jump(self._suspects, None) if self._late_for_long() else Verdict.WAIT
         self._suspects.clear()
         if self._add(device_ns, delay):
             self._fit()
         return Verdict.STEPPED if stepped else Verdict.STAMP
+
+    def _suspect(self, device_ns: int, delay: int) -> None:
+        """Keep a late packet, and for how long such have come one after another."""
+        if self._suspects:
+            arrived = device_ns + delay - sum(self._suspects[-1])
+            self._late_ns += min(arrived, HELD_UP)
+        else:
+            self._late_ns = 0
+        self._suspects.append((device_ns, delay))
+
+    def _late_for_long(self) -> bool:
+        """Tell whether late packets have come for long, on both clocks: a backlog has not."""
+        measured = self._suspects[-1][0] - self._suspects[0][0]
+        return min(measured, self._late_ns) >= LATE_FOR
 
     def give_up_waiting(self) -> None:
         """Take the best line there is; nothing more will come in this epoch."""

@@ -77,6 +77,11 @@ class Stamper:
         """What is known of the device's clock."""
         return self._clock.state
 
+    @property
+    def waiting(self) -> bool:
+        """True if samples wait for their stamps."""
+        return any(packet.kept.any() for packet in self._waiting)
+
     def restart(self) -> list[Samples]:
         """Return what still waits; the device's clock starts again."""
         rest = self.flush()

@@ -34,6 +34,8 @@ LAYOUTS: dict[Command, Layout] = {
     C.GET_SYSTEM_STATUS: Layout('', '10i'),
     C.GET_TRACKER_STATUS: Layout('', 'i'),
     **_pair(C.SET_UNITS, C.GET_UNITS, '5i'),
+    C.GET_STATION_ORIENTATION: Layout('', '6d'),
+    C.GET_TRANSFORMATION: Layout('', '7d'),
     **_pair(C.SET_ENVIRONMENT, C.GET_ENVIRONMENT, '3d'),
     **_pair(C.SET_MEASUREMENT_MODE, C.GET_MEASUREMENT_MODE, 'i'),
     **_pair(C.SET_COORDINATE_SYSTEM, C.GET_COORDINATE_SYSTEM, 'i'),

@@ -22,6 +22,17 @@ UNITS = (
 )
 WEATHER, TRANSFORMED, ORIENTED, UNSOLICITED, POSITIONS, TRY_MODE = 0, 1, 2, 4, 5, 6
 """Places in the system settings."""
+NAMES = (
+    'weather station', 'transformation', 'station orientation', 'keep last position',
+    'reports of errors and events', 'reflector positions', 'try mode', 'level sensor', 'camera',
+)  # fmt: skip
+SHIFTS = {
+    TRANSFORMED: (Command.GET_TRANSFORMATION, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)),
+    ORIENTED: (Command.GET_STATION_ORIENTATION, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+}
+"""What moves samples out of the tracker's own frame: how it is read, and what moves nothing."""
+NOTHING_MOVED = 1e-9
+"""m, rad, -; far less than a tracker resolves at 100 m."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +65,8 @@ class Tracker:
     reflectors : tuple of str
     environment : tuple of float or None
         Temperature, C; pressure, mbar; relative humidity, %.
+    warnings : tuple of str
+        Settings that it does not keep, and that it can be used with all the same.
     """
 
     name: str
@@ -62,10 +75,16 @@ class Tracker:
     reflector: str
     reflectors: tuple[str, ...]
     environment: tuple[float, float, float] | None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def hardware(self) -> str:
+        """Name and serial number."""
+        return f'{self.name} {self.serial}'
 
     def __str__(self) -> str:
         """One line for people."""
-        where = f'{self.name} {self.serial} (emScon {self.version}), reflector {self.reflector}'
+        where = f'{self.hardware} (emScon {self.version}), reflector {self.reflector}'
         if self.environment is None:
             return where
         temperature, pressure, humidity = self.environment
@@ -101,7 +120,7 @@ async def configure(link: Link, wanted: Wanted, initialising: Callable[[], None]
         initialising()
         await link.ask(Command.INITIALIZE)
     await _set(link, Command.SET_UNITS, Command.GET_UNITS, *UNITS)
-    await _set_system(link, measured=wanted.environment is None)
+    warnings = await _set_system(link, measured=wanted.environment is None)
     cartesian = codes.CARTESIAN_RIGHT_HANDED
     await _set(link, Command.SET_COORDINATE_SYSTEM, Command.GET_COORDINATE_SYSTEM, cartesian)
     reflector, reflectors = await set_reflector(link, wanted.reflector)
@@ -113,7 +132,7 @@ async def configure(link: Link, wanted: Wanted, initialising: Callable[[], None]
     continuous = (wanted.interval_ms, 0, 0, 0)
     await _set(link, Command.SET_CONTINUOUS_TIME, Command.GET_CONTINUOUS_TIME, *continuous)
     known = tuple(float(v) for v in environment) if environment else None
-    return Tracker(name, version, serial, reflector, reflectors, known)  # type: ignore[arg-type]
+    return Tracker(name, version, serial, reflector, reflectors, known, warnings)  # type: ignore[arg-type]
 
 
 async def unchanged(link: Link) -> str:
@@ -123,8 +142,9 @@ async def unchanged(link: Link) -> str:
     if await link.ask(Command.GET_COORDINATE_SYSTEM) != (codes.CARTESIAN_RIGHT_HANDED,):
         return 'coordinate system'
     settings = await _optional(link, Command.GET_SYSTEM_SETTINGS)
-    if settings and (settings[TRANSFORMED] or settings[ORIENTED]):
-        return 'orientation or transformation'
+    for place in SHIFTS if settings else ():
+        if settings[place] and not await _moves_nothing(link, place):
+            return NAMES[place]
     return ''
 
 
@@ -146,17 +166,54 @@ async def set_reflector(link: Link, name: str) -> tuple[str, tuple[str, ...]]:
     return known.get(int(current), f'number {current}'), names
 
 
-async def _set_system(link: Link, measured: bool) -> None:
-    """Switch transformations off and reports on; keep the weather station if it is used."""
+async def _set_system(link: Link, measured: bool) -> tuple[str, ...]:
+    """Switch transformations off and reports on; keep the weather station if it is used.
+
+    Returns
+    -------
+    tuple of str
+        Settings that the tracker acknowledges and does not keep, where that does no harm.
+    """
     before = await _optional(link, Command.GET_SYSTEM_SETTINGS)
     if before is None:
-        return
+        return tuple(
+            [
+                f'setting {NAMES[place]} cannot be read; make sure that it is off, or the identity'
+                for place in SHIFTS
+                if not await _moves_nothing(link, place)
+            ]
+        )
     settings = [int(v) for v in before]
     settings[TRANSFORMED] = settings[ORIENTED] = settings[POSITIONS] = settings[TRY_MODE] = 0
     settings[UNSOLICITED] = 1
     if not measured:
         settings[WEATHER] = 0
-    await _set(link, Command.SET_SYSTEM_SETTINGS, Command.GET_SYSTEM_SETTINGS, *settings)
+    await link.ask(Command.SET_SYSTEM_SETTINGS, *settings)
+    kept = await link.ask(Command.GET_SYSTEM_SETTINGS)
+    warnings = []
+    for place, (wanted, got) in enumerate(zip(settings, kept, strict=True)):
+        if wanted == got:
+            continue
+        text = f'setting {NAMES[place]} (command 47) is acknowledged, but stays at {got}'
+        if place in SHIFTS:
+            if not await _moves_nothing(link, place):
+                raise TrackerError(
+                    f'{text}, and {codes.command_text(SHIFTS[place][0])} does not show an '
+                    f'identity: samples would not be in the own frame of the tracker; reset it '
+                    f'at the tracker, or see whether another program holds it'
+                )
+            text += '; it is the identity, and moves nothing'
+        warnings.append(text)
+    return tuple(warnings)
+
+
+async def _moves_nothing(link: Link, place: int) -> bool | None:
+    """Tell whether a transformation or orientation is the identity; None if it cannot be read."""
+    get, identity = SHIFTS[place]
+    got = await _optional(link, get)
+    if got is None:
+        return None
+    return all(abs(float(a) - b) < NOTHING_MOVED for a, b in zip(got, identity, strict=True))
 
 
 async def _set(link: Link, set_: Command, get: Command, *values: Value) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 from otf_core.errors import InputError
 from otf_tracker_driver.emscon.codes import command_text, status_text
+from otf_tracker_driver.errors import Unreachable
 
 
 class TrackerError(InputError):
     """The tracker cannot be used as it is."""
 
 
-class LinkError(TrackerError):
+class LinkError(TrackerError, Unreachable):
     """There is no connection, or it was lost; connecting again may help."""
 
 

@@ -36,6 +36,13 @@ class Framer:
         """True if a packet has begun that is not complete."""
         return bool(self._held)
 
+    @property
+    def missing(self) -> int:
+        """Bytes until the end of the packet that has begun, as far as is known; of its header."""
+        held = len(self._held)
+        size: int = HEADER.size if held < HEADER.size else HEADER.unpack_from(self._held)[0]
+        return size - held
+
     def feed(self, chunk: bytes) -> Iterator[bytes]:
         """Take bytes as they arrived; yield the packets that are complete.
 

@@ -45,6 +45,15 @@ class Intake:
         """Take when the tracker was told to start, and when its answer arrived."""
         self._stamper.started(ordered_ns, answered_ns, sent_ns)
 
+    @property
+    def waiting(self) -> bool:
+        """True if samples wait for their stamps."""
+        return self._stamper.waiting
+
+    def drop(self) -> None:
+        """Forget what waits: it belongs to a stream that is not wanted any more."""
+        self._stamper.restart()
+
     def end(self, interruption: str) -> None:
         """Hand on what waits; mark the gap that follows if there was an interruption."""
         self._hand_on(self._stamper.flush())
@@ -93,6 +102,7 @@ class Intake:
             if self._interrupted and self._last_ns is not None:
                 gap = Gap(self._last_ns, int(part.stamp_ns[0]), self._interrupted)
                 state.gaps = (*state.gaps[-MOST_GAPS:], gap)
+                state.interruptions += 1
             self._interrupted, self._last_ns = '', int(part.stamp_ns[-1])
             state.samples += len(part)
             self._deliver(part)

@@ -9,7 +9,7 @@ import traceback
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from otf_tracker_driver.emscon import codes, commands, packets
 from otf_tracker_driver.emscon.codes import Command, Status
@@ -17,6 +17,7 @@ from otf_tracker_driver.emscon.commands import Value
 from otf_tracker_driver.emscon.errors import LinkError, Refused, TrackerError
 from otf_tracker_driver.emscon.framing import Framer, ProtocolError
 from otf_tracker_driver.emscon.wire import Wire, wired
+from otf_tracker_driver.silence import first_of
 
 T = TypeVar('T')
 Values = tuple[Value, ...]
@@ -65,13 +66,18 @@ class Link:
         self.asked_ns = self.sent_ns = self.answered_ns = 0
         self.unreadable = self.late_answers = 0
 
+    @property
+    def unread(self) -> bool:
+        """True if the tracker has sent more than was read until now."""
+        return self._wire.unread
+
     async def read(self) -> None:
         """Read until the connection ends; LinkError says why it did."""
         framer, reason = Framer(), 'the tracker closed the connection'
         begun_ns = 0
         try:
             while True:
-                chunk, age_ns = await self._wire.read()
+                chunk, age_ns = await self._wire.read(framer.missing)
                 if not chunk:
                     break
                 arrival_ns = self._now_ns() - age_ns
@@ -188,8 +194,7 @@ class Link:
         limit = MOVED_WITHIN if command in SLOW else ANSWER_WITHIN
         got = asyncio.ensure_future(answers.get())
         try:
-            either: set[asyncio.Future[Any]] = {got, self.ended}
-            await asyncio.wait(either, timeout=limit, return_when=asyncio.FIRST_COMPLETED)
+            await first_of({got, self.ended}, limit)
         finally:
             got.cancel()
         if got.cancelled() or not got.done():

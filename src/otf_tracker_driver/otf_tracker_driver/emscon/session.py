@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -29,7 +30,8 @@ from otf_tracker_driver.emscon.packets import (
     Unused,
 )
 from otf_tracker_driver.emscon.state import SessionState
-from otf_tracker_driver.health import Beam
+from otf_tracker_driver.health import Beam, Flow, Hindrance
+from otf_tracker_driver.silence import BEAT, Silence
 
 T = TypeVar('T')
 
@@ -37,8 +39,17 @@ CONNECT_WITHIN = 2.0
 """s"""
 FIRST_PAUSE, LONGEST_PAUSE = 0.2, 1.0
 """s; between attempts, doubled each time."""
-SILENT_FOR = 1.0
-"""s; a tracker that streams sends packets three times per second, late by 60 ms at most."""
+SILENT_FOR, LONGEST_SILENCE = 1.0, 30.0
+"""s; a tracker that streams sends packets three times per second, late by 60 ms at most. One that
+sends nothing is started again after the first time, then after twice as long each time."""
+SENDS_NOTHING = 'the tracker measures and sends nothing'
+NOT_MEASURING = 'came while no measurement was under way'
+NOT_CONFIRMED = 'settings not confirmed'
+PASSING = frozenset({
+    Status.BUSY, Status.NOT_INITIALISED, Status.NOT_READY, Status.MULTIPLE_CONNECTIONS,
+    26, 38, 10004, 10005, 10012, 10015,
+})  # fmt: skip
+"""Refusals of a tracker that may be ready later."""
 LINGERS = 3.0
 """s; a tracker may take a connection for open for a while after its end."""
 HARMLESS = frozenset({0, 1, 2, 3, 7, 17, 19, 24, 25, 26, 27, 28, 30, 31, 145, 151, 850, 999})
@@ -88,18 +99,25 @@ class Session:
         self._intake = Intake(self.state, deliver)
         self._link: Link | None = None
         self._streaming = self._measuring = False
+        self._wanted_stream = self._served_stream = 0
+        self._since, self._starts, self._patience = time.monotonic(), 0, SILENT_FOR
+        self._silence = Silence()
         self._wake = asyncio.Event()
         self._lost = ''
         self._doubt = self._closing = False
         self._operated = asyncio.Lock()
         self._held: list[tuple[Measurements, int]] = []
-        self._heard, self._made = 0.0, _now()
+        self._made = _now()
 
     def stream(self, on: bool) -> None:
         """Say whether a stream is wanted; a new one has nothing to do with that before."""
         if on and not self._streaming:
+            self._wanted_stream += 1
             self._intake.forget()
             self._lost = ''
+            self._flow()
+            self._starts = -1  # the first one is none again
+            self._hinder(Flow.STARTING, state.BEING_STARTED)
         self._streaming = on
         self._wake.set()
 
@@ -135,13 +153,20 @@ class Session:
             except TrackerError as error:
                 self._count(self._link)
                 if not self.configured.is_set() and not self._may_be_our_own(error):
-                    raise TrackerError(f'tracker at {self._address}: {error}') from None
+                    raise self._first_failure(error) from None
                 self.state.phase, self.state.beam = state.CONNECTING, Beam.UNKNOWN
-                self.state.trouble = f'tracker at {self._address}: {error}; connecting again'
+                text = f'tracker at {self._address}: {error}; connecting again'
+                self._hinder(Flow.NO_CONNECTION, text)
             finally:
                 self._link = None
             await asyncio.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
+
+    def _first_failure(self, error: TrackerError) -> TrackerError:
+        """Return the error with the address, as one that may pass if it may."""
+        passing = isinstance(error, LinkError)
+        passing |= isinstance(error, Refused) and error.status in PASSING
+        return (LinkError if passing else TrackerError)(f'tracker at {self._address}: {error}')
 
     def _may_be_our_own(self, error: TrackerError) -> bool:
         """Tell whether a tracker may just not have noticed that our last connection has ended."""
@@ -161,19 +186,24 @@ class Session:
 
     async def _serve(self, link: Link) -> None:
         """Stream whenever it is wanted; ends with an error only."""
+        pause = FIRST_PAUSE
         while True:
             if not self._streaming:
-                self.state.phase, self.state.trouble = state.READY, ''
+                self.state.phase = state.READY
+                if self.state.hindrance and self.state.hindrance.kind != Flow.STARTING:
+                    self.state.hindrance = None  # a stream that is asked for just now is not ended
                 await self._pause(link, None)
                 continue
             try:
                 if await self._on_target(link):
                     await self._measure(link)
+                pause = FIRST_PAUSE
             except Refused as refused:
-                self.state.trouble = str(refused)
+                self._hinder(Flow.SILENT, f'{refused}; trying again')
                 if refused.status == Status.NOT_INITIALISED:
                     raise LinkError('the tracker is not initialised any more') from None
-                await self._pause(link, LONGEST_PAUSE)
+                await self._pause(link, pause)
+                pause = min(2 * pause, LONGEST_SILENCE)
 
     async def _on_target(self, link: Link) -> bool:
         """Bring the beam onto the reflector; False if no stream is wanted any more."""
@@ -187,14 +217,17 @@ class Session:
             lost = self._lost or 'no reflector in the beam'
             if self._find:
                 if pause == FIRST_PAUSE:
-                    self.state.trouble = f'{lost}; the tracker searches for the reflector'
+                    self._hinder(
+                        Flow.BEAM_BROKEN, f'{lost}; the tracker searches for the reflector'
+                    )
                 try:
                     await link.ask(Command.FIND_REFLECTOR, self._intake.last_range or 3.0)
                     return True
                 except Refused as refused:
-                    self.state.trouble = f'{lost}; searched in vain: {refused}; trying again'
+                    text = f'{lost}; searched in vain: {refused}; trying again'
+                    self._hinder(Flow.BEAM_BROKEN, text)
             else:
-                self.state.trouble = f'{lost}; bring the beam back onto the reflector'
+                self._hinder(Flow.BEAM_BROKEN, f'{lost}; bring the beam back onto the reflector')
             await self._pause(link, pause)
             pause = min(2 * pause, LONGEST_PAUSE)
         return False
@@ -202,33 +235,51 @@ class Session:
     async def _measure(self, link: Link) -> None:
         """Start, and watch until the stream is not wanted any more or breaks off."""
         try:
-            async with self._operated:
-                self._lost, self._held = '', []
-                self._intake.begin()
-                self._measuring = True
-                await link.ask(Command.START_MEASUREMENT)
-                self._intake.started(link.asked_ns, link.answered_ns, link.sent_ns)
-            self.state.phase, self.state.trouble = state.STREAMING, ''
-            self.state.beam = Beam.ON_TARGET
-            self._heard = _now()
-            while self._streaming and not self._lost:
-                await self._pause(link, max(0.0, self._heard + SILENT_FOR - _now()))
+            await self._start(link)
+            while self._wanted_still and not self._lost:
+                await self._pause(link, BEAT)
                 if self._doubt:
                     await self._settle_doubt(link)
-                if _now() - self._heard > SILENT_FOR:
-                    self._interrupt(f'no samples for {SILENT_FOR:g} s')
+                if self._silence.beat() > self._patience and not link.unread:
+                    self._patience = min(2 * self._patience, LONGEST_SILENCE)
+                    self._interrupt(Flow.SILENT, SENDS_NOTHING)
+                    self._hinder(Flow.SILENT, f'{SENDS_NOTHING}; starting it again')
+            with contextlib.suppress(Refused):  # it may have stopped by itself
+                await link.ask(Command.STOP_MEASUREMENT)  # what comes before the answer counts
         except LinkError as error:
-            self._interrupt(str(error))
+            self._interrupt(Flow.NO_CONNECTION, str(error))
             raise
         except asyncio.CancelledError:
             link.tell(Command.STOP_MEASUREMENT)
             raise
         finally:
             self._measuring = False
-            self._leave_out_held('settings not confirmed')
-            self._intake.end(self._lost)
-        with contextlib.suppress(Refused):  # it may have stopped by itself
-            await link.ask(Command.STOP_MEASUREMENT)
+            self._leave_out_held(NOT_CONFIRMED)
+            if self._wanted_still:
+                self._intake.end(self._lost)
+            else:
+                self._intake.drop()
+
+    async def _start(self, link: Link) -> None:
+        """Have the tracker measure."""
+        async with self._operated:
+            self._lost, self._held = '', []
+            self._served_stream = self._wanted_stream
+            self._intake.begin()
+            self._measuring = True
+            await link.ask(Command.START_MEASUREMENT)
+            self._intake.started(link.asked_ns, link.answered_ns, link.sent_ns)
+        self._starts += 1
+        self.state.phase, self.state.beam = state.STREAMING, Beam.ON_TARGET
+        if self.state.hindrance is not None:  # it may be flowing by now
+            hindrance = self.state.hindrance
+            self._hinder(hindrance.kind, hindrance.text)
+        self._silence.heard()
+
+    @property
+    def _wanted_still(self) -> bool:
+        """True if the stream that is served is still wanted, and not another one."""
+        return self._streaming and self._served_stream == self._wanted_stream
 
     async def _settle_doubt(self, link: Link) -> None:
         """Read back what gives samples their meaning, after an event that may have changed it."""
@@ -268,9 +319,11 @@ class Session:
             self._samples(packet, arrival_ns)
         elif isinstance(packet, ErrorReport):
             if self._measuring:
-                if packet.status == Status.BEAM_LOST:
+                lost = packet.status == Status.BEAM_LOST
+                if lost:
                     self._lose_beam()
-                self._interrupt(codes.status_text(packet.status))
+                kind = Flow.BEAM_BROKEN if lost else Flow.SILENT
+                self._interrupt(kind, codes.status_text(packet.status))
         elif isinstance(packet, StatusChange):
             self.state.last_event = codes.event_text(packet.event)
             self._closing |= packet.event == Event.SERVER_CLOSING
@@ -280,23 +333,50 @@ class Session:
             self.state.unused += 1
 
     def _samples(self, packet: Measurements, arrival_ns: int) -> None:
-        if not self._measuring or self._lost:
+        """Take samples, also those that come between an interruption and its end."""
+        if not self._measuring:
+            if self._streaming:
+                self.state.left_out[NOT_MEASURING] += len(packet.status)
             return
-        self._heard = _now()
+        if not self._wanted_still:
+            return
+        self._silence.heard()
         if self._doubt:
-            self._held = [*self._held[-MOST_HELD:], (packet, arrival_ns)]
-        elif not self._intake.take(packet, arrival_ns):
+            if len(self._held) >= MOST_HELD:
+                self.state.left_out[NOT_CONFIRMED] += len(self._held.pop(0)[0].status)
+            self._held.append((packet, arrival_ns))
+            return
+        before = self.state.samples
+        if not self._intake.take(packet, arrival_ns):
             self._lose_beam()
-            self._interrupt('no reflector in any sample')
+            self._interrupt(Flow.BEAM_BROKEN, 'no reflector in any sample')
+        elif self.state.samples > before:
+            if not self._lost:
+                self._flow()
+        elif self._intake.waiting:  # with a clock that is known: for the next packet only
+            if not self.state.clock.settled:
+                text = "samples wait until the tracker's clock is known"
+                self._hinder(Flow.WAITING_FOR_CLOCK, text)
+        elif time.monotonic() - self._since > SILENT_FOR and not self._lost:
+            self._hinder(Flow.SILENT, 'the tracker sends no sample that can be used')
 
     def _lose_beam(self) -> None:
         self.state.beam = Beam.SEARCHING if self._find else Beam.LOST
 
-    def _interrupt(self, reason: str = '') -> None:
+    def _flow(self) -> None:
+        """Note that samples flow."""
+        self.state.hindrance = None
+        self._since, self._starts, self._patience = time.monotonic(), 0, SILENT_FOR
+
+    def _hinder(self, kind: Flow, text: str) -> None:
+        """Note what keeps samples from flowing."""
+        self.state.hindrance = Hindrance(kind, text, self._since, max(0, self._starts))
+
+    def _interrupt(self, kind: Flow, reason: str) -> None:
         """Note that the stream broke off."""
         if self._measuring and not self._lost:
-            self.state.interruptions += 1
-            self.state.trouble = self._lost = reason or 'connection lost'
+            self._lost = reason
+            self._hinder(kind, reason)
             self.state.phase = state.SEARCHING
         self._wake.set()
 

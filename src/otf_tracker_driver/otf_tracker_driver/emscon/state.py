@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 
 from otf_tracker_driver.clock.device_clock import ClockState
 from otf_tracker_driver.emscon.configure import Tracker
-from otf_tracker_driver.health import Beam, Gap
+from otf_tracker_driver.health import Beam, Gap, Hindrance
 
 CONNECTING, CONFIGURING, INITIALISING = 'connecting', 'configuring', 'initialising'
 READY, STREAMING, SEARCHING = 'ready', 'streaming', 'searching'
+BEING_STARTED = 'the measurement is being started'
 
 
 @dataclass
@@ -22,8 +23,8 @@ class SessionState:
     ----------
     phase : str
         One of the names above.
-    trouble : str
-        What hinders the measurement just now; empty if nothing.
+    hindrance : Hindrance or None
+        What keeps samples from flowing just now, in a stream; why there is no connection, without.
     beam : Beam
     tracker : Tracker or None
         None until configured.
@@ -41,14 +42,14 @@ class SessionState:
     repeated, squeezed : int
         Samples left out because their time had been there; samples moved behind a jump.
     connections, interruptions : int
-        Connections made; times that the beam was lost, or the stream broke off otherwise.
+        Connections made; times that the stream broke off and went on.
     gaps : tuple of Gap
         The latest interruptions.
     last_event : str
     """
 
     phase: str = CONNECTING
-    trouble: str = ''
+    hindrance: Hindrance | None = None
     beam: Beam = Beam.UNKNOWN
     tracker: Tracker | None = None
     clock: ClockState = field(default_factory=ClockState)
@@ -66,3 +67,8 @@ class SessionState:
     interruptions: int = 0
     gaps: tuple[Gap, ...] = ()
     last_event: str = ''
+
+    @property
+    def trouble(self) -> str:
+        """What hinders the measurement just now; empty if nothing out of the ordinary."""
+        return self.hindrance.trouble if self.hindrance else ''

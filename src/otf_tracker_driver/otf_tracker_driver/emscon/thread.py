@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine
@@ -17,14 +18,16 @@ from otf_tracker_driver.emscon.configure import Wanted
 from otf_tracker_driver.emscon.errors import TrackerError
 from otf_tracker_driver.emscon.link import Link
 from otf_tracker_driver.emscon.session import Address, Session
-from otf_tracker_driver.emscon.state import SessionState
+from otf_tracker_driver.emscon.state import BEING_STARTED, SessionState
+from otf_tracker_driver.health import Flow, Hindrance
 
 T = TypeVar('T')
 
 ENDED_WITHIN = 5.0
 """s"""
 MOST_HELD = 10_000
-"""Packets that wait to be fetched, an hour of a tracker; the oldest are lost beyond."""
+"""Packets that wait to be fetched, an hour of a tracker; the oldest are left out beyond."""
+NOT_FETCHED = 'not fetched in time'
 
 
 class SessionThread:
@@ -40,7 +43,7 @@ class SessionThread:
 
     def __init__(self, address: Address, wanted: Wanted, find: bool) -> None:
         self._address, self._wanted, self._find = address, wanted, find
-        self._samples: deque[Samples] = deque(maxlen=MOST_HELD)
+        self._samples: deque[Samples] = deque()
         self._made = threading.Event()
         self._session: Session | None = None
         self._run: Future[None] = Future()
@@ -64,6 +67,9 @@ class SessionThread:
 
     def stream(self, on: bool) -> None:
         """Start or stop a stream; what was not fetched of the one before is forgotten."""
+        if on:  # until the session's thread comes to it
+            starting = Hindrance(Flow.STARTING, BEING_STARTED, time.monotonic())
+            self.state.hindrance = starting
         self._call(self._switch, on)
 
     def fetch(self) -> list[Samples]:
@@ -126,5 +132,8 @@ class SessionThread:
         self._run.set_exception(reason)
 
     def _take(self, samples: Samples) -> None:
-        if self._streaming:
-            self._samples.append(samples)
+        if not self._streaming:
+            return
+        if len(self._samples) == MOST_HELD:
+            self.state.left_out[NOT_FETCHED] += len(self._samples.popleft())
+        self._samples.append(samples)

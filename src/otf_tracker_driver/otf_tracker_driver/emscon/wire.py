@@ -8,7 +8,7 @@ import contextlib
 import socket
 from collections.abc import AsyncIterator
 
-from otf_tracker_driver.clock.arrival import receive, stamp_arrivals
+from otf_tracker_driver.clock.arrival import Arrivals
 from otf_tracker_driver.emscon.errors import LinkError
 
 CHUNK = 1 << 16
@@ -29,13 +29,22 @@ class Wire:
     def __init__(self, opened: socket.socket) -> None:
         self._socket = opened
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        stamp_arrivals(opened)
+        self._arrivals = Arrivals(opened)
 
-    async def read(self) -> tuple[bytes, int]:
-        """Return what has come and how long ago, ns; no bytes at the end. OSError if it broke."""
+    @property
+    def unread(self) -> bool:
+        """True if something, if only the end, is there to be read."""
+        return self._arrivals.unread
+
+    async def read(self, most: int) -> tuple[bytes, int]:
+        """Return what has come and how long ago, ns; no bytes at the end. OSError if it broke.
+
+        Asked for no more than a packet, it tells the age of each one of a backlog, as far as the
+        kernel has kept them apart.
+        """
         while True:
             try:
-                data, age, _ = receive(self._socket, CHUNK)
+                data, age, _ = self._arrivals.receive(most)
                 return data, age
             except BlockingIOError:
                 await self._readable()
@@ -58,7 +67,7 @@ class Wire:
             await asyncio.wait_for(self._rest(), ENDED_WITHIN)
 
     async def _rest(self) -> None:
-        while (await self.read())[0]:
+        while (await self.read(CHUNK))[0]:
             pass
 
     async def _readable(self) -> None:

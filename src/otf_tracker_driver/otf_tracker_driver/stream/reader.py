@@ -13,7 +13,8 @@ import numpy as np
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_tracker_driver.clock.stamper import REPEATED, HostClock, Stamper
-from otf_tracker_driver.health import Gap
+from otf_tracker_driver.health import Flow, Gap, Hindrance
+from otf_tracker_driver.silence import Silence
 from otf_tracker_driver.stream.description import JSON, Description
 from otf_tracker_driver.stream.lines import (
     LATEST,
@@ -37,7 +38,8 @@ WRONG_FOR = 1.0
 MANY, FEW = 100, 0.05
 """If more than this share of so many points is left out, or goes back in time, it is trouble."""
 MOST_HELD = 100_000
-"""Chunks that wait to be fetched; the oldest are lost beyond."""
+"""Chunks that wait to be fetched; the oldest are left out beyond."""
+NOT_FETCHED = 'not fetched in time'
 MOST_GAPS = 1000
 ENDED_WITHIN = 6.0
 """s"""
@@ -54,13 +56,15 @@ class Reader:
 
     Attributes
     ----------
-    trouble : str
-        What hinders just now; empty if nothing.
+    hindrance : Hindrance or None
+        What keeps points from flowing just now.
     points, unreadable : int
         Lines that held a point, and lines that did not.
     connected : bool
+    not_fetched : int
+        Points that nobody fetched in time.
     connections, interruptions : int
-        Times that the source was opened, and lost while it streamed.
+        Times that the source was opened; that the stream broke off and went on.
     gaps : tuple of Gap
         The latest of them that have ended.
     """
@@ -68,17 +72,19 @@ class Reader:
     def __init__(self, how: Description, transport: Transport) -> None:
         self._how, self._transport = how, transport
         self._clock, self._stamper, self._lines = HostClock(), Stamper(), Lines()
-        self._samples: deque[Samples] = deque(maxlen=MOST_HELD)
+        self._samples: deque[Samples] = deque()
         self._last_ns = self._begun_points = self._begun_repeated = 0
         self._back, self._stamp_before = 0, -int(LATEST)
         self._streams = self._wanted = self._told = 0
         self._ended = threading.Event()
-        self.trouble = ''
-        self.points = self.unreadable = self.interruptions = 0
+        self.hindrance: Hindrance | None = None
+        self._warning = ''
+        self._since, self._opened = time.monotonic(), 0
+        self.points = self.unreadable = self.interruptions = self.not_fetched = 0
         self.connected, self.connections = True, 1
         self.gaps: tuple[Gap, ...] = ()
         self._lost = self._owed = ''
-        self._heard = self._last_point = 0.0
+        self._silence, self._last_point = Silence(), 0.0
         self._next_example = 0
         self._defect: Exception | None = None
         self._thread = threading.Thread(target=self._work, name='stream', daemon=True)
@@ -93,6 +99,11 @@ class Reader:
     def by_host(self) -> bool:
         """True if points are stamped on arrival."""
         return self._how.stamp is None
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong just now; empty if nothing."""
+        return (self.hindrance.trouble if self.hindrance else '') or self._warning
 
     @property
     def repeated(self) -> int:
@@ -110,6 +121,8 @@ class Reader:
         if on:
             self._samples.clear()
             self._last_ns, self._lost = 0, ''
+            self._since, self._opened = time.monotonic(), 0
+            self._hinder(Flow.STARTING, f'{self._how.source}: the first points are awaited')
             self._streams += 1
             self._wanted = self._streams
 
@@ -146,9 +159,10 @@ class Reader:
                 try:
                     self._transport = opened(self._how.source, self._how.peer)
                 except InputError as error:
-                    self.trouble = f'{error}; connecting again'
+                    self._hinder(Flow.NO_CONNECTION, f'{error}; connecting again')
                     continue
-                self.trouble, pause = '', FIRST_PAUSE
+                pause, self._opened = FIRST_PAUSE, self._opened + 1
+                self._hinder(Flow.SILENT, f'{self._how.source}: open again, points are awaited')
                 self.connected, self.connections = True, self.connections + 1
                 break
             else:
@@ -157,11 +171,14 @@ class Reader:
     def _lose(self, reason: str) -> None:
         """Note that the source is lost."""
         self.connected = False
-        self.trouble = f'{reason}; connecting again'
         self._hand_on(self._stamper.flush())
+        self._hinder(Flow.NO_CONNECTION, f'{reason}; connecting again')
         if self._wanted and self._last_ns and not self._lost:
-            self.interruptions += 1
             self._lost = reason
+
+    def _hinder(self, kind: Flow, text: str) -> None:
+        """Note what keeps points from flowing."""
+        self.hindrance = Hindrance(kind, text, self._since, self._opened)
 
     def _read(self) -> None:
         """Read until the source is lost or the reader ends."""
@@ -182,8 +199,8 @@ class Reader:
                 if self._owed:
                     self._tell(self._owed)
                 self._take(chunk)
-            if time.monotonic() - self._heard > SILENT_FOR:
-                self.trouble = self._silent()
+            if self._silence.beat() > SILENT_FOR:
+                self._hinder(Flow.SILENT, self._silent())
         if told:
             with contextlib.suppress(OSError):
                 self._tell(self._how.stop)
@@ -196,7 +213,8 @@ class Reader:
         self._back, self._stamp_before = 0, -int(LATEST)
         if wanted:
             self._tell(self._how.start)
-        self._heard = self._last_point = time.monotonic()
+        self._silence.heard()
+        self._last_point, self._warning = time.monotonic(), ''
 
     def _tell(self, text: str) -> None:
         """Send a text; later if it is not known yet to whom."""
@@ -219,21 +237,21 @@ class Reader:
         arrival_ns = self._clock.now_ns() - self._transport.age_ns
         points, wrong, too_long = [], '', self._lines.too_long
         for line in self._lines.feed(self._whole(chunk)):
-            self._heard = time.monotonic()
+            self._silence.heard()
             try:
                 points.append(read_point(line, self._how))
             except Unreadable as error:
                 self.unreadable += 1
                 wrong = f'{error} in line {line[:80]!r}'
         if self._lines.too_long > too_long:
-            self._heard = time.monotonic()
+            self._silence.heard()
             self.unreadable += self._lines.too_long - too_long
             wrong = wrong or f'line of more than {LONGEST} bytes'
         if points:
             self.points += len(points)
             self._stamp(*as_arrays(points, arrival_ns), arrival_ns)
-            self._last_point, self._next_example = self._heard, 0
-            self.trouble = self._repeating()
+            self._last_point, self._next_example = time.monotonic(), 0
+            self._warning = self._repeating()
         elif wrong:
             self._say(wrong)
 
@@ -242,12 +260,13 @@ class Reader:
         if time.monotonic() - self._last_point < WRONG_FOR or self.unreadable < self._next_example:
             return
         self._next_example = 2 * self.unreadable
-        self.trouble = f'{self._how.source}: {wrong}; check the description'
+        text = f'{self._how.source}: {wrong}; check the description'
+        self._hinder(Flow.SILENT, text)
 
     def _silent(self) -> str:
         if self._lines.partial:
-            return f'{self._how.source}: no end of a line (LF or CR) for {SILENT_FOR:.0f} s'
-        return f'{self._how.source}: nothing for {SILENT_FOR:.0f} s; is it sending?'
+            return f'{self._how.source}: bytes come, but no end of a line (LF or CR)'
+        return f'{self._how.source} sends nothing; is it on?'
 
     def _repeating(self) -> str:
         """Say that times repeat, or go back and forth; empty if they do not."""
@@ -270,6 +289,9 @@ class Reader:
             self._back += int(np.count_nonzero(steps < -REPEATED))
             self._stamp_before = int(stamps[-1])
             self._hand_on(self._stamper.take(stamps, xyz, arrival_ns))
+            if self._stamper.waiting and not self._stamper.clock.settled:
+                text = f'{self._how.source}: points wait until its clock is known'
+                self._hinder(Flow.WAITING_FOR_CLOCK, text)
             return
         first = max(arrival_ns, self._last_ns + 1)
         self._hand_on([Samples(first + np.arange(len(xyz), dtype=np.int64), xyz)])
@@ -281,5 +303,9 @@ class Reader:
             if self._lost:
                 gap = Gap(self._last_ns, int(part.stamp_ns[0]), self._lost)
                 self.gaps, self._lost = (*self.gaps[-MOST_GAPS:], gap), ''
+                self.interruptions += 1
             self._last_ns = int(part.stamp_ns[-1])
+            self.hindrance, self._since, self._opened = None, time.monotonic(), 0
+            if len(self._samples) == MOST_HELD:
+                self.not_fetched += len(self._samples.popleft())
             self._samples.append(part)

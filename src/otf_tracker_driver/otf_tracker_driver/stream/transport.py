@@ -10,8 +10,8 @@ import termios
 import tty
 from abc import ABC, abstractmethod
 
-from otf_core.errors import InputError
-from otf_tracker_driver.clock.arrival import receive, stamp_arrivals
+from otf_tracker_driver.clock.arrival import Arrivals
+from otf_tracker_driver.errors import Unreachable
 from otf_tracker_driver.stream.description import Source
 
 CHUNK = 1 << 16
@@ -56,13 +56,13 @@ class Socket(Transport):
     def __init__(self, opened: socket.socket, datagrams: bool, only: str = '') -> None:
         self._socket, self.datagrams, self._only = opened, datagrams, only
         self._peer: object = None
-        stamp_arrivals(opened)
+        self._arrivals = Arrivals(opened)
 
     def receive(self, timeout: float) -> bytes | None:
         """Return what has come; a TCP peer that has closed is an OSError."""
         self._socket.settimeout(timeout)
         try:
-            data, self.age_ns, peer = receive(self._socket, CHUNK)
+            data, self.age_ns, peer = self._arrivals.receive(CHUNK)
         except TimeoutError:
             return None
         if self._only and not (isinstance(peer, tuple) and peer[0] == self._only):
@@ -128,7 +128,7 @@ def opened(source: Source, peer: str = '') -> Transport:
 
     Raises
     ------
-    InputError
+    Unreachable
         If it cannot be opened; says which and why.
     """
     try:
@@ -140,7 +140,7 @@ def opened(source: Source, peer: str = '') -> Transport:
         return Socket(_probed(socket.create_connection(address, CONNECT_WITHIN)), False)
     except (OSError, UnicodeError) as error:
         reason = getattr(error, 'strerror', None) or error
-        raise InputError(
+        raise Unreachable(
             f'{source}: cannot be opened ({reason}); check that the device is on and the address '
             f'is correct'
         ) from None
