@@ -134,6 +134,7 @@ class Streamer:
                 self._status.begin(self._backend)
                 self._streaming = True
             batch = self._due(self._backend.poll())
+            self._status.take(batch)
             hindrance, trouble = self._backend.hindrance, self._backend.trouble
             if hindrance and not len(batch):
                 self._status.hinder(hindrance, trouble)
@@ -149,7 +150,6 @@ class Streamer:
             text = f'internal error of the backend: {error!r}; the driver ends'
             self._status.report(TrackerStatus.FAULT, text)
             raise
-        self._status.take(batch)
         published = self._status.message.samples_published - len(batch)
         stamps = batch.stamp_ns.tolist()
         for at, message in enumerate(convert.points_to_messages(batch)):
