@@ -35,7 +35,7 @@ def test_tracker_that_is_off_at_launch_is_waited_for_and_streams_once_it_is_on(g
     points = graph.listen(PointStamped, 'tracker/point', qos.MEASUREMENT)
     emscon(graph, port, longest_retry=2.0)
     status = graph.wait_for_status('NO_CONNECTION', 'next one in')
-    assert f'127.0.0.1:{port}: no connection' in status.message and 'is it on' in status.message
+    assert f'127.0.0.1:{port}: no connection' in status.message and 'it is on' in status.message
     assert graph.lifecycle_state() == 'unconfigured'
     graph.wait_for_status('NO_CONNECTION', '3 attempts')
     assert not graph.transition('configure')
