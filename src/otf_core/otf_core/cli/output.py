@@ -6,10 +6,11 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from otf_core.errors import OtfError
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 QUALITY_GATE_FAILED = 4
 LIMIT_NOT_PROVEN = 5
 
+UNIT = re.compile(r'(?<![A-Za-z0-9_])u(m|rad)(?![A-Za-z0-9_])')
+"""Millionths of m and rad in ASCII."""
 LONGEST_MESSAGE = 1000
 BULKY = 'covariance'
 """Key of a result that stays in its file."""
@@ -28,8 +31,23 @@ class OutputFull(OtfError):
     """Standard output takes no more."""
 
 
+def as_shown(text: str, stream: TextIO) -> str:
+    """Text with um and urad as µm and µrad on a terminal that has the sign.
+
+    Pipes and files get the ASCII that other programs look for.
+    """
+    if not stream.isatty():
+        return text
+    proper = UNIT.sub('\N{MICRO SIGN}\\1', text)
+    try:
+        proper.encode(stream.encoding or 'ascii')
+    except (UnicodeEncodeError, LookupError):
+        return text
+    return proper
+
+
 def say(text: str) -> None:
-    """Print a line of the result."""
+    """Print a line of the result as it is."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
@@ -53,7 +71,7 @@ def bounded(text: str) -> str:
 def note(text: str) -> None:
     """Print a line beside the result: progress, warnings, errors."""
     own_line('')
-    print(text, file=sys.stderr, flush=True)
+    print(as_shown(text, sys.stderr), file=sys.stderr, flush=True)
 
 
 _shown: list[str] = []
@@ -108,7 +126,7 @@ def answer(arguments: argparse.Namespace, words: str, data: Mapping[str, Any]) -
             note(words)
         say(json.dumps({'verb': arguments.verb, **data}, indent=1, allow_nan=False))
     elif not arguments.quiet:
-        say(words)
+        say(as_shown(words, sys.stdout))
 
 
 def answer_from(

@@ -182,8 +182,9 @@ def write_comparison(
     folder = ensure_folder(folder)
     data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}
     files = [draw_motions(result, folder), draw_volume(result, folder)]
+    date = str(data['provenance']['written'])
     files += [folder / name for name in ('report.html', 'comparison.txt', 'comparison.json')]
-    write_text(files[2], comparison_html(result, CONVENTION, remarks_on(result)))
+    write_text(files[2], comparison_html(result, CONVENTION, remarks_on(result), date))
     write_text(files[3], format_comparison(result) + '\n')
     content = json.dumps(data, indent=1, allow_nan=False)
     write_text(files[4], content + '\n')

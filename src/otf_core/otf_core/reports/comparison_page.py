@@ -40,7 +40,7 @@ def all_normalised(result: Comparison) -> Array:
     return np.asarray(found[np.isfinite(found)])
 
 
-def comparison_html(result: Comparison, convention: str, remarks: Sequence[str]) -> str:
+def comparison_html(result: Comparison, convention: str, remarks: Sequence[str], date: str) -> str:
     """Return the page.
 
     Parameters
@@ -50,6 +50,8 @@ def comparison_html(result: Comparison, convention: str, remarks: Sequence[str])
         In which both are compared.
     remarks : sequence of str
         What has to be known beside the numbers.
+    date : str
+        When this was written.
     """
     gauge = (f'{convention[:1].upper()}{convention[1:]}.',)
     sections = [
@@ -59,10 +61,10 @@ def comparison_html(result: Comparison, convention: str, remarks: Sequence[str])
                 draw=lambda: _motions(result)),
         Section('volume', 'Differences in the volume', draw=lambda: _volume(result)),
     ]  # fmt: skip
-    return page_html(_heading(result), sections)
+    return page_html(_heading(result, date), sections)
 
 
-def _heading(result: Comparison) -> Heading:
+def _heading(result: Comparison, date: str) -> Heading:
     a, b = result.names
     found, volume = all_normalised(result), result.volume
     mean = micro(mean_length(volume.difference))
@@ -89,7 +91,8 @@ def _heading(result: Comparison) -> Heading:
             f'(E_n up to 1), the largest E_n is {found.max():.2f}.'
         )
         tiles.append(('E_n up to 1', f'{100 * share:.0f} %', f'of {found.size} values'))
-    return Heading(f'Comparison of {a} and {b}', sentence, (badge,), tuple(tiles))
+    title, machine = f'Comparison of {a} and {b}', result.common.machine.name
+    return Heading(title, sentence, (badge,), tuple(tiles), f'{machine}, {title}, {date}')
 
 
 def _overview(result: Comparison, remarks: Sequence[str]) -> Section:

@@ -158,8 +158,9 @@ def write_noise(
     files = [draw_noise(report, folder), *(folder / name for name in names)]
     runs = data['provenance'].get('runs') or [{}]
     name = str(runs[0].get('name') or '')
+    date = str(data['provenance']['written'])
     events = [*_event_rows(report), *_peak_rows(report)]
-    write_text(files[1], noise_html(report, name, events, _colour_words(report)))
+    write_text(files[1], noise_html(report, name, date, events, _colour_words(report)))
     write_text(files[2], format_noise(report) + '\n')
     content = json.dumps(data, indent=1, allow_nan=False)
     write_text(files[3], content + '\n')

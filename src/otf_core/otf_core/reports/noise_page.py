@@ -18,7 +18,9 @@ UNITS = ('m', 'rad', 'rad')
 """Of range, horizontal and vertical angle."""
 
 
-def noise_html(report: NoiseReport, name: str, events: Sequence[str], colour: str) -> str:
+def noise_html(
+    report: NoiseReport, name: str, date: str, events: Sequence[str], colour: str
+) -> str:
     """Return the page.
 
     Parameters
@@ -26,6 +28,8 @@ def noise_html(report: NoiseReport, name: str, events: Sequence[str], colour: st
     report : NoiseReport
     name : str
         Of the recording.
+    date : str
+        When this was written.
     events : sequence of str
         Lost samples, steps, drift and peaks in words.
     colour : str
@@ -49,6 +53,7 @@ def noise_html(report: NoiseReport, name: str, events: Sequence[str], colour: st
         f'the angles; {colour}.',
         (badge,),
         tiles,
+        f'noise of the tracker, run {name}, {date}' if name else f'noise of the tracker, {date}',
     )
     facts = (
         ('standstills', f'{report.standstills}, of which {report.duration:.1f} s are used'),

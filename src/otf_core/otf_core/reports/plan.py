@@ -230,9 +230,9 @@ def write_report(
     write_text(files[-1], format_report(report))
     files.append(write_plan_picture(report, folder))
     files.append(folder / 'report.html')
-    write_text(files[-1], plan_html(report))
-    files.append(folder / 'plan.json')
     block = about or provenance('plan', machines=[report.setup.machine])
+    write_text(files[-1], plan_html(report, str(block['written'])))
+    files.append(folder / 'plan.json')
     content = report_to_dict(report) | {'provenance': block}
     write_text(files[-1], json.dumps(content) + '\n')
     return files

@@ -20,10 +20,10 @@ PLACES = 8
 """Places of the tracker that are not folded away."""
 
 
-def plan_html(report: PlanReport) -> str:
-    """Return the page."""
+def plan_html(report: PlanReport, date: str) -> str:
+    """Return the page; ``date`` is when the plan was made."""
     sections = [_overview(report), _path(report), _tracker(report), _effects(report)]
-    return page_html(_heading(report), [s for s in sections if s is not None])
+    return page_html(_heading(report, date), [s for s in sections if s is not None])
 
 
 def expanded_forecast(report: PlanReport) -> tuple[float, str]:
@@ -34,7 +34,7 @@ def expanded_forecast(report: PlanReport) -> tuple[float, str]:
     return found.expected.expanded['mean'], found.expected.label
 
 
-def _heading(report: PlanReport) -> Heading:
+def _heading(report: PlanReport, date: str) -> Heading:
     plan, found = report.plan, report.forecast
     wide, label = expanded_forecast(report)
     noise = micro_significant(COVERAGE_FACTOR * found.mean_grid_u)
@@ -55,7 +55,9 @@ def _heading(report: PlanReport) -> Heading:
          f'{len(plan.path.points)} points'),
     )  # fmt: skip
     name = report.setup.machine.name
-    return Heading(f'Plan for {name}: {report.how}', sentence, (badge,), tiles)
+    return Heading(
+        f'Plan for {name}: {report.how}', sentence, (badge,), tiles, f'{name}, plan, {date}'
+    )
 
 
 def _overview(report: PlanReport) -> Section:
