@@ -19,8 +19,9 @@ import numpy as np
 
 from otf_core.bags.bag_reading import BagReading, Reading, path_of
 from otf_core.bags.bag_writer import write_recording
+from otf_core.bags.publishers import advice_of, received_of
 from otf_core.bags.sample_order import in_time_order, usable_path
-from otf_core.bags.screening import Screening
+from otf_core.bags.screening import MixedSamples, Screening
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import InputError
 from otf_core.model.declared_signals import SignalSpec
@@ -143,14 +144,18 @@ def _told(where: str, parts: Sequence[Reading]) -> tuple[Samples, list[str]]:
 
 def samples_of(where: str, parts: Sequence[Reading], remarks: list[str]) -> Samples:
     """Join the points of parts; ``remarks`` is filled with what was repaired or left out."""
-    raw = sorted((part.received() for part in parts), key=lambda r: r.stamp_ns[:1].tolist())
+    received = [received_of(part, where, remarks) for part in parts]
+    raw = sorted(received, key=lambda r: r.stamp_ns[:1].tolist())
     stamp_ns, xyz = (
         raw[0].stamp_ns if len(raw) == 1 else np.concatenate([r.stamp_ns for r in raw]),
         raw[0].xyz if len(raw) == 1 else np.concatenate([r.xyz for r in raw]),
     )
     screening = Screening()
     screening.foreign(sum((part.foreign for part in parts), Counter()))
-    return in_time_order(f'{where}: {parts[0].point.name}', stamp_ns, xyz, remarks, screening)
+    try:
+        return in_time_order(f'{where}: {parts[0].point.name}', stamp_ns, xyz, remarks, screening)
+    except MixedSamples as error:
+        raise MixedSamples(f'{error}{advice_of(received)}') from None
 
 
 def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = False) -> None:

@@ -33,11 +33,14 @@ class Received:
     xyz : ndarray, shape (n, 3), m
     log_time : ndarray of int64, shape (n,), ns
         When they were recorded; ascending.
+    channel : ndarray of int64, shape (n,), optional
+        Channels of an MCAP file, which publishers may have of their own.
     """
 
     stamp_ns: NDArray[np.int64]
     xyz: NDArray[np.float64]
     log_time: NDArray[np.int64]
+    channel: NDArray[np.int64] | None = None
 
 
 class Reading(Protocol):
@@ -49,6 +52,7 @@ class Reading(Protocol):
     foreign: Counter[str]
     remarks: list[str]
     said: list[str]
+    publisher: int | None
 
     def require(self, *wanted: Topic) -> None:
         """Refuse a recording without these topics."""
@@ -80,6 +84,8 @@ class BagReading:
         Points left out for their frame, by frame_id.
     said : list of str
         How it was read, where that is not as usual.
+    publisher : int or None
+        Whose samples are wanted, see ``publishers``.
     """
 
     def __init__(
@@ -94,6 +100,7 @@ class BagReading:
         self._stamp_ns = Column(np.empty(0, np.int64))
         self._xyz = Column(np.empty((0, 3)))
         self._log_time = Column(np.empty(0, np.int64))
+        self._channel: Column[np.int64] | None = Column(np.empty(0, np.int64))
         self._last_path: bytes | None = None
         self._cleared = 0
         self._points = 0
@@ -102,11 +109,13 @@ class BagReading:
         self.paths: list[NDArray[np.float64]] = []
         self.remarks: list[str] = []
         self.said: list[str] = []
+        self.publisher: int | None = None
         self.foreign: Counter[str] = Counter()
         types: dict[str, tuple[str, ...]] = {point.name: tuple(FORMS)}
         types |= {} if path is None else {path.name: (path.type,)}
-        messages = locate(source).messages(types, self.topics, self.remarks, recover=recover)
-        for block in messages:
+        found = locate(source)
+        self._files = len(found.files)
+        for block in found.messages(types, self.topics, self.remarks, recover=recover):
             try:
                 self._add(block)
             except InputError as error:
@@ -160,6 +169,10 @@ class BagReading:
         self._xyz.add(points.xyz)
         kept = slice(None) if points.kept is None else points.kept
         self._log_time.add(block.log_time[kept])
+        if block.channel is None or self._files > 1:
+            self._channel = None
+        elif self._channel is not None:
+            self._channel.add(block.channel[kept])
         self.foreign.update(points.foreign)
         self._points += block.start.size
 
@@ -168,10 +181,12 @@ class BagReading:
         log_time = self._log_time.joined()
         as_received = bool(np.all(log_time[1:] >= log_time[:-1]))
         stamp_ns, xyz = self._stamp_ns.joined(), self._xyz.joined()
+        channel = None if self._channel is None else self._channel.joined()
         if as_received:
-            return Received(stamp_ns, xyz, log_time)
+            return Received(stamp_ns, xyz, log_time, channel)
         order = np.argsort(log_time, kind='stable')
-        return Received(stamp_ns[order], xyz[order], log_time[order])
+        channel = None if channel is None else channel[order]
+        return Received(stamp_ns[order], xyz[order], log_time[order], channel)
 
 
 def path_of(where: str, parts: Sequence[Reading]) -> NominalPath:

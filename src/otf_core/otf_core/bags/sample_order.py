@@ -3,8 +3,8 @@
 
 Transport may swap, repeat and delay messages; the tracker's own stamp says what was measured when.
 What transport explains is repaired with a remark, and points that are no measurements are left out
-(``screening``). What neither explains (clock set back, two trackers on one topic, no stamps) is an
-error.
+(``screening``). A clock that begins again is continued where the target shows it (``reception``).
+What none explains (two trackers on one topic, several runs, no stamps) is an error.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.bags.clock import MAX_OFF_NS, of_one_clock
-from otf_core.bags.screening import MAX_RANGE, Screening
+from otf_core.bags.reception import check_order, continued
+from otf_core.bags.screening import MAX_RANGE, MixedSamples, Screening
 from otf_core.bags.stamp_words import stamp_words
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
@@ -35,6 +36,7 @@ def in_time_order(
     Points out of order by up to 1 s are sorted by stamp (stable), exact repetitions are dropped,
     and so are a second point of the same stamp if that is rare (0.1 %), and points that are no
     measurements or whose stamps are off (``clock``) unless they are too many; each with a remark.
+    A counter that wraps or a clock that is set back is continued where the target goes on.
 
     Parameters
     ----------
@@ -52,13 +54,13 @@ def in_time_order(
     ------
     InputError
         No points or one only, coordinates that no tracker measures, hardly any beam, stamps not
-        set, stamps that go back by more than 1 s, or different points with the same stamp in many
-        places.
+        set, stamps that go back by more than 1 s, different points with the same stamp in many
+        places, or stamps by which a smooth motion goes to and fro.
     """
     remarks = [] if remarks is None else remarks
     screening = screening or Screening()
     if stamp_ns.any():
-        stamp_ns, xyz = _screened(stamp_ns, xyz, screening)
+        stamp_ns, xyz = _screened(stamp_ns, xyz, screening, remarks)
     screening.check(where)
     if not stamp_ns.size:
         raise InputError(f'{where}: no points; was the tracker measuring while it was recorded?')
@@ -77,18 +79,23 @@ def in_time_order(
     _check_steps(where, stamp_ns)
     if np.any(np.diff(stamp_ns) < 0):
         late = int(np.count_nonzero(np.diff(stamp_ns) < 0))
-        remarks.append(f'stamps went back {late} times, sorted by stamp')
         order = np.argsort(stamp_ns, kind='stable')
+        check_order(where, order, xyz)
+        remarks.append(f'stamps went back {late} times, sorted by stamp')
         stamp_ns, xyz = stamp_ns[order], xyz[order]
     return _without_repetitions(where, stamp_ns, xyz, remarks)
 
 
 def _screened(
-    stamp_ns: NDArray[np.int64], xyz: NDArray[np.float64], screening: Screening
+    stamp_ns: NDArray[np.int64],
+    xyz: NDArray[np.float64],
+    screening: Screening,
+    remarks: list[str],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     good = screening.good(stamp_ns, xyz)
     if good is not None:
         stamp_ns, xyz = stamp_ns[good], xyz[good]
+    stamp_ns = continued(stamp_ns, xyz, remarks)
     kept = of_one_clock(stamp_ns, screening.off)
     return (stamp_ns, xyz) if kept is None else (stamp_ns[kept], xyz[kept])
 
@@ -112,7 +119,7 @@ def _check_steps(where: str, stamp_ns: NDArray[np.int64]) -> None:
     back = np.maximum.accumulate(stamp_ns) - stamp_ns
     if back.max() > MAX_OFF_NS:
         i = int(np.argmax(back > MAX_OFF_NS))
-        raise InputError(
+        raise MixedSamples(
             f'{where}: header.stamp goes back by {back[i] * 1e-9:.3f} s at sample {i}; the clock '
             f'was set back or several runs or trackers are mixed; record each in its own bag'
         )

@@ -34,6 +34,10 @@ WORDS = {
 }
 
 
+class MixedSamples(InputError):
+    """Stamps of several clocks: of publishers, runs, or one that was set back."""
+
+
 def judged(xyz: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Tell what is wrong with points; 0: nothing.
 
@@ -133,7 +137,7 @@ class Screening:
             text = frame_text(f'{count[FOREIGN]} of {total} points', self._most(), POINT.frame)
             raise InputError(f'{where}: {text}')
         if count[OFF] > MAX_FAR * total:
-            raise InputError(
+            raise MixedSamples(
                 f'{where}: header.stamp of {count[OFF]} of {total} points is off by more than '
                 f'{1e-9 * MAX_OFF_NS:g} s, the first is {self._first[OFF]}; the clock was set '
                 f'back or several runs or trackers are mixed; record each in its own bag'

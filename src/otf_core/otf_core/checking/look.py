@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from otf_core.bags.bag_reading import path_of
+from otf_core.bags.publishers import advice_of, received_of
 from otf_core.bags.sample_order import in_time_order
-from otf_core.bags.screening import Screening
+from otf_core.bags.screening import MixedSamples, Screening
 from otf_core.checking.seen import Seen
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.before import check_recordings
@@ -77,12 +78,16 @@ def _read(source: str, config: CalibrationConfig, given: Given, refused: _Refusa
             seen = replace(seen, path=path_of(source, [reading]))
         with refused.of('points', source):
             reading.require(reading.point)
-            received = reading.received()
+            received = received_of(reading, source, remarks)
             seen = replace(seen, received=received)
             screening = Screening()
             screening.foreign(reading.foreign)
             raw = received.stamp_ns, received.xyz
-            samples = in_time_order(f'{source}: {reading.point.name}', *raw, remarks, screening)
+            try:
+                where = f'{source}: {reading.point.name}'
+                samples = in_time_order(where, *raw, remarks, screening)
+            except MixedSamples as error:
+                raise MixedSamples(f'{error}{advice_of([received])}') from None
             seen = replace(seen, samples=samples)
     return replace(seen, remarks=tuple(remarks))
 

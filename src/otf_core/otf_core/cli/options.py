@@ -79,6 +79,11 @@ def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
         'Odometry, in any frame',
     )  # fmt: skip
     group.add_argument(
+        '--publisher', type=int, metavar='N',
+        help='whose samples to take where several trackers published on one topic; the message '
+        'that refuses them lists what there is',
+    )  # fmt: skip
+    group.add_argument(
         '--columns', metavar='LIST',
         help='what stands in the columns of a text, e.g. time_s,-,x_mm,y_mm,z_mm; as its head '
         'says if not given',
@@ -103,6 +108,7 @@ def given_of(arguments: argparse.Namespace, path: str | None = None) -> Given:
         rate=arguments.rate,
         recover=arguments.recover,
         signals=tuple(getattr(arguments, 'signal', ())),
+        publisher=arguments.publisher,
     )
 
 

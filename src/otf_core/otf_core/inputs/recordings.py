@@ -32,6 +32,8 @@ class Given:
         recording.
     topic, path_topic : str, optional
         Other names of the two topics of a bag.
+    publisher : int, optional
+        Whose samples to take where several published them, from 1, see ``bags.publishers``.
     columns : str, optional
         What stands in the columns of a text, e.g. ``time_s,x_mm,y_mm,z_mm``.
     rate : float, optional
@@ -49,6 +51,7 @@ class Given:
     rate: float | None = None
     recover: bool = False
     signals: tuple[str, ...] = ()
+    publisher: int | None = None
 
     def __post_init__(self) -> None:
         """Refuse a rate that is none."""
@@ -80,6 +83,7 @@ def open_reading(source: str | Path, given: Given = AS_IT_IS) -> AnyReading:
                 raise ConfigError(f'{option}: {source} is a bag; this is for texts')
         path = None if given.path is not None else called(PATH, given.path_topic)
         reading = BagReading(source, called(POINT, given.topic), path, recover=given.recover)
+    reading.publisher = given.publisher
     if given.path is not None:
         corners, words = read_path(given.path)
         reading.paths = [corners]

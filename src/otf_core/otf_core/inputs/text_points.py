@@ -87,6 +87,8 @@ class TextReading:
         How the file was read.
     foreign : Counter of str
         Empty.
+    publisher : int or None
+        Whose samples are wanted, see ``bags.publishers``.
 
     Raises
     ------
@@ -105,6 +107,7 @@ class TextReading:
         self.paths: list[Array] = []
         self.remarks: list[str] = []
         self.foreign: Counter[str] = Counter()
+        self.publisher: int | None = None
         self._where = str(source)
         table = read_table(source, named=columns is None)
         found = find_columns(table, columns)

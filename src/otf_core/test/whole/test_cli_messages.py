@@ -107,7 +107,7 @@ def test_half_a_path_is_calibrated_with_exit_code_4(machine_file, capsys):
          ('--feed', '3000'), '--feed: '),
         ('{"schema', (), 'plan: not valid JSON'),
         ('G1 X0 Y0', (), 'plan: is an NC program that never says where Z stands'),
-        ('a,b\n1,2', (), 'plan: line 1: expected the header x,y,z'),
+        ('a,b\n1,2', (), 'expected the header x,y,z'),
     ],
 )  # fmt: skip
 def test_file_that_is_no_plan_is_named(machine_file, capsys, content, options, words):
