@@ -55,9 +55,15 @@ def correlated(view_time, leg, rng, size, tau=0.3):
     return noise.T.copy()
 
 
-def run_view(gap=None, seed=1, name='run', noise=NOISE, laps=2, feed=0.25, ratio=0.6, after=None):
-    """A run whose residual is noise and the displacement ``gap(view)``, shape (p, 3), m."""
-    time, leg, q, direction, speed = pieces_of(corner_list(laps), feed, ratio)
+def run_view(
+    gap=None, seed=1, name='run', noise=NOISE, laps=2, feed=0.25, ratio=0.6, after=None, more=()
+):
+    """A run whose residual is noise and the displacement ``gap(view)``, shape (p, 3), m.
+
+    ``more``: corners that are driven after the others, in shares of the volume.
+    """
+    corners = np.concatenate([corner_list(laps), np.reshape(more, (-1, 3)) * SIZE])
+    time, leg, q, direction, speed = pieces_of(corners, feed, ratio)
     beam = q - TRACKER
     axes = np.stack(path_frame(direction, beam / np.linalg.norm(beam, axis=1)[:, None]))
     rng = np.random.default_rng(seed)

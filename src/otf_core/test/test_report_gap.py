@@ -11,23 +11,29 @@ from core_cells import constant_tables, some_machine
 from gap_cells import along, run_view
 from html_cells import Page, unloading
 
+from otf_core.diagnosis.answer import sentence_of
 from otf_core.diagnosis.free_curves import Curve
 from otf_core.diagnosis.place.where import describe_structure, where_of
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
+from otf_core.diagnosis.sizes import CauseSize
 from otf_core.diagnosis.unnamed import Unnamed
 from otf_core.model.circumstances import Circumstances
+from otf_core.model.quantities import quantity
+from otf_core.reports.diagnosis import diagnosis_to_dict
 from otf_core.reports.drawing.typography import typeset
-from otf_core.reports.gap_report import report_html
+from otf_core.reports.gap_report import format_diagnosis, report_html
 from otf_core.reports.gap_words import confidence_words, next_measurements
-from otf_core.reports.quantities import quantity
+from otf_core.solving.reversal import Backlash, Reversal
 
 HIDDEN = (
     ('tracker_scale', 'a calibrated length: scale bar'),
     ('target_offset', 'runs with a second target offset'),
     ('table_tilt', 'a second tracker place'),
 )
+GAP = Gap(2.9, 1.1, 2.6, 0.5, 81.0, (76.0, 86.0))
 STATED = Circumstances({'serial': '750123'}, {'operator': 'A. Miller'})
 TABLES = constant_tables(replace(some_machine(), stated=STATED))
+REVERSAL = Reversal('constant', {}, {}, backlash={'X': Backlash(4.4e-6, 0.3e-6)})
 CONDITIONS = {'chain': 'w-b-X-Y-Z-t', 'samples': '39000', 'software': 'otf_core 0.1.0'}
 
 
@@ -74,7 +80,9 @@ def diagnosis(view, verdict='explained', found=(), **further):
         'contradictions': (),
         'table_change_um': 0.0,
         'applied': (),
-        'calibration': SimpleNamespace(plain=SimpleNamespace(tables=TABLES, runs=())),
+        'calibration': SimpleNamespace(
+            plain=SimpleNamespace(tables=TABLES, runs=(), reversal=REVERSAL, run_id='1')
+        ),
         'origin': (),
         'shown': Shown((view,), CONDITIONS),
     }
@@ -119,7 +127,7 @@ def test_causes_are_ranked_with_axes_units_and_uncertainty(page):
     assert places == sorted(places)
     for part in (
         'X, Z', '4.20 ± 0.24 µm', '−1.10 ± 0.40 µm', '10 mm', '1.00 ± 0.20 µm',
-        '4.00 ± 0.40 µrad/m', 'k = 2', 'not told from: vibration', 'practically certain',
+        '4.00 ± 0.40 µrad/m', 'k = 2', 'indistinguishable from vibration', 'practically certain',
         'likely (93', 'more likely than not (60',
     ):  # fmt: skip
         assert part in text, part
@@ -133,7 +141,8 @@ def test_gap_is_shown_before_and_after_with_its_interval(page):
 
 def test_every_effect_that_is_not_visible_is_listed_with_what_shows_it(page):
     text = Page(page).text
-    part = text[text.index('so they are neither') : text.index('rms (µm)')]
+    start = text.index('so they are neither')
+    part = text[start : text.index('rms (µm)', start)]
     for effect, needs in HIDDEN:
         assert effect.replace('_', ' ') in part
         assert needs in part
@@ -162,7 +171,7 @@ def test_all_pictures_are_there(page):
 
 
 def test_axis_labels_keep_their_digits(page):
-    assert 'feed 0.25 m/s' in Page(page).text
+    assert 'feed 15000 mm/min' in Page(page).text
 
 
 def test_strange_names_are_escaped(view):
@@ -196,8 +205,8 @@ def test_verdicts_without_causes_are_readable(view, verdict, words):
     assert reader.faults == []
     assert words in reader.text
     assert 'Gap after' not in reader.text
-    before = ' '.join(reader.text.split('Where it lies')[:2])  # it is named in the list above too
-    assert ('since 60 s, step' in before) == (verdict == 'unknown')
+    part = reader.text[reader.text.rindex('Causes') :].split('What stays unexplained')[0]
+    assert ('since 60 s, step' in part) == (verdict == 'unknown')
 
 
 def test_long_lists_of_parameters_are_cut(view):
@@ -206,7 +215,7 @@ def test_long_lists_of_parameters_are_cut(view):
         'direction_dependent_tables', ('X',), dict.fromkeys(names, 1e-6),
         dict.fromkeys(names, 1e-7), dict.fromkeys(names, 'm'), 2.0, 1.0, 50.0, 0.99, (),
     )  # fmt: skip
-    assert 'and 32 more in gap.json' in report_html(diagnosis(view, found=(cause,)))
+    assert '32 more significant ones in gap.json' in report_html(diagnosis(view, found=(cause,)))
 
 
 def test_next_measurements_tell_rivals_apart_first(view):
@@ -276,3 +285,94 @@ def test_cause_without_a_name_is_described_with_its_sizes(view):
     text = Page(report_html(answer)).text
     for part in ('It depends on time and the position of X', 'from 2.60 µm to 0.40 µm', '80 %'):
         assert part in text, part
+
+
+# ---------------------------------------------------------------- the first screen
+
+
+def size(of, value, u):
+    return CauseSize(of, value, u, 'm')
+
+
+def plain(page):
+    """Text of a page with plain spaces."""
+    return Page(page).text.replace('\u00a0', ' ')
+
+
+def first_screen(page):
+    """Text of what stands before the list of sections."""
+    return plain(page.split('<nav')[0])
+
+
+def test_headline_has_the_size_with_axis_unit_and_uncertainty(view):
+    cause = replace(causes()[0], sizes=(size('of X', 5.02e-6, 0.095e-6),))
+    assert 'backlash of X, 5.02 +/- 0.19 um' in sentence_of('explained', GAP, [cause], None)
+    text = first_screen(report_html(diagnosis(view, found=(cause,))))
+    assert 'Backlash of X 5.02 ± 0.19 µm' in ' '.join(text.split())
+
+
+def test_gap_is_one_number_in_text_json_and_page(view):
+    answer = diagnosis(view, found=causes())
+    data, text = diagnosis_to_dict(answer), format_diagnosis(answer)
+    first = first_screen(report_html(answer))
+    before, after = data['gap']['before_um'], data['gap']['after_um']
+    assert f'gap {before:.2f} um -> {after:.2f} um' in text
+    assert f'{before:.2f} → {after:.2f} µm' in first
+    stated = set(re.findall(r'gap (?:is|of) ([\d.]+)', f'{text} {first}'))
+    assert stated == {f'{before:.2f}'}
+    assert 'noise leaves' not in text  # a second simulated residual
+
+
+def test_first_screen_shows_where_before_and_after_at_one_scale(page):
+    part = page[: page.index('<nav')]
+    drawn = re.findall(r'aria-label="(where it lies[^"]*)"', part)
+    assert len(drawn) == 2 and 'without the causes' in drawn[0] and 'with the causes' in drawn[1]
+    assert 'Where the gap lies' in part and 'The gap lies after ' in Page(part).text
+    tops = [re.findall(r'class="end">([\d.]+)<', svg)[-1] for svg in part.split('<svg')[1:3]]
+    assert tops[0] == tops[1]
+
+
+@pytest.mark.parametrize(
+    ('gap', 'view_name', 'label'),
+    [
+        (lambda v: along(0, 3e-6 * np.sign(v.direction[:, 0])), 'path', 'where it lies: lines'),
+        (lambda v: along(1, 4e-6 * (v.q[:, 0] > 0.5)), 'volume', 'residual over X and'),
+    ],
+)
+def test_picture_is_of_the_view_that_separates_most(gap, view_name, label):
+    own = run_view(gap, laps=2, after=lambda v: 0.0 * v.q)
+    where, shown = where_of([own]), Shown((own,), CONDITIONS)
+    assert where.view == view_name
+    page = report_html(diagnosis(own, found=causes(), where=where, shown=shown))
+    assert len(re.findall(f'aria-label="{label}', page.split('<nav')[0])) == 2
+
+
+def test_only_significant_coefficients_are_listed(view):
+    names = ('B_X', 'B_Y', 'B_Z')
+    weak = replace(
+        causes()[0], parameters={'B_X': 4.2e-6, 'B_Y': 1e-7, 'B_Z': -1e-7},
+        u=dict.fromkeys(names, 1e-7), units=dict.fromkeys(names, 'm'),
+    )  # fmt: skip
+    answer = diagnosis(view, found=(weak,))
+    for text in (format_diagnosis(answer), plain(report_html(answer))):
+        assert 'B_X' in text and '2 further are not significant' in text
+        assert 'B_Y' not in text and 'B_Z' not in text
+    assert set(diagnosis_to_dict(answer)['causes'][0]['parameters']) == set(names)
+
+
+@pytest.mark.parametrize('verdict', ['none', 'unknown'])
+def test_without_a_cause_the_first_screen_says_what_would_have_been_seen(view, verdict):
+    seen = {'backlash': 0.13, 'target_incidence': 0.7}
+    answer = diagnosis(view, verdict, smallest_found_um=seen)
+    for text in (format_diagnosis(answer), first_screen(report_html(answer))):
+        assert 'Looked for: 5 effects. 2 of them would have been found' in text
+        assert re.search(r'0\.13 [µu]m \(backlash\) to 0\.70 [µu]m \(target incidence\)', text)
+        assert 'whatever their size: tracker scale, target offset and table tilt' in text
+    assert 'Looked for' not in format_diagnosis(diagnosis(view, found=causes()))
+
+
+def test_reversal_tables_state_their_own_value_and_why_it_differs(view):
+    answer = diagnosis(view, found=causes())
+    for text in (format_diagnosis(answer), plain(report_html(answer))):
+        assert 'reversal tables of the calibration hold backlash as well (X 4.40' in text
+        assert 'every motion of every axis may reverse' in text

@@ -35,7 +35,7 @@ from otf_core.prediction.volumetric import VolumetricError
 from otf_core.solving.curve_lag import curve_remarks
 from otf_core.solving.extrapolation import prior_of
 from otf_core.solving.joint import Progress
-from otf_core.solving.reversal import Reversal, reversal_tables
+from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tables
 from otf_core.solving.reversal_choice import ReversalSolution
 from otf_core.threads import one_thread
 
@@ -203,6 +203,13 @@ def assemble(
                 solution.accepted,
             ),
             solved.choice.held,
+            backlash_at_target(
+                tables,
+                done.unknowns,
+                solution.value,
+                found.whole,
+                solution.accepted,
+            ),
         ),
         fraction=table.fraction,
         table_costs=table.costs,

@@ -19,9 +19,11 @@ from otf_core.diagnosis.explanation import Explanation
 from otf_core.diagnosis.fitted import FittedCause
 from otf_core.diagnosis.free_curves import curves_of, departs_words
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
+from otf_core.diagnosis.sizes import chosen_sizes, sizes_of, sizes_words
 from otf_core.diagnosis.unnamed import Unnamed
 from otf_core.effects import State
 from otf_core.model.frames import XYZ
+from otf_core.model.machine import Machine
 
 ALONG = 0.2
 """Share of the largest mean square displacement from which a direction is named as well."""
@@ -48,15 +50,16 @@ def named_causes(
     states : sequence of State
         Of the pieces of every run.
     """
-    sizes = [gap_um(s.rms_um, explained.simulated_um) for s in explained.steps]
+    left = [gap_um(s.rms_um, explained.simulated_um) for s in explained.steps]
     units = {s.name: s.unit for s in states[0].machine.signals}
     named: list[NamedCause] = []
-    for part, before, after in zip(fitted, sizes[:-1], sizes[1:], strict=True):
+    for part, before, after in zip(fitted, left[:-1], left[1:], strict=True):
         cause = _named_cause(part, before, after, units)
-        _add(named, replace(cause, direction=_direction(part, states)))
+        sizes = sizes_of(part, states, cause.curves)
+        _add(named, replace(cause, direction=_direction(part, states), sizes=sizes))
     named.sort(key=lambda cause: cause.after_um - cause.before_um)
     if noise is not None:
-        named.append(_noise_cause(noise, sizes[-1], gap.after_um))
+        named.append(_noise_cause(noise, left[-1], gap.after_um, states[0].machine))
     return tuple(named)
 
 
@@ -111,12 +114,15 @@ def _add(named: list[NamedCause], cause: NamedCause) -> None:
                 units={**other.units, **{renamed[n]: v for n, v in cause.units.items()}},
                 after_um=cause.after_um,
                 shrink_percent=shrink_percent(other.before_um, cause.after_um),
+                sizes=(*other.sizes, *cause.sizes),
             )
             return
     named.append(cause)
 
 
-def _noise_cause(noise: NoiseFinding, before_um: float, after_um: float) -> NamedCause:
+def _noise_cause(
+    noise: NoiseFinding, before_um: float, after_um: float, machine: Machine
+) -> NamedCause:
     effect = noise.effect
     units = dict(zip(effect.shape_names, effect.shape_units, strict=True))
     return NamedCause(
@@ -130,6 +136,7 @@ def _noise_cause(noise: NoiseFinding, before_um: float, after_um: float) -> Name
         shrink_percent=shrink_percent(before_um, after_um),
         confidence=noise.confidence,
         indistinguishable_from=(),
+        sizes=chosen_sizes(effect.name, noise.parameters, machine),
     )
 
 
@@ -142,21 +149,21 @@ _SENTENCES = {
 }
 
 
+def name_and_sizes(cause: NamedCause) -> str:
+    """Name of a cause with the sizes estimated: 'backlash of X, 5.02 +/- 0.19 um'."""
+    estimated = [size for size in cause.sizes if size.u is not None]
+    return cause.effect.replace('_', ' ') + sizes_words(estimated, cause.direction)
+
+
 def _spoken(causes: Sequence[NamedCause]) -> str:
     parts = []
     for cause in causes:
-        text = cause.effect.replace('_', ' ')
-        if cause.axes:
-            text += f' ({", ".join(cause.axes)})'
-        if cause.direction:
-            text += f' along {cause.direction}'
-        if cause.departs:
-            text += f', which departs from the formula: {cause.departs}'
+        text = name_and_sizes(cause)
         if cause.indistinguishable_from:
             others = ' or '.join(n.replace('_', ' ') for n in cause.indistinguishable_from)
-            text += f', not told from {others}'
+            text += f', indistinguishable from {others}'
         parts.append(text)
-    return ' and '.join(parts)
+    return ', and by '.join(parts)
 
 
 def known_words(causes: Sequence[NamedCause], unnamed: Unnamed | None) -> str:

@@ -14,11 +14,29 @@ from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, names_of
 from otf_core.effects.stated import FOUND
 from otf_core.effects.taken import Taken, taken
+from otf_core.solving.reversal import Reversal
 
-Told = tuple[float, tuple[str, ...]]
-"""Confidence in a cause, and what it is not told from."""
 SURE = 0.99
 """Least confidence of a cause that is taken off without a warning."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a diagnosis says of a cause.
+
+    Attributes
+    ----------
+    confidence : float
+    indistinguishable : tuple of str
+    words : str
+        Its name with its axes.
+    axes : tuple of str
+    """
+
+    confidence: float
+    indistinguishable: tuple[str, ...]
+    words: str
+    axes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -31,15 +49,43 @@ class FoundCauses:
         Of every cause.
     applied : tuple of tuple of AppliedEffect
         For every run the causes with their parameters.
+    followed : tuple of str
+        Names of further causes, which the functions of the calibration follow.
     """
 
     told: tuple[Told, ...]
     applied: tuple[tuple[AppliedEffect, ...], ...]
+    followed: tuple[str, ...] = ()
 
     def to_take(self, config: CalibrationConfig) -> tuple[list[Taken], list[str]]:
         """What is taken off, and warnings."""
         chosen = [taken(list(found), FOUND) for found in zip(*self.applied, strict=True)]
         return _to_take(chosen, self.told, config)
+
+    def stays(self, config: CalibrationConfig, plain: CalibrationResult) -> list[str]:
+        """What is not taken off and what holds it, in words.
+
+        Parameters
+        ----------
+        config : CalibrationConfig
+        plain : CalibrationResult
+            With nothing taken off.
+        """
+        words = [f'{name} is in the error tables, which follow it' for name in self.followed]
+        left = _left(config)
+        for one, told in zip(self.applied[0], self.told, strict=True):
+            if one.effect.belongs_to not in left:
+                continue
+            if one.effect.belongs_to is BelongsTo.TABLES:
+                words.append(f'{told.words} is in the error tables, which follow it')
+            elif plain.reversal.model == 'none':
+                words.append(
+                    f'{told.words} is for the reversal tables, of which this calibration has none'
+                )
+            else:
+                held = in_reversal_tables(plain.reversal, told.axes)
+                words.append(f'{told.words} is in the reversal tables{held}')
+        return words
 
 
 def without_causes(
@@ -70,32 +116,58 @@ def with_causes(
         What the diagnosis says.
     """
     taking, warnings = causes.to_take(config)
-    done = f'Taken off: {listed(taking)}.' if taking else 'No effect was taken off.'
-    words = f'{sentence} {done}'
+    words = f'{sentence} {_done_words(taking, causes.stays(config, plain))}'
     return beside_plain(plain, corrected, taking, words, warnings)
+
+
+def in_reversal_tables(reversal: Reversal, axes: Sequence[str]) -> str:
+    """What reversal tables hold of the backlash of axes, and why a diagnosis states another value.
+
+    Empty where they hold nothing of it.
+    """
+    held = {a: reversal.backlash[a] for a in axes if a in reversal.backlash}
+    if not held:
+        return ''
+    sizes = ', '.join(f'{axis} {found.words}' for axis, found in held.items())
+    return (
+        f' ({sizes}, k = 2: there every motion of every axis may reverse, while the diagnosis '
+        f'fits what it names alone)'
+    )
+
+
+def _done_words(taking: Sequence[Taken], stays: Sequence[str]) -> str:
+    """What was taken off, and what holds the rest."""
+    held = '; '.join(stays)
+    held = held[:1].upper() + held[1:]
+    if taking:
+        return f'Taken off: {listed(taking)}.' + (f' {held}.' if held else '')
+    return f'{held}; nothing else to take off.' if held else 'No effect was taken off.'
+
+
+def _left(config: CalibrationConfig) -> set[BelongsTo]:
+    """Kinds of effects that a calibration holds by itself."""
+    return {BelongsTo.TABLES} | ({BelongsTo.REVERSAL} if config.reversal != 'none' else set())
 
 
 def _to_take(
     found: Sequence[Taken], told: Sequence[Told], config: CalibrationConfig
 ) -> tuple[list[Taken], list[str]]:
     """What of the causes found is taken off, and warnings."""
-    left, names = {BelongsTo.TABLES}, names_of(BelongsTo.TABLES)
-    if config.reversal != 'none':
-        left.add(BelongsTo.REVERSAL)
-        names |= names_of(BelongsTo.REVERSAL)
+    left = _left(config)
+    names = {name for kind in left for name in names_of(kind)}
     taking, warnings = [], []
-    for one, (confidence, indistinguishable) in zip(found, told, strict=True):
+    for one, about in zip(found, told, strict=True):
         if one.effect.belongs_to in left:
             continue
         taking.append(one)
         said = []
-        if confidence < SURE:
-            said.append(f'with a confidence of {confidence:.2f} only')
-        others = [n for n in indistinguishable if n not in names]
+        if about.confidence < SURE:
+            said.append(f'with a confidence of {about.confidence:.2f} only')
+        others = [n for n in about.indistinguishable if n not in names]
         if others:
             said.append(
-                f'not told from {" or ".join(others)}; tables with that taken off instead may '
-                f'differ by more than u'
+                f'indistinguishable from {" or ".join(others)}; tables with that taken off '
+                f'instead may differ by more than u'
             )
         if said:
             warnings.append(f'effect taken off: {one.effect.name}, {"; ".join(said)}')

@@ -23,7 +23,7 @@ from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.left_out import left_out
 from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentence_of
-from otf_core.diagnosis.corrected import FoundCauses, with_causes, without_causes
+from otf_core.diagnosis.corrected import FoundCauses, Told, with_causes, without_causes
 from otf_core.diagnosis.engine.catalogue import (
     Found,
     Visibility,
@@ -37,6 +37,7 @@ from otf_core.diagnosis.explanation import Explanation, explain
 from otf_core.diagnosis.fitted import FittedCause, fitted_causes
 from otf_core.diagnosis.judged import Judged, judge, run_views
 from otf_core.diagnosis.moves import told_otherwise
+from otf_core.diagnosis.place.views import RunView, noise_factor
 from otf_core.diagnosis.place.where import Where, where_and_shape
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
 from otf_core.diagnosis.simulated import Twin, simulated_residual_um
@@ -223,6 +224,7 @@ def _weigh(
         project=rows.project,
         known=known_words(causes, nameless.said if nameless else None),
         certain=nameless is None,
+        simulated=1e-6 * gap.simulated_um,
     )
     return _Weighed(judged, tuple(fitted), gap, causes, where, shape)
 
@@ -231,11 +233,22 @@ def _causes_to_take_off(
     fitted: Sequence[FittedCause], bases: dict[str, Basis], examined: Examined
 ) -> FoundCauses:
     """Causes with their parameters, for every examined run, less what fine functions hold."""
-    off = [part for part in fitted if not held_by(part.cause.option, bases)]
+    followed = [held_by(part.cause.option, bases) for part in fitted]
+    off = [part for part, held in zip(fitted, followed, strict=True) if not held]
     return FoundCauses(
-        tuple((part.cause.confidence, part.cause.indistinguishable) for part in off),
+        tuple(
+            Told(part.cause.confidence, part.cause.indistinguishable, _name_words(part), part.axes)
+            for part in off
+        ),
         tuple(tuple(part.applied(k) for part in off) for k in examined.source),
+        tuple(_name_words(part) for part, held in zip(fitted, followed, strict=True) if held),
     )
+
+
+def _name_words(part: FittedCause) -> str:
+    """Name of a cause with its axes."""
+    name = part.cause.option.effect.name.replace('_', ' ')
+    return f'{name} of {" and ".join(part.axes)}' if part.axes else name
 
 
 def _answer(
@@ -274,8 +287,15 @@ def _answer(
         applied=nameless.applied if nameless else applied,
         calibration=calibration,
         origin=calibration.plain.origin,
-        shown=Shown(run_views(rows, explained), _conditions(examined, calibration.plain)),
+        shown=Shown(_shown_views(rows, explained), _conditions(examined, calibration.plain)),
     )
+
+
+def _shown_views(rows: Rows, explained: Explanation) -> tuple[RunView, ...]:
+    """Views for figures: their noise leaves what the simulation leaves."""
+    views = run_views(rows, explained)
+    noise = noise_factor(views, 1e-6 * explained.simulated_um)
+    return tuple(view.with_noise(noise) for view in views)
 
 
 def _not_visible(

@@ -38,6 +38,8 @@ class FittedCause:
         Without these combinations.
     covariance : ndarray, shape (k, k)
         Of what the data see.
+    unseen : ndarray, shape (k, m)
+        Combinations that they do not see, each as large as ``FREE`` allows.
     """
 
     cause: Cause
@@ -45,6 +47,7 @@ class FittedCause:
     u: Array
     u_seen: Array
     covariance: Array
+    unseen: Array
 
     @property
     def names(self) -> list[str]:
@@ -87,9 +90,12 @@ def fitted_causes(causes: Sequence[Cause], rows: Rows) -> list[FittedCause]:
     free = FREE * float(np.max(np.abs(fit.value) * size))
     covariance = fit.covariance + _of_shapes(causes, fit, rows)
     seen = np.diag(covariance)
-    u = np.sqrt(seen + free**2 * np.sum(fit.unseen**2, axis=1))
+    unseen = free * fit.unseen
+    u = np.sqrt(seen + np.sum(unseen**2, axis=1))
     return [
-        FittedCause(cause, fit.value[own], u[own], np.sqrt(seen[own]), covariance[own, own])
+        FittedCause(
+            cause, fit.value[own], u[own], np.sqrt(seen[own]), covariance[own, own], unseen[own]
+        )
         for cause, own in zip(causes, places_of(causes), strict=True)
     ]
 

@@ -28,6 +28,8 @@ POINTS = 41
 """Points of a curve; fewer where the input has few values."""
 SEEN = 0.5
 """Share of the variance before the data from which they do not see a combination."""
+SENSE, SENSES = 'sense_', {-1: 'backward', 0: 'at rest', 1: 'forward'}
+"""Inputs that are senses of travel, and their values in words."""
 LEAST_SHARE = 0.1
 """Curves smaller than this share of the largest one are left out."""
 SCALES = {'m': (1e6, 'um'), 'rad': (1e6, 'urad'), 'm/m': (1e6, 'um/m'), 's': (1e3, 'ms')}
@@ -197,6 +199,8 @@ def _slope_words(curve: Curve) -> str:
 
 def _at_words(name: str, value: float) -> str:
     """An input and its value in words."""
+    if name.startswith(SENSE):
+        return f'{name.removeprefix(SENSE).upper()} {SENSES[int(np.sign(round(value)))]}'
     unit = unit_of_input(name)
     words = f'{1e3 * value:.3g} mm' if unit == 'm' else f'{value:.3g} {unit}'.rstrip()
     return f'{label_of(name)} = {words}'

@@ -10,6 +10,7 @@ from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.diagnosis.free_curves import Curve
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.place.where import Where
+from otf_core.diagnosis.sizes import CauseSize
 from otf_core.diagnosis.unnamed import Unnamed
 from otf_core.effects import AppliedEffect
 from otf_core.model.provenance import Origin
@@ -70,6 +71,8 @@ class NamedCause:
         Of the free form, the largest first.
     direction : str
         Machine axes along which it displaces the target, the strongest first, in words.
+    sizes : tuple of CauseSize
+        What stands for it in a headline, the largest first.
     """
 
     effect: str
@@ -86,6 +89,7 @@ class NamedCause:
     departs: str = ''
     curves: tuple[Curve, ...] = ()
     direction: str = ''
+    sizes: tuple[CauseSize, ...] = ()
 
 
 @dataclass(frozen=True)

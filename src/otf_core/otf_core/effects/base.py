@@ -22,10 +22,14 @@ import numpy as np
 from otf_core.effects.acting import Acting
 from otf_core.effects.drawing import Trial
 from otf_core.effects.free import Free
+from otf_core.effects.sizes import Coefficients, Size
 from otf_core.effects.terms import Array, BelongsTo, Shape, State, Terms
 from otf_core.errors import ConfigError
 
-__all__ = ['Array', 'BelongsTo', 'Contribution', 'Effect', 'Shape', 'State', 'Terms', 'Wave']
+__all__ = [
+    'Array', 'BelongsTo', 'Coefficients', 'Contribution', 'Effect', 'Shape', 'Size', 'State',
+    'Terms', 'Wave',
+]  # fmt: skip
 
 BLOCK = 20_000
 """Points that are evaluated at once; bounds the memory of effects with many terms."""
@@ -142,6 +146,14 @@ class Effect(ABC):
             As a diagnosis found it.
         """
         return {self.refine: self.refine_width} if self.refine else {}
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """What stands for it in a headline, the largest first.
+
+        Empty where no single coefficient does: then the displacement that it causes across the
+        path, as root mean square over the run.
+        """
+        return ()
 
     def orders_of(self, names: Sequence[str]) -> Array:
         """Orders of coefficients as functions, see ``Terms``, shape (k,)."""

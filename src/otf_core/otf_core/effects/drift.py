@@ -26,6 +26,8 @@ SHAPE_DEFAULTS: Mapping[str, float] = MappingProxyType({'until': 0.0, 'order': f
 
 TIME_CONSTANTS = (0.1, 0.3, 1.0)
 """Time constants worth trying, in durations of the recording."""
+REACHED = 'by the end of the run'
+"""When a drift has its size."""
 LINEAR = 100.0
 """In durations of the recording; bends the line by less than 0.2 % of its end."""
 STRAIGHT = 10.0
@@ -64,6 +66,12 @@ def drift_shapes(state: State) -> Sequence[Shape]:
     until = state.end or 1.0
     simple = [{'tau': f * until, 'until': until, 'order': 1.0} for f in (*TIME_CONSTANTS, LINEAR)]
     return (*simple, {'tau': LINEAR * until, 'until': until, 'order': float(ORDER)})
+
+
+def reached(name: str, shape: Shape) -> dict[str, float]:
+    """Sum of the coefficients of one quantity that it has reached at ``until``."""
+    odd = range(3, round(shape.get('order', 1.0)) + 1, 2)  # P_k(1) - P_k(-1): 0 for an even k
+    return {name: 1.0, **{f'{name}_{k}': 2.0 for k in odd}}
 
 
 class DriftingEffect(Effect):

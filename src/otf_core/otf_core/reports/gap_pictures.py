@@ -13,7 +13,8 @@ from otf_core.diagnosis.place.groupings import Grouping
 from otf_core.diagnosis.place.groups import partition
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.result import Diagnosis
-from otf_core.reports.drawing.bars import Bar, bars
+from otf_core.reports.drawing.bars import LETTER, Bar, bars
+from otf_core.reports.section import Picture
 
 Array = NDArray[np.float64]
 
@@ -30,10 +31,11 @@ class State:
 def states(diagnosis: Diagnosis) -> list[State]:
     """Without and, if there are causes, with them."""
     views, causes = diagnosis.shown.views, bool(diagnosis.causes)
-    label = 'without the causes' if causes else 'residual'
+    named = 'cause' if len(diagnosis.causes) == 1 else 'causes'
+    label = f'without the {named}' if causes else 'residual'
     found = [State(label, 'before', [v.residual_before for v in views])]
     if causes:
-        found.append(State('with the causes', 'after', [v.residual_after for v in views]))
+        found.append(State(f'with the {named}', 'after', [v.residual_after for v in views]))
     return found
 
 
@@ -47,6 +49,36 @@ def key(diagnosis: Diagnosis, *, stroke: bool = False) -> str:
 
 def _filled(kind: str) -> str:
     return f'class="key" style="background:var(--{kind})"'
+
+
+def groups_side_by_side(diagnosis: Diagnosis, grouping: Grouping) -> Picture:
+    """Bars of the groups of one grouping, without and with the causes at one scale."""
+    views = diagnosis.shown.views
+    rows = []
+    for state in states(diagnosis):
+        [groups] = partition(views, [grouping], state.residuals)
+        rows.append([
+            Bar(_shown_label(grouping, g.label), ((1e6 * g.rms, state.kind),),
+                f'{1e6 * g.rms:.2f} µm', 1e6 * g.expected)
+            for g in groups
+        ])  # fmt: skip
+    every = [bar for own in rows for bar in own]
+    names = 12.0 + LETTER * max(len(bar.name) for bar in every)
+    parts = tuple(
+        bars(own, f'where it lies: {grouping.kind}, {state.label}', names=names,
+             beside=every, heading=state.label)
+        for state, own in zip(states(diagnosis), rows, strict=True)
+    )  # fmt: skip
+    kind = 'the axes that move' if grouping.kind == 'lines' else grouping.kind
+    caption = f'Root mean square of the residual by {kind}; stroke: what noise leaves.'
+    return Picture(parts, caption, columns=2, key=key(diagnosis, stroke=True))
+
+
+def _shown_label(grouping: Grouping, label: str) -> str:
+    """A label with what it is of, where it does not say so."""
+    if grouping.kind == 'lines':
+        return f'line along {label}' if len(label) == 1 else f'diagonal {label}'
+    return label
 
 
 def group_bars(diagnosis: Diagnosis, parts: Sequence[Grouping], title: str) -> str:

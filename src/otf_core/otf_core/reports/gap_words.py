@@ -9,7 +9,9 @@ from collections.abc import Iterable
 
 from otf_core.diagnosis.result import Diagnosis, NamedCause
 from otf_core.effects import REGISTRY
-from otf_core.reports.quantities import listed, quantity
+from otf_core.model.expanded import COVERAGE_FACTOR
+from otf_core.model.quantities import quantity
+from otf_core.reports.quantities import listed
 
 CONFIDENCE = (
     (0.99, 'practically certain'),
@@ -52,18 +54,30 @@ def confidence_words(confidence: float) -> str:
     return f'{word} ({number})'
 
 
-def shown_parameters(cause: NamedCause) -> tuple[list[str], int]:
-    """Names of the parameters worth showing, and how many are left out."""
-    names = list(cause.parameters)
-    if len(names) <= MOST_PARAMETERS:
-        return names, 0
+def shown_parameters(cause: NamedCause) -> tuple[list[str], int, int]:
+    """Estimated parameters worth showing; how many more are significant, and how many are not.
+
+    Significant is what is larger than its expanded uncertainty.
+    """
 
     def strength(name: str) -> float:
-        u = cause.u.get(name, 0.0)
+        u = cause.u[name]
         return abs(cause.parameters[name]) / u if u > 0 else math.inf
 
-    kept = set(sorted(names, key=strength, reverse=True)[:MOST_PARAMETERS])
-    return [n for n in names if n in kept], len(names) - len(kept)
+    estimated = [n for n in cause.parameters if n in cause.u]
+    significant = [n for n in estimated if strength(n) > COVERAGE_FACTOR]
+    kept = set(sorted(significant, key=strength, reverse=True)[:MOST_PARAMETERS])
+    shown = [n for n in significant if n in kept]
+    return shown, len(significant) - len(shown), len(estimated) - len(significant)
+
+
+def left_out_words(more: int, weak: int) -> list[str]:
+    """What is not listed of the parameters of a cause."""
+    words = [f'{more} more significant ones in gap.json'] if more else []
+    if weak:
+        verb = 'is' if weak == 1 else 'are'
+        words.append(f'{weak} further {verb} not significant (|value| < U), in gap.json')
+    return words
 
 
 def shape_words(cause: NamedCause) -> str:
@@ -74,6 +88,32 @@ def shape_words(cause: NamedCause) -> str:
         if name not in cause.u
     ]
     return f'chosen: {", ".join(chosen)}' if chosen else ''
+
+
+def looked_at(diagnosis: Diagnosis) -> list[str]:
+    """What was looked for and how small an effect would have been seen; nothing of a cause."""
+    if diagnosis.causes:
+        return []
+    hidden = [effect for effect, _ in diagnosis.not_visible]
+    seen = {
+        effect: size
+        for effect, size in diagnosis.smallest_found_um.items()
+        if effect not in hidden
+    }
+    if not seen:
+        return []
+    order = sorted(seen, key=seen.__getitem__)
+    least, most = order[0], order[-1]
+    sizes = [f'{seen[name]:.2f} um ({effect_name(name)})' for name in (least, most)]
+    words = [
+        f'Looked for: {len(seen) + len(hidden)} effects. {len(seen)} of them would have been '
+        f'found from a root mean square displacement of {sizes[0]} to {sizes[1]} on.'
+    ]
+    if hidden:
+        words.append(
+            f'Not seen in these data, whatever their size: {listed(map(effect_name, hidden))}.'
+        )
+    return words
 
 
 def _needs(effect: str) -> str:

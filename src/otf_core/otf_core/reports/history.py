@@ -19,10 +19,11 @@ from otf_core.history.drift import FACTOR, Due
 from otf_core.history.judged import History, Standing, Step
 from otf_core.history.store import StoredEvent
 from otf_core.model.motions import unit_of
+from otf_core.model.quantities import quantity
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import around, dates
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.quantities import micro_unit, quantity
+from otf_core.reports.quantities import micro_unit
 from otf_core.reports.section import Cell, Picture, Section, State, Table
 
 Array = NDArray[np.float64]

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 from otf_core.files.csv_points import tidy
@@ -47,41 +46,3 @@ def listed(names: Iterable[str]) -> str:
     """Names with commas and a last 'and'."""
     found = list(names)
     return ' and '.join([', '.join(found[:-1]), found[-1]] if len(found) > 1 else found)
-
-
-def scaled(unit: str, size: float) -> tuple[float, str]:
-    """Factor and unit in which a value is easy to read."""
-    if unit == 'm':
-        return (1e3, 'mm') if size >= 1e-3 else (1e6, 'um')
-    for plain, short in (('rad', 'urad'), ('m', 'um')):
-        if unit == plain or (unit.startswith((plain + '/', plain + ' ')) and unit != 'm/m'):
-            return 1e6, short + unit[len(plain) :]
-    if unit == 'm/m':
-        return 1e6, 'um/m'
-    if unit == '1/K':
-        return 1e6, 'um/(m K)'
-    if unit == 's' and 0 < size < 1e-2:
-        return 1e3, 'ms'
-    return 1.0, unit
-
-
-def quantity(value: float, u: float | None, unit: str) -> str:
-    """Value with expanded uncertainty (k = 2) and unit.
-
-    Parameters
-    ----------
-    value : float
-        SI.
-    u : float, optional
-        Standard uncertainty.
-    unit : str
-        SI unit of the value.
-    """
-    factor, name = scaled(unit, abs(value))
-    spread = 2.0 * factor * u if u is not None else math.nan
-    if math.isfinite(spread) and spread > 0:
-        digits = min(6, max(0, 1 - math.floor(math.log10(spread))))
-        number = f'{factor * value:.{digits}f} +/- {spread:.{digits}f}'
-    else:
-        number = f'{factor * value:.4g}'
-    return f'{number} {name}'.rstrip()

@@ -53,6 +53,9 @@ def reversal_to_dict(reversal: Reversal, tables: ErrorTables) -> dict[str, Any]:
         'evidence': dict(reversal.evidence),
         'held': reversal.held,
         'sign': 'value = forward less backward; forward: towards larger positions',
+        'backlash': {
+            axis: {'value': found.value, 'u': found.u} for axis, found in reversal.backlash.items()
+        },
         'motions': motions,
     }
 
@@ -93,6 +96,17 @@ def _why(reversal: Reversal) -> list[str]:
     return lines
 
 
+def backlash_words(reversal: Reversal) -> str:
+    """Reversal value of every axis at the target, with its expanded uncertainty."""
+    if not reversal.backlash:
+        return ''
+    sizes = [f'{axis} {found.words}' for axis, found in reversal.backlash.items()]
+    return (
+        f'backlash at the target (forward less backward, k = 2): {", ".join(sizes)}; on the '
+        f'middle line of the axis, rotations that reverse included'
+    )
+
+
 def format_reversal(reversal: Reversal) -> str:
     """Return the reversal model as text."""
     lines = [f'Reversal model: {reversal.model}', *_why(reversal)]
@@ -101,7 +115,8 @@ def format_reversal(reversal: Reversal) -> str:
     stays = 'stay on the side of their last travel' if reversal.held else 'lie between both sides'
     lines += [
         f'axes that stand {stays}',
-        'reversal value, forward less backward',
+        *filter(None, [backlash_words(reversal)]),
+        'reversal value of every motion alone, forward less backward',
         'motion  unit       min       max    mean u, k = 1',
     ]
     for name, table in reversal.motions.items():

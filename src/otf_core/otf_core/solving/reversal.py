@@ -13,7 +13,7 @@ The reversal value of a motion is its error in forward travel less that in backw
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,10 @@ from otf_core.effects.catalogue.backlash import HELD, travel_sign
 from otf_core.effects.catalogue.direction_dependent_tables import ORDER, polynomials
 from otf_core.effects.position import scaled_position
 from otf_core.effects.state import state_of_travel
+from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS
+from otf_core.model.motions import MOTIONS, ErrorMotion
+from otf_core.model.quantities import quantity
 from otf_core.model.tables import ErrorTables
 from otf_core.solving.unknowns import Unknowns, reversal_block
 
@@ -54,6 +56,25 @@ class ReversalTable:
 
 
 @dataclass(frozen=True)
+class Backlash:
+    """Reversal value of an axis at the target: along it, all its motions that reverse together.
+
+    Attributes
+    ----------
+    value, u : float, m
+        Forward less backward, mean along the middle line of the axis; standard uncertainty.
+    """
+
+    value: float
+    u: float
+
+    @property
+    def words(self) -> str:
+        """Value and expanded uncertainty (k = 2)."""
+        return quantity(self.value, self.u, 'm')
+
+
+@dataclass(frozen=True)
 class Reversal:
     """Reversal model of a calibration.
 
@@ -67,12 +88,15 @@ class Reversal:
         Empty for the model 'none'.
     held : bool
         Axes that stand stay on the side of their last travel.
+    backlash : mapping of axis to Backlash
+        Of the axes whose positioning the data see; empty for the model 'none'.
     """
 
     model: str
     evidence: Mapping[str, float | int | str]
     motions: Mapping[str, ReversalTable]
     held: bool = False
+    backlash: Mapping[str, Backlash] = field(default_factory=dict)
 
     @property
     def not_identifiable(self) -> tuple[str, ...]:
@@ -143,4 +167,43 @@ def reversal_tables(
             np.sqrt(np.maximum(variance, 0.0)),
             any(n in accepted for n in names),
         )
+    return found
+
+
+def backlash_at_target(
+    tables: ErrorTables,
+    unknowns: Unknowns,
+    estimate: Array,
+    covariance: Array,
+    accepted: Collection[str],
+) -> dict[str, Backlash]:
+    """Reversal value of every axis at the target, on its line through the middle of the volume.
+
+    A rotation that reverses displaces the target as positioning does, and the two are hardly told
+    apart, so that their sum is known far better than the positioning at the reference point.
+
+    Parameters
+    ----------
+    tables, unknowns, estimate, covariance, accepted
+        See ``reversal_tables``.
+    """
+    if not unknowns.reversal:
+        return {}
+    machine, found = tables.machine, {}
+    for axis, name in enumerate(machine.axis_names):
+        nodes = tables.motions[f'E{name}{name}'].position
+        q = np.tile(0.5 * (machine.lower + machine.upper), (len(nodes), 1))
+        q[:, axis] = nodes
+        place = scaled_position(state_of_travel(machine, q, np.zeros_like(q)))[:, axis]
+        along = polynomials(place, unknowns.reversal - 1)
+        row = np.zeros(len(estimate))
+        for motion in (m for m in MOTIONS if m.place == axis):
+            influence = motion_influence(machine, motion, q)[:, axis]
+            for k in range(unknowns.reversal):
+                block = reversal_block(motion, k)
+                if block in accepted:
+                    row[unknowns.blocks[block].start] += float(np.mean(influence * along[:, k]))
+        if reversal_block(ErrorMotion.of(f'E{name}{name}'), 0) in accepted:
+            u = float(np.sqrt(max(0.0, float(row @ covariance @ row))))
+            found[name] = Backlash(float(row @ estimate), u)
     return found

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects taken off: the joint estimate, its uncertainty, what is refused."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +14,7 @@ from otf_core.calibration.correction import corrected, estimates, missing_in_tab
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis import calibrate_with_effects as above
 from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
-from otf_core.diagnosis.corrected import FoundCauses, _to_take, with_causes
+from otf_core.diagnosis.corrected import FoundCauses, Told, _to_take, with_causes
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated import FILE, FOUND, format_effects
@@ -24,6 +24,7 @@ from otf_core.model.motions import MOTIONS
 from otf_core.pieces.runs import prepare_runs
 from otf_core.solving.columns import piece_state
 from otf_core.solving.joint import solve_jointly, tables_of
+from otf_core.solving.reversal import Backlash, Reversal
 from otf_core.solving.shape_choice import linear_bases
 from otf_core.solving.unknowns import free_values, layout
 
@@ -260,7 +261,7 @@ def test_stops_have_neither_feed_nor_direction(tmp_path):
 
 
 def cause(confidence=1.0, *others):
-    return confidence, others
+    return Told(confidence, others, 'a cause')
 
 
 def test_reversal_is_left_to_its_own_choice_unless_that_is_off():
@@ -278,7 +279,7 @@ def test_unsure_cause_is_taken_off_with_a_warning():
     servo = [one('servo_mismatch', FOUND, T_X=1e-5)]
     (warning,) = _to_take(servo, [cause(0.8, 'backlash', 'vibration')], CONFIG)[1]
     assert 'servo_mismatch, with a confidence of 0.80' in warning
-    assert 'not told from vibration' in warning  # reversal has its own choice
+    assert 'indistinguishable from vibration' in warning  # reversal has its own choice
     assert not _to_take(servo, [cause()], CONFIG)[1]
 
 
@@ -301,6 +302,21 @@ class Plain:
     warnings: tuple
     runs: tuple = (None,)
     effects_sentence: str = ''
+    reversal: Reversal = field(default_factory=lambda: Reversal('none', {}, {}))
+
+
+def test_what_is_not_taken_off_is_said_with_what_holds_it():
+    """Backlash is in the reversal tables: that is what --effects auto has to say of it."""
+    reversal = Reversal('constant', {}, {}, backlash={'X': Backlash(5.2e-6, 0.2e-6)})
+    plain = Plain('1', (), reversal=reversal)
+    told = Told(1.0, (), 'backlash of X', ('X',))
+    found = FoundCauses((told,), ((AppliedEffect(REGISTRY['backlash'], {'B_X': 5e-6}),),))
+    words = with_causes(plain, None, found, CONFIG, 'There it is.').words
+    assert 'Backlash of X is in the reversal tables (X 5.20 +/- 0.40 um, k = 2: ' in words
+    assert words.endswith('nothing else to take off.') and 'No effect was taken off' not in words
+    waves = FoundCauses((), ((),), ('cyclic error of X',))
+    words = with_causes(plain, None, waves, CONFIG, 'There it is.').words
+    assert 'Cyclic error of X is in the error tables, which follow it' in words
 
 
 def test_gap_of_unknown_cause_takes_nothing_off_and_warns(monkeypatch):

@@ -120,7 +120,7 @@ def test_block_of_the_library_runs_as_printed_after_it(folder, monkeypatch, caps
     exec(code, left)
     tables = json.loads((folder / 'results' / 'error_tables.json').read_text())
     assert left['result'].run_id == tables['run_id']  # what ./otf calibrate run1 found
-    assert 'is explained by backlash (X)' in capsys.readouterr().out
+    assert 'is explained by backlash of X, ' in capsys.readouterr().out
     assert (folder / 'program' / 'plan.json').exists()
 
 

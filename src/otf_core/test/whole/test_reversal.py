@@ -21,10 +21,12 @@ from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_of_travel
+from otf_core.exports.travel import half_reversal
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.plan import plan_for_path
+from otf_core.model.tables import load_tables
 from otf_core.pieces.runs import Recording
 from otf_core.pieces.standstill_method import prepare_stops
 from otf_core.reports.calibration import format_result, write_calibration
@@ -249,3 +251,21 @@ def test_stops_show_backlash_by_their_direction_of_approach():
     for axis in AXES:
         table = result.reversal.motions[f'E{axis}{axis}']
         assert np.all(np.abs(table.value - BACKLASH[f'B_{axis}']) < 4 * table.u)
+
+
+def test_backlash_at_the_target_is_one_number_in_tables_summary_and_export(chosen, tmp_path):
+    """Rotations that reverse included; positioning alone is less sure."""
+    write_calibration(chosen, tmp_path, report=False)
+    content = load_tables(tmp_path / 'error_tables.json')
+    stored = json.loads((tmp_path / 'error_tables.json').read_text())['reversal']['backlash']
+    text = format_result(chosen)
+    for k, axis in enumerate(AXES):
+        found = chosen.reversal.backlash[axis]
+        assert abs(found.value - BACKLASH[f'B_{axis}']) < 3 * found.u < 1e-6
+        assert found.u <= chosen.reversal.motions[f'E{axis}{axis}'].u.mean() * (1 + 1e-9)
+        assert stored[axis] == {'value': found.value, 'u': found.u}
+        exported = 2.0 * half_reversal(
+            content, k, content.tables.motions[f'E{axis}{axis}'].position
+        )
+        assert found.value == pytest.approx(exported.mean(), abs=1e-12)
+        assert f'{axis} {found.words}' in text

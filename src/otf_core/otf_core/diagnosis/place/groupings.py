@@ -20,6 +20,8 @@ MOST_WINDOWS = 12
 FEED_STEP = 0.1
 """Feeds that differ by a smaller share count as one."""
 MOST_FEEDS = 4
+CORNER_DISTANCES = (0.0, 0.015, 0.03, 0.06, np.inf)
+"""m; edges of the distances from corners."""
 THIRDS = ('low', 'middle', 'high')
 
 
@@ -33,11 +35,15 @@ class Grouping:
     labels : list of str
     indices : list of ndarray of int, shape (p,)
         One per run.
+    edges, second : ndarray, shape (n + 1,), optional
+        Of ordered groups, in SI units or degrees; of a plane those of either axis.
     """
 
     kind: str
     labels: list[str]
     indices: list[Index]
+    edges: Array | None = None
+    second: Array | None = None
 
 
 def _spans(edges: Array, digits: int, unit: str) -> list[str]:
@@ -56,12 +62,13 @@ def by_time(views: Sequence[RunView]) -> Grouping:
     """Equal time windows of every run."""
     labels: list[str] = []
     indices = []
+    edges = np.zeros(0)
     for view in views:
         count = int(np.clip(len(view.bounds) // 4, 1, MOST_WINDOWS))
         edges = np.linspace(view.time.min(), view.time.max() + 1e-9, count + 1)
         indices.append(_bins(view.time, edges) + len(labels))
         labels += [_prefix(views, view) + text for text in _spans(edges, 0, 's')]
-    return Grouping('time', labels, indices)
+    return Grouping('time', labels, indices, edges if len(views) == 1 else None)
 
 
 def by_leg(views: Sequence[RunView]) -> Grouping:
@@ -93,6 +100,53 @@ def by_line(views: Sequence[RunView]) -> Grouping:
     return Grouping('line', senses + planes, indices)
 
 
+def by_moving_axes(views: Sequence[RunView]) -> Grouping:
+    """Axes that move: lines along one, diagonals of two or three; labels are their names."""
+    axes = views[0].axis_names
+    sets = [c for size in (1, 2, 3) for c in combinations(range(3), size)]
+    number = {sum(1 << k for k in own): i for i, own in enumerate(sets)}
+    labels = [''.join(axes[k] for k in own) for own in sets]
+    found = np.array([number.get(code, -1) for code in range(8)])
+    indices = [
+        found[(np.abs(v.direction) > TRAVELS).astype(np.int64) @ np.array([1, 2, 4])]
+        for v in views
+    ]
+    return Grouping('lines', labels, indices)
+
+
+def by_corner(views: Sequence[RunView]) -> Grouping:
+    """Distance from the nearer end of what was kept of the leg."""
+    labels = [f'{1e3 * a:.0f} mm to {1e3 * b:.0f} mm' for a, b in pairwise(CORNER_DISTANCES[:-1])]
+    labels.append(f'{1e3 * CORNER_DISTANCES[-2]:.0f} mm and more')
+    edges, indices = np.array(CORNER_DISTANCES), []
+    for view in views:
+        near = np.zeros(len(view.leg))
+        for low, high in view.bounds:
+            along = np.linalg.norm(view.q[low:high] - view.q[low], axis=1)
+            near[low:high] = np.minimum(along, along[-1] - along)
+        indices.append(_bins(near, edges))
+    return Grouping('distance from corners', labels, indices, edges)
+
+
+def by_position(views: Sequence[RunView], axes: Sequence[int], count: int) -> Grouping:
+    """Equal parts of the driven range of one axis or of each of several."""
+    q = np.concatenate([v.q for v in views])[:, list(axes)]
+    edges = [np.linspace(a, b + 1e-9, count + 1) for a, b in zip(q.min(0), q.max(0), strict=True)]
+    names = [views[0].axis_names[k] for k in axes]
+    named = [
+        [f'{name} {1e3 * a:.0f} mm to {1e3 * b:.0f} mm' for a, b in pairwise(own)]
+        for name, own in zip(names, edges, strict=True)
+    ]
+    labels = [', '.join(parts) for parts in product(*named)]
+    indices = []
+    for view in views:
+        index = np.zeros(len(view.leg), dtype=np.int64)
+        for k, own in zip(axes, edges, strict=True):
+            index = index * count + _bins(view.q[:, k], own)
+        indices.append(index)
+    return Grouping(f'position of {" and ".join(names)}', labels, indices, *edges)
+
+
 def by_sense(views: Sequence[RunView], axis: int) -> Grouping:
     """Sense of travel of one axis, diagonals included."""
     name = views[0].axis_names[axis]
@@ -122,7 +176,7 @@ def by_feed(views: Sequence[RunView]) -> Grouping:
     labels = []
     for k in range(len(edges) - 1):
         mine = joined[groups == k]
-        labels.append(f'feed {np.median(mine):.3g} m/s' if mine.size else 'none')
+        labels.append(f'feed {6e4 * np.median(mine):.0f} mm/min' if mine.size else 'none')
     return Grouping('feed', labels, indices)
 
 
@@ -172,4 +226,4 @@ def _equal(kind: str, values: list[Array], count: int, digits: int, unit: str) -
     every = np.concatenate(values)
     edges = np.linspace(every.min(), every.max() + 1e-9, count + 1)
     labels = [f'{kind} {text}' for text in _spans(edges, digits, unit)]
-    return Grouping(kind, labels, [_bins(v, edges) for v in values])
+    return Grouping(kind, labels, [_bins(v, edges) for v in values], edges)

@@ -10,7 +10,7 @@ of the legs, where it is larger.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +52,11 @@ class Group:
     significance: float
     pieces: int
     legs: int
+
+    def with_noise(self, factor: float) -> Group:
+        """The same with a factor on the noise expected, and the excess beyond that."""
+        expected = factor * self.expected
+        return replace(self, expected=expected, excess=self.rms**2 - expected**2)
 
     def row(self, **further: Any) -> dict[str, Any]:
         """Plain data for gap.json."""

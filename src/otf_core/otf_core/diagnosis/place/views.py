@@ -6,7 +6,8 @@ Legs are the independent units: corners separate them, and the noise within one 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -99,6 +100,10 @@ class RunView:
         factor = np.asarray(cholesky(matrix, lower=True))
         return (factor,) * len(self.axes)
 
+    def with_noise(self, factor: float) -> RunView:
+        """The same with a factor on the noise."""
+        return replace(self, expected=factor * self.expected)
+
     def whiten(self, columns: Array) -> Array:
         """Whiten columns (c, p, k), m, component by component, shape (c p, k)."""
         return self.whitener.whiten(columns).reshape(-1, columns.shape[2])
@@ -106,3 +111,10 @@ class RunView:
     def vectors(self, residual: Array) -> Array:
         """Residual (c, p) as vectors in the machine frame, shape (p, 3)."""
         return np.asarray(np.einsum('cp,cpk->pk', residual, self.axes))
+
+
+def noise_factor(views: Sequence[RunView], simulated: float) -> float:
+    """Factor on the noise of runs with which it leaves the residual ``simulated``, m, in all."""
+    square = sum(float((v.expected**2).sum()) for v in views)
+    pieces = sum(len(v.leg) for v in views)
+    return simulated / max(float(np.sqrt(square / pieces)), 1e-300)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,10 @@ from otf_core.diagnosis.place.groups import (
     partition,
     rows_along,
 )
+from otf_core.diagnosis.place.placement import Placement, first_placed
+from otf_core.diagnosis.place.separation import separations
 from otf_core.diagnosis.place.structure import Projection, find_structures
-from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.place.views import RunView, noise_factor
 from otf_core.diagnosis.place.where_words import (
     MOSTLY,
     stands_out,
@@ -39,10 +41,33 @@ class Where:
     """Where the gap lies; each list holds rows of plain data.
 
     Every row has ``label``, ``rms_um`` (real run), ``expected_um`` (its simulation) and
-    ``significance`` (standard deviations of the excess).
+    ``significance`` (standard deviations of the excess). Over all pieces rms and expected are the
+    residuals of the run and of its simulation, so the gap is that of the headline.
+
+    Attributes
+    ----------
+    summary : str
+        In words.
+    view, grouping : str
+        View in which the gap has a place, 'path', 'volume', 'time' or 'beam', and the grouping of
+        it that separates most; empty where none does.
+    share_percent : float
+        Share of the variance of the gap between its groups, beyond chance: ``separation``.
+    parts : tuple of mapping
+        Its groups: ``label``, ``gap_um`` and the shares of squared gap and path they hold.
+    separation : tuple of mapping
+        Every grouping with its share, the largest first.
+    components_um : mapping of axis to float
+        The gap along machine X, Y and Z; their squares add up to that of the gap.
     """
 
     summary: str = ''
+    view: str = ''
+    grouping: str = ''
+    share_percent: float = 0.0
+    parts: tuple[Mapping[str, Any], ...] = ()
+    separation: tuple[Mapping[str, Any], ...] = ()
+    components_um: Mapping[str, float] = field(default_factory=dict)
     by_time: tuple[Mapping[str, Any], ...] = ()
     by_axis_and_direction: tuple[Mapping[str, Any], ...] = ()
     by_path_piece: tuple[Mapping[str, Any], ...] = ()
@@ -65,6 +90,31 @@ def pointing_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> lis
     for k, axis in enumerate(XYZ):
         found += make_groups([f'along machine {axis}'], 'points', sums[k])
     return found
+
+
+def components(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[str, float]:
+    """Root mean square of the gap along each machine axis, m.
+
+    Over all pieces, those that see nothing along an axis included, so that the squares add up to
+    that of the whole gap. Where noise makes one of them negative it is zero.
+
+    Parameters
+    ----------
+    views : sequence of RunView
+    residuals : sequence of ndarray, shape (c, p), m
+    """
+    square, pieces = np.zeros(3), 0
+    whole = 0.0
+    for view, residual in zip(views, residuals, strict=True):
+        square += (view.vectors(residual) ** 2).sum(axis=0)
+        square -= np.einsum('cp,cpk->k', view.expected**2, view.axes**2)
+        whole += float((residual**2).sum() - (view.expected**2).sum())
+        pieces += len(view.leg)
+    kept = np.maximum(square, 0.0)
+    if whole <= 0.0 or kept.sum() <= 0.0:
+        return dict.fromkeys(XYZ, 0.0)
+    found = np.sqrt(kept / kept.sum() * whole / pieces)
+    return dict(zip(XYZ, found.tolist(), strict=True))
 
 
 def groupings_of(views: Sequence[RunView]) -> dict[str, list[by.Grouping]]:
@@ -122,11 +172,12 @@ def _all_groups(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[st
 
 @dataclass(frozen=True)
 class _Located:
-    """Groups of all kinds, and words on the shape of the gap."""
+    """Groups of all kinds, words on the shape of the gap, and whether there is one."""
 
     total: Group
     groups: dict[str, list[Group]]
     shape: str
+    loud: bool = True
 
     @property
     def every(self) -> list[Group]:
@@ -143,9 +194,10 @@ def _located(
 ) -> _Located:
     total, groups = total_group(views, residuals), _all_groups(views, residuals)
     found = _Located(total, groups, known)
+    found = replace(found, loud=stands_out(total, found.every))
     if known and certain:
         return found
-    loud = stands_out(total, found.every)
+    loud = found.loud
     structures = find_structures(views, residuals, project) if loud else []
     words = structure_words(total, found.every, structures)
     if known:
@@ -179,6 +231,7 @@ def where_and_shape(
     known: str = '',
     *,
     certain: bool = True,
+    simulated: float | None = None,
 ) -> tuple[Where, str]:
     """Tell where the gap lies, and its shape as ``describe_structure`` does, in one search.
 
@@ -192,15 +245,69 @@ def where_and_shape(
     certain : bool
         No other shape is looked for then, which could only contradict; else one is stated beside
         ``known`` if it says most.
+    simulated : float, m, optional
+        Residual that the simulation leaves: what is stated counts as noise what makes that up.
     """
     residuals = [getattr(v, residual) for v in views]
     found = _located(views, residuals, project, known, certain=certain)
-    rows: dict[str, Rows] = {k: [g.row() for g in part] for k, part in found.groups.items()}
+    noise = 1.0 if simulated is None else noise_factor(views, simulated)
+    shown = [v.with_noise(noise) for v in views]
+    rows: dict[str, Rows] = {
+        name: [g.with_noise(noise).row() for g in part] for name, part in found.groups.items()
+    }
     details = _leg_details(views, residuals)
     rows['by_path_piece'] = [r | d for r, d in zip(rows['by_path_piece'], details, strict=True)]
-    summary = summary_words(found.total, found.every, found.shape)
-    where = Where(summary=summary, **{name: tuple(part) for name, part in rows.items()})
+    along = components(shown, residuals)
+    of_axis = {f'along machine {axis}': 1e6 * gap for axis, gap in along.items()}
+    for row in rows['by_axis_and_direction']:
+        if row['label'] in of_axis:
+            row['gap_um'] = of_axis[row['label']]
+    ranking = separations(shown, residuals)
+    place = first_placed(shown, residuals, ranking)
+    shape = found.shape.removeprefix(known).lstrip('; ') if known else found.shape
+    every = [g.with_noise(noise) for g in found.every]
+    where = Where(
+        summary=summary_words(every, place, along, shape, loud=found.loud),
+        separation=tuple(
+            {'view': s.view, 'grouping': s.grouping.kind, 'share_percent': _percent(s.share)}
+            for s in ranking
+        ),
+        components_um={axis: 1e6 * gap for axis, gap in along.items()},
+        by_time=tuple(rows['by_time']),
+        by_axis_and_direction=tuple(rows['by_axis_and_direction']),
+        by_path_piece=tuple(rows['by_path_piece']),
+        by_region=tuple(rows['by_region']),
+        by_beam=tuple(rows['by_beam']),
+        by_frequency=tuple(rows['by_frequency']),
+    )
+    if found.loud and place.words:
+        where = _at_place(where, place)
     return where, found.shape
+
+
+def _percent(share: float) -> float:
+    return 100.0 * max(share, 0.0)
+
+
+def _at_place(where: Where, place: Placement) -> Where:
+    """Add the view that separates most, and what of the gap its groups hold."""
+    best = place.separation
+    parts = []
+    for part in place.parts:
+        gap, path = place.share([part])
+        parts.append({
+            'label': part.label,
+            'gap_um': 1e6 * part.gap,
+            'share_of_gap_percent': 100.0 * gap,
+            'share_of_path_percent': 100.0 * path,
+        })  # fmt: skip
+    return replace(
+        where,
+        view=best.view,
+        grouping=best.grouping.kind,
+        share_percent=_percent(best.share),
+        parts=tuple(parts),
+    )
 
 
 def where_of(

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from otf_core.diagnosis.place.groups import Group, unevenness
+from otf_core.diagnosis.place.placement import Placement
 from otf_core.diagnosis.place.structure import GapStructure
 
 SIGNIFICANT, MOST_SIGNIFICANT = 4.0, 5.5
@@ -20,6 +21,8 @@ CONTRAST = 1.3
 MOST_KINDS = 2
 MOSTLY = 0.7
 """Share of the excess from which shapes say enough."""
+MAINLY = 75.0
+"""Percent of the squared gap from which one axis is named alone."""
 HALF = 0.5
 """Share of the excess from which a band of frequency is named."""
 FEWEST_PIECES = 0.01
@@ -54,14 +57,17 @@ def _um(value: float) -> str:
     return f'{1e6 * value:.2g} um'
 
 
-def _pointing_words(points: Sequence[Group]) -> str:
-    gaps = sorted(((_gap(g), g.label) for g in points), reverse=True)
-    if not gaps or gaps[0][0] <= 0:
+def _pointing_words(components: Mapping[str, float]) -> str:
+    """Axes along which a gap points, by their shares of its square."""
+    whole = sum(gap**2 for gap in components.values())
+    if whole <= 0.0:
         return ''
-    if len(gaps) < 2 or gaps[0][0] > 2.0 * gaps[1][0]:
-        return f', mostly {gaps[0][1]} ({_um(gaps[0][0])})'
-    parts = ', '.join(f'{label[-1]} {_um(gap)}' for gap, label in sorted(gaps, key=lambda g: g[1]))
-    return f', along {parts}'
+    shares = {axis: 100.0 * gap**2 / whole for axis, gap in components.items()}
+    axis = max(shares, key=shares.__getitem__)
+    if shares[axis] > MAINLY:
+        return f'It points along machine {axis} ({shares[axis]:.0f} % of the squared gap)'
+    parts = ', '.join(f'{a} {share:.0f} %' for a, share in shares.items())
+    return f'Across the path it points along {parts} (of the squared gap)'
 
 
 PLACES = {
@@ -123,22 +129,52 @@ def structure_words(total: Group, groups: Sequence[Group], found: Sequence[GapSt
     return '; '.join(parts) or EVERYWHERE
 
 
-def summary_words(total: Group, groups: Sequence[Group], shape: str) -> str:
-    """Say in one or two sentences how large the gap is, where it points and where it lies.
+def summary_words(
+    groups: Sequence[Group],
+    place: Placement,
+    components: Mapping[str, float],
+    shape: str,
+    *,
+    loud: bool,
+) -> str:
+    """Say in a few sentences where a gap lies and along which axes it points.
 
     Parameters
     ----------
-    total, groups
-        See ``structure_words``.
+    groups : sequence of Group
+        Of all kinds.
+    place : Placement
+        In the view that separates most.
+    components : mapping of axis to float, m
     shape : str
-        What that returned.
+        What ``structure_words`` returned; empty where the cause is known.
+    loud : bool
+        Anything stands out: ``stands_out``.
     """
-    size = f'The residual is {_um(total.rms)}, noise leaves {_um(total.expected)}'
-    if not stands_out(total, groups):
+    if not loud:
         most = max(groups, key=lambda g: g.significance)
         return (
-            f'{size}; nothing stands out: of {len(groups)} groups {most.label} has the largest '
-            f'excess ({most.significance:.1f} standard deviations).'
+            f'No place stands out: of {len(groups)} groups of path pieces, by line, feed, '
+            f'volume, time, beam and frequency; the largest excess, of {most.label}, is '
+            f'{most.significance:.1f} standard deviations.'
         )
-    points = _pointing_words([g for g in groups if g.kind == 'points'])
-    return f'{size}; the gap is {_um(_gap(total))}{points}. Where and how: {shape}.'
+    said = [f'The gap lies {place.words}' if place.words else _everywhere_words(groups)]
+    said += [words for words in (_pointing_words(components),) if words]
+    if shape and shape != EVERYWHERE:
+        said.append(f'Shape: {shape}')
+    return '. '.join(said) + '.'
+
+
+def _everywhere_words(groups: Sequence[Group]) -> str:
+    """A gap that no view separates, and the band of frequency that holds most of it."""
+    words = (
+        'The gap lies all over the run: no group of lines, senses of travel, feeds, places, times '
+        'or beams holds clearly more of it than its share of the path'
+    )
+    bands = [g for g in groups if g.kind == 'frequency']
+    whole = sum(max(b.excess, 0.0) * b.pieces for b in bands)
+    for band in bands[1:]:
+        share = max(band.excess, 0.0) * band.pieces / max(whole, 1e-300)
+        if share > HALF and band.significance > SIGNIFICANT:
+            words += f'; {100 * share:.0f} % of the squared gap is at {band.label} in time'
+    return words

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
+from otf_core.effects.base import Array, BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Maybe, Number, Trial
 from otf_core.effects.free import Free
 from otf_core.model.path import MOVING
@@ -76,6 +76,10 @@ class Backlash(Effect):
     def shapes(self, state: State) -> Sequence[Shape]:
         """Return to the middle at standstill, and held."""
         return ({HELD: 0.0}, {HELD: 1.0})
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Reversal value of every axis that takes part."""
+        return tuple(Size(f'of {a}', ({f'B_{a}': 1.0},), 'm') for a in found.axes)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return B_X, B_Y, B_Z."""

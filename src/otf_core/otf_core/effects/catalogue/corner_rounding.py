@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, Effect, Shape, State, Terms
+from otf_core.effects.base import Array, Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Number, Trial, Uniform
 from otf_core.effects.free import Free
 
@@ -86,6 +86,11 @@ class CornerRounding(Effect):
     def shapes(self, state: State) -> Sequence[Shape]:
         """Lengths of a few millimetres to a few centimetres."""
         return tuple({'l': length} for length in LENGTHS)
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Distance from the corner point."""
+        remark = f'at the corner, a third of it {1e3 * found.shape["l"]:.2g} mm away'
+        return (Size('', ({'A': 1.0},), 'm', remark),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return A."""

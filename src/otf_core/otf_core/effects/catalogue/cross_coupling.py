@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects.acting import vector
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Either, Number, OfMachine, Several, Share, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import scaled_position
@@ -85,6 +85,12 @@ class CrossCoupling(Effect):
         )
         for pair in combinations('xyz', 2)
     )
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """The coefficient that displaces most."""
+        direction, product = found.strongest.split('_')
+        of = f'along {direction} by {product.replace("2", chr(178))}'
+        return (Size(of, ({found.strongest: 1.0},), 'm', 'at the corner of the volume'),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return X_XY ... Z_XYZ: direction, then the product of positions."""

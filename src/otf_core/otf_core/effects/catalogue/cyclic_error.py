@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Effect, Shape, State, Terms, Wave
+from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms, Wave
 from otf_core.effects.drawing import Axes, Maybe, Number, OneOf, Trial, Uniform
 from otf_core.effects.free import Free
 
@@ -79,6 +79,13 @@ class CyclicError(Effect):
         length = float(np.max(state.machine.upper - state.machine.lower))
         frequency = np.arange(WAVES / length, 0.25 / spacing, 0.5 / length)
         return tuple({'period': float(1.0 / f)} for f in frequency)
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Amplitude of every axis that takes part."""
+        remark = f'amplitude, period {1e3 * found.shape["period"]:.3g} mm'
+        return tuple(
+            Size(f'of {a}', ({f'S_{a}': 1.0}, {f'C_{a}': 1.0}), 'm', remark) for a in found.axes
+        )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return S_X, S_Y, S_Z, C_X, C_Y, C_Z."""

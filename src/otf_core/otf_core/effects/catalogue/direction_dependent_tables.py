@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.polynomial import legendre
 
-from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
+from otf_core.effects.base import Array, BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.catalogue.backlash import HELD, SOMETIMES_HELD, travel_sign
 from otf_core.effects.drawing import Either, Normal, Number, OfMachine, Some, Trial
 from otf_core.effects.free import Free
@@ -98,6 +98,17 @@ class DirectionDependentTables(Effect):
         """Linear along the axis and the full order, each as for backlash."""
         orders = (1.0, float(ORDER))
         return tuple({'order': k, HELD: held} for k in orders for held in (0.0, 1.0))
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Root mean square along its axis of each motion that displaces much."""
+        found_sizes = []
+        for head, names in found.groups().items():
+            motion = ErrorMotion.of(head)
+            orders = {n: int(n.rsplit('_', 1)[1]) for n in names}
+            parts = tuple({n: float(np.sqrt(1.0 / (2 * k + 1)))} for n, k in orders.items())
+            along = f'rms along {motion.axis}'
+            found_sizes.append(Size(f'of {motion}', parts, motion.unit, along))
+        return tuple(found_sizes)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return EXX_1 ... ECZ_3: motion and order of its polynomial."""

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
 
@@ -42,6 +42,12 @@ class ServoMismatch(Effect):
             'the lag changes while a leg lasts, and not in proportion to the feed',
         ),
     )
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Largest difference of the delays of two axes."""
+        delays = {a: found.of({f'T_{a}': 1.0}) for a in found.machine.axis_names}
+        late, early = max(delays, key=delays.__getitem__), min(delays, key=delays.__getitem__)
+        return (Size(f'of {late} behind {early}', ({f'T_{late}': 1.0, f'T_{early}': -1.0},), 's'),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return T_X, T_Y, T_Z."""

@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, BelongsTo, Effect, Shape, State, Terms
+from otf_core.effects.base import Array, BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import BetweenNodes, Number, Some, Trial
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import motion_influence
@@ -29,6 +29,9 @@ _DRAWN = tuple(
     BetweenNodes(m + '@{:.6g}..{:.6g}', m.axis, size=1e-6, lengths=(1.0, 2.5), rough=0.3)
     for m in map(ErrorMotion.of, ('EXX', 'EYX', 'EZX', 'EYY', 'EXY', 'EZY', 'EZZ', 'EXZ', 'EYZ'))
 )
+
+BOW_SQUARE, WAVE_SQUARE = 8.0 / 15.0, 18.0 / 35.0
+"""Mean squares of the two functions between two nodes."""
 
 
 def _label(motion: str, low: float, high: float, wave: bool) -> str:
@@ -88,6 +91,16 @@ class TableResolution(Effect):
     def shapes(self, state: State) -> Sequence[Shape]:
         """Order 1: bows of the translations; 2: waves as well; (3: rotations as well)."""
         return ({'order': 1.0}, {'order': 2.0})
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Root mean square between nodes of each motion that displaces much."""
+        found_sizes = []
+        for head, names in found.groups().items():
+            intervals = len({n.removesuffix('_2') for n in names})
+            square = {n: (WAVE_SQUARE if n.endswith('_2') else BOW_SQUARE) for n in names}
+            parts = tuple({n: float(np.sqrt(s / intervals))} for n, s in square.items())
+            found_sizes.append(Size(f'of {head}', parts, unit_of(head), 'rms between nodes'))
+        return tuple(found_sizes)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return one term per motion and node interval, named by its ends: EYX@0.03..0.06."""

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Effect, Shape, State, Terms
+from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Drawn, Either, Number, OfMachine, OneOf, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import travel_from_reference
@@ -62,6 +62,15 @@ class TableTilt(Effect):
             tilted,
         ),
     )
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Tilt over the range of the axis, of the coefficient that displaces most."""
+        name, machine = found.strongest, found.machine
+        _, about, _, axis = name.split('_')
+        place = machine.axis_names.index(axis)
+        range_m = float(machine.upper[place] - machine.lower[place])
+        remark = f'over the {1e3 * range_m:.4g} mm of {axis}'
+        return (Size(f'about {about} by {axis}', ({name: range_m},), 'rad', remark),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return tilt_X_by_X ... tilt_Y_by_Z: axis of the tilt, axis that moves."""

@@ -11,8 +11,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Contribution, Effect, Shape, State, Terms
+from otf_core.effects.base import Coefficients, Contribution, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Trial
+from otf_core.effects.sizes import vector_size
 from otf_core.model.frames import XYZ
 
 
@@ -31,6 +32,10 @@ class TargetOffset(Effect):
         Contribution('target offset', ('target_offset',)),
     )
     trial: ClassVar[Trial] = Trial((Axes('dT', 5e-3),), hard_to_see=True, second_place=5)
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Offset, with its direction where one component is most of it."""
+        return (vector_size(found, [{f'dT_{a}': 1.0} for a in XYZ], 'm', ''),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return dT_X, dT_Y, dT_Z."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from otf_core.effects import drift
 from otf_core.effects.acting import Acting
-from otf_core.effects.base import Contribution, Shape, State, Terms
+from otf_core.effects.base import Coefficients, Contribution, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
 from otf_core.effects.position import travel_from_reference
@@ -113,6 +113,13 @@ class ThermalAxisExpansion(drift.DriftingEffect):
             essential=1,
         ),
     )
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Strain of every axis that takes part."""
+        return tuple(
+            Size(f'of {a}', (drift.reached(f'S_{a}', found.shape),), 'm/m', drift.REACHED)
+            for a in found.axes
+        )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return S_X, S_Y, S_Z: strain at ``until``; S_X_2 ...: further functions of time."""

@@ -12,9 +12,10 @@ import numpy as np
 
 from otf_core.effects import drift
 from otf_core.effects.acting import Acting, vector
-from otf_core.effects.base import Array, Shape, State, Terms
+from otf_core.effects.base import Array, Coefficients, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free
+from otf_core.effects.sizes import vector_size
 from otf_core.model.frames import XYZ
 
 
@@ -59,6 +60,11 @@ class ThermalStructureDrift(drift.DriftingEffect):
             zero_at=-1.0,
         ),
     )
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Shift, with its direction where one component is most of it."""
+        parts = [drift.reached(f'D_{a}', found.shape) for a in XYZ]
+        return (vector_size(found, parts, 'm', drift.REACHED),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return D_X, D_Y, D_Z: shift at ``until``; D_X_2 ...: further functions of time."""

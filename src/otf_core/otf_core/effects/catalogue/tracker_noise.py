@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import BelongsTo, Effect, Shape, State, Terms
+from otf_core.effects.base import BelongsTo, Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Either, Number, Trial, Uniform
 from otf_core.errors import ConfigError
 
@@ -95,6 +95,18 @@ class TrackerNoise(Effect):
                 )
             shape[name] = value
         return shape
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Level where it departs, else time constant, else degrees of freedom."""
+        levels = {n: v for n, v in found.shape.items() if n.startswith('level_')}
+        if levels:
+            name = max(levels, key=levels.__getitem__)
+            of = f'of the {name.removeprefix("level_")}'
+            return (Size(of, (), '', 'times as specified', levels[name]),)
+        if 'correlation_time' in found.shape:
+            value = found.shape['correlation_time']
+            return (Size('', (), 's', 'time over which it is correlated', value),)
+        return (Size('', (), '', 'degrees of freedom of its tails', found.shape['dof']),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return no terms."""

@@ -13,10 +13,11 @@ import numpy as np
 
 from otf_core.effects import drift
 from otf_core.effects.acting import Acting, rigid_tracker
-from otf_core.effects.base import Shape, State, Terms
+from otf_core.effects.base import Coefficients, Shape, Size, State, Terms
 from otf_core.effects.catalogue.thermal_structure_drift import translation_columns
 from otf_core.effects.drawing import Axes, Either, Trial
 from otf_core.effects.free import Free
+from otf_core.effects.sizes import vector_size
 from otf_core.model.frames import XYZ
 
 _SHIFT, _TURN = Axes('M'), Axes('W', 2e-6)
@@ -60,6 +61,13 @@ class TrackerPoseDrift(drift.DriftingEffect):
             zero_at=-1.0,
         ),
     )
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Shift and turn, the one that displaces more first."""
+        shifts, turns = ([drift.reached(f'{part}_{a}', found.shape) for a in XYZ] for part in 'MW')
+        shift = vector_size(found, shifts, 'm', drift.REACHED, 'shifting')
+        turn = vector_size(found, turns, 'rad', drift.REACHED, 'turning', 'about')
+        return (turn, shift) if found.strongest.startswith('W') else (shift, turn)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return M_X ... W_Z: reached at ``until``; M_X_2 ...: further functions of time."""

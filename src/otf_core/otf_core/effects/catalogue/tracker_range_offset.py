@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Contribution, Effect, Shape, State, Terms
+from otf_core.effects.base import Coefficients, Contribution, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Number, OneOf, Trial
 
 
@@ -34,6 +34,10 @@ class TrackerRangeOffset(Effect):
     trial: ClassVar[Trial] = Trial(
         (Number('c', OneOf((-5e-6, 5e-6))),), hard_to_see=True, second_place=2
     )
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Range error."""
+        return (Size('', ({'c': 1.0},), 'm'),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return c."""

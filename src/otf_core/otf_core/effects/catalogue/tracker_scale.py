@@ -16,7 +16,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, Contribution, Effect, Shape, State, Terms
+from otf_core.effects.base import (
+    Array,
+    Coefficients,
+    Contribution,
+    Effect,
+    Shape,
+    Size,
+    State,
+    Terms,
+)
 from otf_core.effects.drawing import Number, OneOf, Trial
 
 PER_KELVIN = 0.93e-6
@@ -50,6 +59,10 @@ class TrackerScale(Effect):
     trial: ClassVar[Trial] = Trial(
         (Number('m', OneOf((-4e-6, 4e-6))),), hard_to_see=True, second_place=1
     )
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Relative error of the range."""
+        return (Size('', ({'m': 1.0},), 'm/m'),)
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return m."""

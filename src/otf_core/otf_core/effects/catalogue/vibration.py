@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.base import Array, Effect, Shape, State, Terms, Wave
+from otf_core.effects.base import Array, Coefficients, Effect, Shape, Size, State, Terms, Wave
 from otf_core.effects.drawing import Axes, LogUniform, Number, Trial
 from otf_core.effects.free import Free
 from otf_core.model.frames import XYZ
@@ -78,6 +78,13 @@ class Vibration(Effect):
         rate = 1.0 / float(np.median(step)) if len(step) and np.median(step) > 0 else 1.0
         count = int(rate * SECONDS)
         return tuple({'frequency': k / (2.0 * SECONDS)} for k in range(1, count))
+
+    def sizes(self, found: Coefficients) -> tuple[Size, ...]:
+        """Amplitude along every direction that takes part."""
+        remark = f'amplitude, {found.shape["frequency"]:.4g} Hz'
+        return tuple(
+            Size(f'along {a}', ({f'S_{a}': 1.0}, {f'C_{a}': 1.0}), 'm', remark) for a in found.axes
+        )
 
     def terms(self, state: State, shape: Shape) -> Terms:
         """Return S_X, S_Y, S_Z, C_X, C_Y, C_Z; directions of the swing, no moving axis."""

@@ -18,11 +18,12 @@ from otf_core.budget.budget import (
 from otf_core.budget.systematic import SYSTEMATIC
 from otf_core.model.declared import KEYS
 from otf_core.model.presets import TYPICAL
+from otf_core.model.quantities import quantity, scaled
 from otf_core.reports.budget import GRID, BudgetLine, format_budget
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.typography import text
-from otf_core.reports.quantities import dof_words, listed, micro, quantity, scaled
+from otf_core.reports.quantities import dof_words, listed, micro
 from otf_core.reports.section import Picture, Section, Table
 
 TYPE_A = (NOISE, MISFIT, SMOOTHNESS)

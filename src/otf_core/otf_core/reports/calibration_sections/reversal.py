@@ -7,7 +7,7 @@ import numpy as np
 
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.quantities import micro
-from otf_core.reports.reversal import format_reversal
+from otf_core.reports.reversal import backlash_words, format_reversal
 from otf_core.reports.section import Section, Table
 
 DERIVED = (
@@ -44,9 +44,11 @@ def section(facts: Facts) -> Section:
         data[axis] = found
         rows.append((axis, *(micro(v) for v in found.values())))
     stay = 'stay on the side of their last travel' if reversal.held else 'lie between both sides'
+    at_target = backlash_words(reversal)
     words = (
         f'Reversal model: {reversal.model}; axes that stand {stay}. A reversal value is the error '
         f'in forward travel (towards larger positions) less that in backward travel.',
+        *([f'{at_target[:1].upper()}{at_target[1:]}.'] if at_target else []),
         DERIVED,
     )
     head = ('Axis', 'E, bidirectional systematic deviation', 'M, range of the mean',

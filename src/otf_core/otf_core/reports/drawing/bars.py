@@ -49,7 +49,15 @@ def _scale(row: Bar, room: float) -> float:
     return max(room - LETTER * len(row.words) - 14.0, 0.2 * room) / reach
 
 
-def bars(rows: Sequence[Bar], title: str, *, names: float = 50.0, width: float = 400.0) -> str:
+def bars(
+    rows: Sequence[Bar],
+    title: str,
+    *,
+    names: float = 50.0,
+    width: float = 400.0,
+    beside: Sequence[Bar] = (),
+    heading: str = '',
+) -> str:
     """Picture of bars on one scale.
 
     Parameters
@@ -60,11 +68,16 @@ def bars(rows: Sequence[Bar], title: str, *, names: float = 50.0, width: float =
     names : float, px
         Room for the names.
     width : float, px
+    beside : sequence of Bar
+        Bars of a picture beside this one, which has the same scale.
+    heading : str
+        Stands above the bars.
     """
-    scale = min([_scale(row, width - names) for row in rows], default=1.0)
-    marks = []
+    scale = min([_scale(row, width - names) for row in (*rows, *beside)], default=1.0)
+    top = ROW if heading else 0.0
+    marks = [words(0.0, 14.0, heading, 'strong')] if heading else []
     for k, row in enumerate(rows):
-        y, x = k * ROW + 3.0, names
+        y, x = top + k * ROW + 3.0, names
         marks.append(words(names - 6.0, y + 10.0, row.name, 'end'))
         for size, kind in row.parts:
             marks.append(
@@ -82,4 +95,4 @@ def bars(rows: Sequence[Bar], title: str, *, names: float = 50.0, width: float =
             if x + 12.0 + LETTER * len(row.words) > at:
                 x = max(x, at)
         marks.append(words(x + 6.0, y + 10.0, row.words))
-    return svg(width, len(rows) * ROW + 4.0, marks, title)
+    return svg(width, top + len(rows) * ROW + 4.0, marks, title)

@@ -3,22 +3,26 @@
 
 from __future__ import annotations
 
+from otf_core.diagnosis.corrected import in_reversal_tables
 from otf_core.diagnosis.result import Diagnosis, NamedCause
+from otf_core.effects import REGISTRY, BelongsTo
+from otf_core.model.quantities import quantity
 from otf_core.reports.gap_words import (
     confidence_words,
     effect_cause,
     effect_meaning,
     effect_name,
+    left_out_words,
     shape_words,
     shown_parameters,
 )
-from otf_core.reports.quantities import quantity
 from otf_core.reports.section import Cell, Section, Table
 
 
 def section(diagnosis: Diagnosis) -> Section:
     """Return the section."""
-    text = (*(line for cause in diagnosis.causes for line in _text(cause)), '')
+    held = [w for cause in diagnosis.causes if (w := _held_words(diagnosis, cause))]
+    text = (*(line for cause in diagnosis.causes for line in _text(cause)), *held, '')
     if not diagnosis.causes:
         reason = {
             'none': 'None: the run shows no more than its simulation.',
@@ -32,10 +36,21 @@ def section(diagnosis: Diagnosis) -> Section:
             f'With the causes in the calibration the error tables change the predicted volumetric '
             f'error by {diagnosis.table_change_um:.2f} um on average over the volume.',
         )
+    words = (*words, *held)
     rows = tuple(_row(k, c) for k, c in enumerate(diagnosis.causes, start=1))
-    head = ('', 'Cause', 'Axes', 'Parameters (+/- U, k = 2)', 'Gap (um)', 'Confidence')
+    head = ('', 'Cause', 'Axes', 'Parameters, U with k = 2', 'Gap (um)', 'Confidence')
     tables = (Table(head, rows, numbers=(4,)), *_meanings(diagnosis))
     return Section('causes', 'Causes', words, tables=tables, text=text)
+
+
+def _held_words(diagnosis: Diagnosis, cause: NamedCause) -> str:
+    """What the reversal tables of the calibration hold of a cause; empty of any other."""
+    known = REGISTRY.get(cause.effect)
+    if known is None or known.belongs_to is not BelongsTo.REVERSAL:
+        return ''
+    held = in_reversal_tables(diagnosis.calibration.plain.reversal, cause.axes)
+    name = effect_name(cause.effect)
+    return f'The reversal tables of the calibration hold {name} as well{held}.' if held else ''
 
 
 def _meanings(diagnosis: Diagnosis) -> tuple[Table, ...]:
@@ -69,16 +84,15 @@ def _row(rank: int, cause: NamedCause) -> tuple[Cell, ...]:
     if cause.departs:
         named.append(f'Departs from the formula: {cause.departs}')
     if rivals:
-        named.append(f'In these data not told from: {rivals}')
+        named.append(f'In these data indistinguishable from {rivals}')
         sure.append('that it is one of these')
-    names, more = shown_parameters(cause)
+    names, more, weak = shown_parameters(cause)
     parameters = [
         _unbroken(f'{n} {quantity(cause.parameters[n], cause.u[n], cause.units.get(n, ""))}')
         for n in names
-        if n in cause.u
     ]
     shape = shape_words(cause)
-    rest = [f'and {more} more in gap.json'] if more else []
+    rest = left_out_words(more, weak)
     return (
         str(rank),
         tuple(named),
@@ -100,12 +114,14 @@ def _text(cause: NamedCause) -> list[str]:
         f'cause {cause.effect}{axes}: gap {cause.before_um:.2f} um -> {cause.after_um:.2f} um, '
         f'confidence {100 * cause.confidence:.0f} %'
     ]
-    for name, value in cause.parameters.items():
-        shown = quantity(value, cause.u.get(name), cause.units.get(name, ''))
-        k = ' (k = 2)' if name in cause.u else ' (chosen)'
-        lines.append(f'    {name} = {shown}{k}')
+    names, more, weak = shown_parameters(cause)
+    for name in names:
+        shown = quantity(cause.parameters[name], cause.u[name], cause.units.get(name, ''))
+        lines.append(f'    {name} = {shown} (k = 2)')
+    rest = (shape_words(cause), *left_out_words(more, weak))
+    lines += [f'    {words}' for words in rest if words]
     if cause.departs:
         lines.append(f'    departs from the formula: {cause.departs}')
     if cause.indistinguishable_from:
-        lines.append(f'    not told from {", ".join(cause.indistinguishable_from)}')
+        lines.append(f'    indistinguishable from {", ".join(cause.indistinguishable_from)}')
     return lines

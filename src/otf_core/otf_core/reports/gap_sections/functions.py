@@ -28,12 +28,10 @@ def section(diagnosis: Diagnosis) -> Section:
     if not shown:
         return Section('functions', '')
     words = tuple(f'{effect_name(c.effect)}: {c.departs}.' for c in diagnosis.causes if c.curves)
-    text = (*(f'{name}: {said}' for name, said, _ in shown), '')
     return Section(
         'functions',
         'Functions found',
         words,
-        text=text,
         draw=lambda: [_picture(name, curves) for name, _, curves in shown],
     )
 

@@ -13,7 +13,7 @@ from otf_core.diagnosis.result import Diagnosis
 from otf_core.model.frames import XYZ
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.gap_pictures import key
+from otf_core.reports.gap_pictures import key, states
 from otf_core.reports.section import Picture, Section
 
 Array = NDArray[np.float64]
@@ -47,6 +47,28 @@ def _pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
         parts = (_rms(view, causes, top), *(_along(view, causes, k) for k in range(3)))
         found.append(Picture(parts, caption, columns=2, key=key(diagnosis)))
     return found
+
+
+def size_pictures(diagnosis: Diagnosis) -> Picture:
+    """Size of the residual against time, without and with the causes side by side."""
+    views, causes = diagnosis.shown.views[:MOST_RUNS], bool(diagnosis.causes)
+    labels = dict(zip(('before', 'after'), (s.label for s in states(diagnosis)), strict=False))
+    shown = _states(causes)
+    top = max(float(_sizes(v, getattr(v, n)).max()) for v in views for n, _ in shown)
+    parts = []
+    for view in views:
+        middle = np.array([view.time[a:b].mean() for a, b in view.bounds])
+        run = f'{view.name}: ' if len(views) > 1 else ''
+        for name, kind in shown:
+            panel = Panel(_time(view), around([0.0, top], 'rms (µm)', zero=True))
+            marks = [
+                panel.line(middle, _sizes(view, view.expected), 'noise'),
+                panel.dots(middle, _sizes(view, getattr(view, name)), f'{kind} node'),
+            ]
+            title = f'where it lies: residual of run {view.name} against time, {labels[kind]}'
+            parts.append(panel.draw(marks, title, f'{run}{labels[kind]}'))
+    caption = 'One dot a leg: root mean square of its residual; line: what noise leaves.'
+    return Picture(tuple(parts), caption, columns=2, key=key(diagnosis))
 
 
 def _states(causes: bool) -> list[tuple[str, str]]:

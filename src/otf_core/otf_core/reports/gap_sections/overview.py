@@ -1,79 +1,112 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First screen: how large the gap is, before and with the causes."""
+"""First screen: which cause, how large; where the gap lies; how far it shrinks."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from itertools import combinations
 
-from otf_core.diagnosis.result import Diagnosis, Gap
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.gap_words import VERDICTS
+from otf_core.diagnosis.place.separation import TIME, VOLUME, groupings_by_view
+from otf_core.diagnosis.result import Diagnosis, NamedCause
+from otf_core.reports.gap_pictures import groups_side_by_side
+from otf_core.reports.gap_sections.over_time import size_pictures
+from otf_core.reports.gap_sections.place import volume_picture
+from otf_core.reports.gap_words import VERDICTS, effect_name, looked_at
 from otf_core.reports.page import Heading
 from otf_core.reports.quantities import listed
 from otf_core.reports.section import Picture, Section, State
 
 TITLE = 'Gap between run and simulation'
 MOODS = {'none': 'good', 'explained': 'good', 'partly_explained': 'open', 'unknown': 'bad'}
+TILES = 2
+"""Causes whose size has a tile of its own."""
+PLAIN = 'lines'
+"""Grouping that is drawn where none separates."""
 
 
 def heading(diagnosis: Diagnosis) -> Heading:
     """Top of the page."""
     gap, verdict = diagnosis.gap, diagnosis.verdict
-    tiles = [
-        ('Residual of the run', f'{gap.measured_um:.2f} um',
-         f'its simulation leaves {gap.simulated_um:.2f} um'),
-        ('Gap', f'{gap.before_um:.2f} um', 'what the run shows beyond its simulation'),
-    ]  # fmt: skip
+    tiles = [tile for cause in diagnosis.causes[:TILES] if (tile := _size_tile(cause))]
     if diagnosis.causes:
         low, high = gap.shrink_interval_percent
         tiles.append(
-            ('Gap with the causes', f'{gap.after_um:.2f} um',
-             f'smaller by {gap.shrink_percent:.0f} % (95 % interval {low:.0f} to {high:.0f})')
+            ('Gap', f'{gap.before_um:.2f} → {gap.after_um:.2f} um',
+             f'smaller by {gap.shrink_percent:.0f} % (95 % interval {low:.0f} to {high:.0f}) with '
+             f'the cause{"s" if len(diagnosis.causes) > 1 else ""}')
         )  # fmt: skip
+    else:
+        tiles.append(
+            ('Gap', f'{gap.before_um:.2f} um', 'what the run shows beyond its simulation')
+        )
+    tiles.append(
+        ('Residual of the run', f'{gap.measured_um:.2f} um',
+         f'its simulation leaves {gap.simulated_um:.2f} um')
+    )  # fmt: skip
     title = f'{TITLE} · {listed(diagnosis.runs)}'
     badge = State(VERDICTS.get(verdict, verdict), MOODS.get(verdict, ''))
     return Heading(title, diagnosis.sentence, (badge,), tuple(tiles))
 
 
+def _size_tile(cause: NamedCause) -> tuple[str, str, str] | None:
+    """What a cause is called, its largest size, and what kind of size it is."""
+    if not cause.sizes:
+        return None
+    first, *others = cause.sizes
+    more = [f'{s.of} {s.words}'.strip() for s in others]
+    remark = [first.remark, 'U, k = 2' if first.u is not None else '', *more]
+    name = f'{effect_name(cause.effect)} {first.of}'.strip()
+    return name[:1].upper() + name[1:], first.words, '; '.join(filter(None, remark))
+
+
 def section(diagnosis: Diagnosis) -> Section:
     """Return the section."""
     gap = diagnosis.gap
-    words = [
-        'Residual: distance of the aligned, compensated measurement across the path, root mean '
-        'square over path pieces. Gap: square root of measured squared minus simulated squared.'
-    ]
-    if diagnosis.causes:
-        low, high = gap.shrink_interval_percent
-        words.append(
-            f'With the causes added to the simulation the gap shrinks by {gap.shrink_percent:.0f} '
-            f'% (95 % interval {low:.0f} % to {high:.0f} %), judged on legs that the causes were '
-            f'not fitted to.'
-        )
+    words = [diagnosis.where.summary, *looked_at(diagnosis)]
     text = (
         f'verdict: {diagnosis.verdict}',
         diagnosis.sentence,
+        *words,
         f'residual {gap.measured_um:.2f} um, simulated {gap.simulated_um:.2f} um; gap '
         f'{gap.before_um:.2f} um -> {gap.after_um:.2f} um',
         '',
     )
     return Section('overview', '', tuple(words), {'gap': asdict(gap)}, text=text,
-                   draw=lambda: _pictures(gap, bool(diagnosis.causes)))  # fmt: skip
+                   draw=lambda: [where_picture(diagnosis)])  # fmt: skip
 
 
-def _pictures(gap: Gap, causes: bool) -> Sequence[Picture]:
-    rows = [
-        Bar('Residual of the run', ((gap.measured_um, 'noise'),), f'{gap.measured_um:.2f} µm'),
-        Bar('Residual of its simulation', ((gap.simulated_um, 'noise'),),
-            f'{gap.simulated_um:.2f} µm'),
-        Bar('Gap before', ((gap.before_um, 'before'),), f'{gap.before_um:.2f} µm'),
-    ]  # fmt: skip
-    caption = ''
-    if causes:
-        low, high = (gap.before_um * (1.0 - s / 100.0) for s in gap.shrink_interval_percent[::-1])
-        rows.append(Bar('Gap after', ((gap.after_um, 'after'),), f'{gap.after_um:.2f} µm',
-                        ends=(max(low, 0.0), max(high, 0.0))))  # fmt: skip
-        caption = 'Stroke: 95 % interval.'
-    return [
-        Picture((bars(rows, 'sizes of residuals and gap', names=158.0, width=440.0),), caption)
-    ]
+def where_picture(diagnosis: Diagnosis) -> Picture:
+    """The view that separates the gap most, before and after side by side at one scale."""
+    title = 'Where the gap lies' if diagnosis.where.view else 'Residual against noise'
+    return replace(_picture(diagnosis), title=title)
+
+
+def _picture(diagnosis: Diagnosis) -> Picture:
+    """That view: time, volume, or bars of groups."""
+    views, where = diagnosis.shown.views, diagnosis.where
+    if where.view == TIME and len(views) == 1:
+        return size_pictures(diagnosis)
+    if where.view == VOLUME:
+        return volume_picture(diagnosis, [_plane(diagnosis)])
+    name = where.grouping or PLAIN
+    grouping = next(g for _, g in groupings_by_view(views) if g.kind == name)
+    return groups_side_by_side(diagnosis, grouping)
+
+
+def _plane(diagnosis: Diagnosis) -> tuple[int, int]:
+    """Plane of the grouping, or of a single axis the one that separates most with it."""
+    axes = diagnosis.shown.views[0].axis_names
+    names = [diagnosis.where.grouping, *(s['grouping'] for s in diagnosis.where.separation)]
+    own = set(_axes(names[0]))
+    for name in names:
+        found = _axes(name)
+        if len(found) == 2 and own <= set(found):
+            return axes.index(found[0]), axes.index(found[1])
+    return next(p for p in combinations(range(3), 2) if own <= {axes[k] for k in p})
+
+
+def _axes(grouping: str) -> Sequence[str]:
+    """Axes in the name of a grouping by position."""
+    head = 'position of '
+    return grouping.removeprefix(head).split(' and ') if grouping.startswith(head) else ()

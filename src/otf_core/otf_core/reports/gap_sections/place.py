@@ -16,6 +16,7 @@ from otf_core.reports.drawing.heat import heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale
 from otf_core.reports.gap_pictures import State, states
+from otf_core.reports.quantities import listed
 from otf_core.reports.section import Picture, Section
 
 Array = NDArray[np.float64]
@@ -74,8 +75,13 @@ def cells(views: Sequence[RunView], vectors: Array, plane: tuple[int, int]) -> C
 
 
 def _pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
+    return [volume_picture(diagnosis, PLANES)]
+
+
+def volume_picture(diagnosis: Diagnosis, planes: Sequence[tuple[int, int]]) -> Picture:
+    """Views of the volume in some planes, without and with the causes at one scale."""
     views = diagnosis.shown.views
-    drawn = [(state, [_cells_of(views, state, plane) for plane in PLANES])
+    drawn = [(state, [_cells_of(views, state, plane) for plane in planes])
              for state in states(diagnosis)]  # fmt: skip
     every = [c for _, row in drawn for c in row]
     top = max((float(c.rms.max(initial=0.0)) for c in every), default=0.0)
@@ -84,13 +90,15 @@ def _pictures(diagnosis: Diagnosis) -> Sequence[Picture]:
     parts = tuple(
         _panel(views, c, plane, step, longest, state.label)
         for state, row in drawn
-        for plane, c in zip(PLANES, row, strict=True)
+        for plane, c in zip(planes, row, strict=True)
     )
+    across = [XYZ[3 - sum(plane)] for plane in planes]
     caption = (
-        'The volume seen along Z, Y and X: colour is the root mean square of the residual in '
-        f'cells of the view, arrows its mean; the longest arrow of all is {longest:.2g} um.'
+        f'The volume seen along {listed(across)}: colour is the root mean square of the residual '
+        f'in cells of the view, arrows its mean; the longest arrow of all is {longest:.2g} um.'
     )
-    return [Picture(parts, caption, columns=3, key=heat_key(step, top, 'µm'))]
+    columns = 3 if len(planes) > 1 else 2
+    return Picture(parts, caption, columns=columns, key=heat_key(step, top, 'µm'))
 
 
 def _cells_of(views: Sequence[RunView], state: State, plane: tuple[int, int]) -> Cells:
@@ -112,12 +120,12 @@ def _panel(
     half = 0.5 * metre * np.array([WIDE, HIGH])
     low, high = middle - half, middle + half
     panel = Panel(
-        Scale(float(low[0]), float(high[0]), f'{XYZ[plane[0]]} (m)'),
-        Scale(float(low[1]), float(high[1]), f'{XYZ[plane[1]]} (m)'),
+        Scale(1e3 * float(low[0]), 1e3 * float(high[0]), f'{XYZ[plane[0]]} (mm)'),
+        Scale(1e3 * float(low[1]), 1e3 * float(high[1]), f'{XYZ[plane[1]]} (mm)'),
         height=HIGH + 62.0,
     )
     marks = []
-    corners = panel.points(found.low[:, 0], found.low[:, 1] + found.size[1])
+    corners = panel.points(1e3 * found.low[:, 0], 1e3 * (found.low[:, 1] + found.size[1]))
     wide, tall = found.size / metre
     for (x, y), level in zip(corners, heat_classes(found.rms, step), strict=True):
         marks.append(
@@ -126,6 +134,6 @@ def _panel(
         )
     centre = found.low + 0.5 * found.size
     reach = 0.5 * ARROW * found.size.min() / max(longest, 1e-9) * found.mean
-    marks.append(panel.arrows(centre - reach, centre + reach, 'dark thin'))
+    marks.append(panel.arrows(1e3 * (centre - reach), 1e3 * (centre + reach), 'dark thin'))
     names = ' and '.join(XYZ[k] for k in plane)
     return panel.draw(marks, f'residual over {names}, {label}', label)

@@ -14,5 +14,7 @@ def section(diagnosis: Diagnosis) -> Section:
         f': {where}.' if where else '.'
     )
     data = {'rms_um': diagnosis.unexplained_um, 'where': where}
-    text = (f'unexplained: {where}', '')
+    size = f'left: {diagnosis.unexplained_um:.2f} um'
+    told = diagnosis.unnamed is not None  # in the sentence of the first screen
+    text = (size if told or not where else f'{size}, {where}', '')
     return Section('unexplained', 'What stays unexplained', (words,), data, text=text)
