@@ -53,7 +53,7 @@ def reversal_to_dict(reversal: Reversal, tables: ErrorTables) -> dict[str, Any]:
         'evidence': dict(reversal.evidence),
         'held': reversal.held,
         'sign': 'value = forward less backward; forward: towards larger positions',
-        'backlash': {
+        'axes': {
             axis: {'value': found.value, 'u': found.u} for axis, found in reversal.backlash.items()
         },
         'motions': motions,

@@ -257,7 +257,7 @@ def test_backlash_at_the_target_is_one_number_in_tables_summary_and_export(chose
     """Rotations that reverse included; positioning alone is less sure."""
     write_calibration(chosen, tmp_path, report=False)
     content = load_tables(tmp_path / 'error_tables.json')
-    stored = json.loads((tmp_path / 'error_tables.json').read_text())['reversal']['backlash']
+    stored = json.loads((tmp_path / 'error_tables.json').read_text())['reversal']['axes']
     text = format_result(chosen)
     for k, axis in enumerate(AXES):
         found = chosen.reversal.backlash[axis]
