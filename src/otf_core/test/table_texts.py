@@ -159,7 +159,7 @@ READ = {
     'SpatialAnalyzer, group, number': (AXES + points(lambda k, *p: f'A, F9, {k}, {", ".join(p)}'), RATE),
     'SpatialAnalyzer, spaces': (AXES + points(lambda k, *p: f'Run1 p{k} {" ".join(p)}'), RATE),
     'SpatialAnalyzer, stamps': (
-        AXES + points(lambda k, *p: f'A, p{k}, {", ".join(p)}, 03/04/25 16:56:{0.04 * k:08.5f}'), {}
+        AXES + points(lambda k, *p: f'A, p{k}, {", ".join(p)}, 03/14/25 16:56:{0.04 * k:08.5f}'), {}
     ),
     'numbers first, on request': (
         points(lambda k, *p: f'{k + 1};{";".join(p)}'), {**RATE, 'columns': '-,x_mm,y_mm,z_mm'}

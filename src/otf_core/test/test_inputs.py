@@ -21,7 +21,7 @@ from bag_cells import (
 from cli_cells import run, write_points
 
 from otf_core.errors import ConfigError, InputError
-from otf_core.inputs.moments import clock_ns, clocks_ns
+from otf_core.files.text_moments import read_moments
 from otf_core.inputs.path_file import read_path
 from otf_core.inputs.points_file import read_points
 from otf_core.inputs.recordings import Given, read_content, read_samples
@@ -146,12 +146,13 @@ def test_a_unit_of_time_that_is_not_stated_follows_from_the_speed(tmp_path, unit
     ],
 )
 def test_moments_in_other_words(text, same):
-    assert clock_ns(text) == clock_ns(same)
+    assert read_moments([text]).stamp_ns == read_moments([same]).stamp_ns
 
 
 def test_only_times_without_a_date_go_on_after_midnight():
-    assert np.diff(clocks_ns(['23:59:59-05:00', '00:00:01-05:00'])) == [2_000_000_000]
-    assert np.diff(clocks_ns(['22.11.2026 23:00:00', '22.11.2026 01:00:00'])) < 0
+    same_day = read_moments(['22.11.2026 23:00:00', '22.11.2026 01:00:00']).stamp_ns
+    night = read_moments(['23:59:59-05:00', '00:00:01-05:00']).stamp_ns
+    assert np.diff(night) == [2_000_000_000] and np.diff(same_day) < 0
 
 
 def test_columns_and_rate_on_request(tmp_path):
@@ -188,7 +189,7 @@ def test_columns_and_rate_on_request(tmp_path):
         (lines(lambda s, t, *p: f'{s},1,2,3', 't [s],x [mm],y [m],z [m]\n'), 'different units'),
         (lines(lambda s, t, *p: f'{s},1,2,3', 't,x [ft],y [ft],z [ft]\n'), "'ft' is no unit of l"),
         (lines(lambda s, t, *p: f'{s} 1 2 3', '# X Y Z (mils)\n# t X Y Z\n'), "'mils' is no"),
-        (lines(lambda s, t, *p: f'{s},1,2,3', 't (min),x,y,z\n'), r"t \(min\): 'min' is no unit"),
+        (lines(lambda s, t, *p: f'{s},1,2,3', 't (mil),x,y,z\n'), r"t \(mil\): 'mil' is no unit"),
         (TEXTS['plain'] + 'nan,1,2,3\n', "line 52: time_s: 'nan' is no time"),
         ('time_s,x,y,z\n' + '1e300,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),
         ('time_s,x,y,z\n' + '1e999999,1,2,3\n' * 3, 'time_s: a time does not fit into 64 bits'),

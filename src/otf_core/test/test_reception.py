@@ -70,6 +70,21 @@ def test_a_clock_set_back_while_the_target_goes_on_is_continued(back):
     assert 'usual step of 10 ms' in remarks[0]
 
 
+@pytest.mark.parametrize('wrong', [0, 2**31 * S, START - 5 * S])
+@pytest.mark.parametrize('count', [1, 3])
+def test_single_wrong_stamps_are_no_seams(wrong, count):
+    stamps = STAMPS.copy()
+    stamps[700 : 700 + count] = wrong
+    samples, remarks = ordered(stamps)
+    np.testing.assert_array_equal(samples.stamp_ns, np.delete(STAMPS, range(700, 700 + count)))
+    assert f'dropped {count} of {COUNT} points whose stamps are off' in remarks[0]
+    wrapped = stamps.copy()
+    wrapped[1300:] -= 3600 * S
+    samples, remarks = ordered(wrapped)
+    np.testing.assert_array_equal(samples.stamp_ns, np.delete(STAMPS, range(700, 700 + count)))
+    assert len(remarks) == 2
+
+
 def test_two_runs_after_each_other_are_not_joined():
     stamps = np.concatenate([STAMPS[:900] + 100 * S, STAMPS[:1100]])
     xyz = np.concatenate([XYZ[:900], XYZ[:1100] + np.array([0.0, 0.4, 0.0])])

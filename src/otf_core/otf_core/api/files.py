@@ -32,6 +32,7 @@ def read_bag(
     path_topic: str | None = None,
     columns: str | None = None,
     rate: float | None = None,
+    publisher: int | None = None,
 ) -> Recording:
     """Read a recorded run.
 
@@ -43,7 +44,7 @@ def read_bag(
     machine : Machine, str or Path
         The machine that was driven, or its machine.yaml.
     path : str or Path, optional
-        A plan.json or a CSV of corner points, in place of what the recording holds.
+        A plan.json, a CSV of corner points or an NC program, in place of what the recording holds.
     topic, path_topic : str, optional
         Other names of the two topics of a bag.
     columns : str, optional
@@ -51,6 +52,8 @@ def read_bag(
         not given.
     rate : float, optional
         Hz; of samples in a text without times.
+    publisher : int, optional
+        Whose samples, from 1, where several trackers published on one topic.
 
     Returns
     -------
@@ -71,7 +74,9 @@ def read_bag(
     >>> round(recording.path.length, 3)
     41.005
     """
-    return read_recording([source], machine, Given(path, topic, path_topic, columns, rate))
+    return read_recording(
+        [source], machine, Given(path, topic, path_topic, columns, rate, publisher=publisher)
+    )
 
 
 def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) -> None:

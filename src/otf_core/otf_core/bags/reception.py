@@ -120,9 +120,11 @@ def _seams(stamp_ns: Stamps, step: NDArray[np.int64]) -> NDArray[np.int64]:
     back = np.flatnonzero(step < 0)
     if not back.size or back.size > len(stamp_ns) // (2 * FEW):
         return np.empty(0, np.int64)
-    if np.any(np.diff(np.concatenate([[-1], back, [len(step)]])) < FEW):
-        return np.empty(0, np.int64)
-    return back
+    beside = back[:, None] + np.r_[-FEW:0, 1 : FEW + 1]
+    inside = (beside >= 0) & (beside < len(step))
+    near = step[np.clip(beside, 0, len(step) - 1)]
+    clean = (near >= 0) & (near <= MAX_OFF_NS)
+    return np.asarray(back[np.all(clean | ~inside, axis=1)])
 
 
 def _smooth(xyz: Array, seams: NDArray[np.int64]) -> bool:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from otf_core.errors import InputError
+from otf_core.files.text_moments import is_moment
 from otf_core.files.writing import refuse_pipe, unreadable
 
 SEPARATORS = ('\t', ';', '|', ',', None)
@@ -30,12 +31,6 @@ NUMBER = re.compile(rf'[-+−]?{_DIGITS}(?:\.|{_DIGITS})?(?:[eE][-+]?\d+)?$')
 """A number in the form of any country, well formed or not."""
 DATE = r'\d{1,4}[-./]\d{1,2}[-./]\d{1,4}'
 TIME = r'\d{1,2}:\d\d:\d\d(?:[.,]\d+)?'
-MOMENT = re.compile(
-    r'.*\d:\d\d:\d\d(?:[.,:]\d+)?'
-    r'(?:\s?[ap]\.?\s?m\.?|\s?Z|\s?UTC|\s?GMT|\s?[-+]\d\d:?\d\d)?$',
-    re.IGNORECASE,
-)
-"""A time of day, with or without a date before it."""
 MISSING = re.compile(
     r'#?n/?a\.?|#n/d|#nv|#?div/0!?|#div/0!|#?value!|#wert!|#valeur!|#valor!|#ref!|#bezug!|#num!|'
     r'#zahl!|#name\??|#null!|null|none|nil|missing|-+|–+|—+|\*+|\?+|##+|\.{2,}|…',
@@ -142,7 +137,7 @@ def is_value(text: str) -> bool:
     """Tell whether a field is a number, in any form, or a time of day."""
     if len(text) > LONGEST:
         return False
-    return bool(NUMBER.match(text) or MOMENT.match(text)) or text.lower() in ('nan', 'inf', '-inf')
+    return bool(NUMBER.match(text) or is_moment(text)) or text.lower() in ('nan', 'inf', '-inf')
 
 
 LONGEST = 80
@@ -240,6 +235,6 @@ def _width(dialect: Dialect, line: str) -> int:
     values = sum(map(is_value, fields))
     if values == 0 or values + sum(map(is_missing, fields)) < FEWEST:
         return 0
-    if dialect.separator == ',' and any(SPACED.search(f) and not MOMENT.match(f) for f in fields):
+    if dialect.separator == ',' and any(SPACED.search(f) and not is_moment(f) for f in fields):
         return 0
     return len(fields)

@@ -29,9 +29,13 @@ TIMES = {
     'us': -6, 'usec': -6, 'µs': -6, 'μs': -6, 'ns': -9, 'nsec': -9, 'nsecs': -9, 'nanosec': -9,
 }  # fmt: skip
 """Powers of ten, to s."""
+LONG_TIMES = {
+    'min': 60, 'minute': 60, 'minutes': 60, 'minuten': 60, 'h': 3600, 'hour': 3600, 'hours': 3600,
+    'std': 3600, 'day': 86400, 'days': 86400, 'tage': 86400,
+}  # fmt: skip
+"""To s."""
 OTHERS = (
-    'mil', 'mils', 'ft', 'foot', 'feet', 'nm', 'km', 'min', 'minute', 'minutes', 'h', 'hour',
-    'hours', *AMBIGUOUS,
+    'mil', 'mils', 'ft', 'foot', 'feet', 'nm', 'km', *AMBIGUOUS,
 )  # fmt: skip
 """Units that a heading may state and nothing is read in: refused, never taken for another."""
 BRACKETED = re.compile(
@@ -40,7 +44,7 @@ BRACKETED = re.compile(
 SUFFIX = re.compile(
     r'^(?P<name>.+?)[_ /]'
     r'(?P<unit>m|dm|cm|mm|um|µm|μm|inch|in|mil|ft|nm|km|s|sec|ms|us|µs|ns|min|deg|grad|gon|'
-    r'rad|mrad|urad)$'
+    r'rad|mrad|urad|dmy|mdy|ymd)$'
 )
 
 LONGEST = 200
@@ -52,7 +56,7 @@ LINK = re.compile(r'(?:\s+in|[\s/,:-]+)$')
 def is_unit(text: str) -> bool:
     """Tell whether a text is the name of a unit."""
     text = text.lower()
-    return text in LENGTHS or text in ANGLES or text in TIMES or text in OTHERS
+    return any(text in known for known in (LENGTHS, ANGLES, TIMES, LONG_TIMES, OTHERS))
 
 
 def parted(heading: str) -> tuple[str, str | None]:

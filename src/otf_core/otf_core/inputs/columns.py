@@ -17,9 +17,10 @@ from pathlib import Path
 
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_dialect import is_missing, is_value
+from otf_core.files.text_moments import ORDERS
 from otf_core.files.text_numbers import shown_name
 from otf_core.files.text_table import TextTable, read_text_table
-from otf_core.files.units import LENGTHS, OTHERS, TIMES, is_unit, parted
+from otf_core.files.units import LENGTHS, LONG_TIMES, OTHERS, TIMES, is_unit, parted
 from otf_core.inputs.heading_words import AXES, coordinate_of, without_fillers, words_of
 
 TIME_WORDS = (
@@ -194,7 +195,7 @@ def _times(headings: Sequence[str]) -> tuple[Column, ...]:
             continue
         if words[-1] not in TIME_WORDS and words[0] not in ('time', 'zeit', 'timestamp'):
             continue
-        if unit not in TIMES and unit not in OTHERS:
+        if not any(unit in known for known in (TIMES, LONG_TIMES, OTHERS, ORDERS)):
             unit = words[-1] if words[-1] in TIMES else None
         found.append(Column(place, unit, shown_name(' '.join(heading.split()))))
     stamps = [c for c in found if 'stamp' in c.name.lower()] or found

@@ -21,9 +21,10 @@ from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.strict_yaml import shown
 from otf_core.files.text_dialect import is_missing, is_number
+from otf_core.files.text_moments import MomentError
 from otf_core.files.text_numbers import NOT_FINITE, NumberColumn
 from otf_core.files.text_table import TextTable, counted, fault_words
-from otf_core.files.units import ANGLES, LENGTHS, TIMES, known_lengths
+from otf_core.files.units import ANGLES, LENGTHS, known_lengths
 from otf_core.inputs.columns import (
     SUGGESTED,
     Column,
@@ -32,7 +33,7 @@ from otf_core.inputs.columns import (
     find_columns,
     read_table,
 )
-from otf_core.inputs.moments import clocks_ns, decimals_ns, is_clock, since_first
+from otf_core.inputs.timestamps import read_times
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -48,13 +49,6 @@ MOVED = 1e-3
 """m; a target that hardly moves says nothing."""
 LARGE = 60.0
 """Farther from the tracker is no metre: the range of trackers ends there."""
-USUAL_SPEED = 0.15
-"""m/s, of machine tools that are measured."""
-RATES = (0.5, 1e4)
-"""Hz, that samples may have."""
-GUESSED = ('s', 'ms', 'us', 'ns')
-FAST = 75.0
-"""Percentile of the speeds that is taken for that of the machine."""
 
 
 def is_text(source: str | Path) -> bool:
@@ -364,42 +358,10 @@ def _stamps_of(
             f'{_without_time(chosen, columns)} --rate 1000 (Hz); or state its unit, as in time_ms'
         )
     try:
-        if texts and is_clock(texts[0]):
-            return clocks_ns(texts), 'hours, minutes, seconds'
-        if column.unit in TIMES:
-            return decimals_ns(texts, TIMES[column.unit]), column.unit or ''
-        if column.unit is not None:
-            raise InputError(
-                f'{chosen.where}: {column.name}: {column.unit!r} is no unit of time that is read; '
-                f'possible: {", ".join(GUESSED)}'
-            )
-        unit = _guessed(since_first(texts), xyz) if alone else 's'
-        return decimals_ns(texts, TIMES[unit]), f'{unit} (not stated, by the speed)'
-    except ValueError as error:
-        pairs = zip(chosen.lines, texts, strict=True)
-        line = next((n for n, text in pairs if not _is_time(text)), 0)
-        raise InputError(f'{chosen.where}: line {line}: {column.name}: {error}') from None
-
-
-def _is_time(text: str) -> bool:
-    try:
-        _ = clocks_ns([text]) if is_clock(text) else decimals_ns([text], 0)
-    except ValueError:
-        return False
-    return True
-
-
-def _guessed(times: Array, xyz: Array) -> str:
-    """Unit of times, less the first, that makes the machine as fast as machines are."""
-    step = np.diff(times)
-    usual = float(np.median(step)) if len(step) else 0.0
-    if usual <= 0:
-        return 's'
-    moved = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    speed = float(np.percentile(moved[step > 0] / step[step > 0], FAST))
-    fits: Sequence[str] = [
-        u for u in GUESSED if RATES[0] <= 1.0 / (usual * 10.0 ** TIMES[u]) <= RATES[1]
-    ]
-    if not fits or speed <= 0:
-        return fits[0] if fits else 's'
-    return min(fits, key=lambda u: abs(np.log(speed / 10.0 ** TIMES[u] / USUAL_SPEED)))
+        read = read_times(texts, column.unit, xyz, alone=alone)
+    except MomentError as error:
+        line = '' if error.row is None else f'line {chosen.lines[error.row]}: '
+        raise InputError(f'{chosen.where}: {line}{column.name}: {error}') from None
+    except InputError as error:
+        raise InputError(f'{chosen.where}: {column.name}: {error}') from None
+    return read.stamp_ns, read.words
