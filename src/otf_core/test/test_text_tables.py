@@ -13,7 +13,9 @@ from table_texts import COUNT, HEAD, KINDS, LEFT_OUT, READ, REFUSED, ROWS, XYZ, 
 from otf_core.cli.parser import Parser
 from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.points_file import read_points
+from otf_core.inputs.recordings import Given, read_recording
 from otf_core.inputs.text_points import TextReading
+from otf_core.model.provenance import origins, provenance
 
 DOCS = Path(__file__).resolve().parents[3] / 'docs' / 'commands.md'
 
@@ -41,7 +43,7 @@ def test_a_line_that_is_no_sample_is_left_out_and_counted(tmp_path, name):
     np.testing.assert_allclose(1e3 * got.received().xyz, np.delete(XYZ, row, axis=0), atol=1e-9)
     if why:
         assert got.remarks[0].endswith(f'lines that are no samples: 1 line: {why}')
-        assert [(o['lines'], o['reason']) for o in got.left_out] == [(1, why.rpartition(' (')[0])]
+        assert [(o.lines, o.reason) for o in got.left_out] == [(1, why.rpartition(' (')[0])]
     else:
         assert not got.remarks
 
@@ -86,6 +88,16 @@ def test_a_choice_of_columns_works_as_it_is_printed(tmp_path, head, choice, shif
     np.testing.assert_allclose(
         1e3 * got.received().xyz, np.round(XYZ, 3 + choice) + shift, atol=6e-4
     )
+
+
+def test_what_is_left_out_goes_with_the_recording(tmp_path):
+    (tmp_path / 'run.csv').write_text(LEFT_OUT['#DIV/0!'][1])
+    (tmp_path / 'path.csv').write_text('x,y,z\n0,0,0\n0.1,0,0\n0.1,0.1,0\n')
+    (tmp_path / 'm.yaml').write_text(MACHINE)
+    given = Given(path=tmp_path / 'path.csv')
+    recording = read_recording([tmp_path / 'run.csv'], tmp_path / 'm.yaml', given)
+    (told,) = provenance('calibrate', runs=origins([recording]))['runs']
+    assert told['left_out'] == [{'reason': "x_mm is '#DIV/0!'", 'lines': 1, 'first_line': 9}]
 
 
 def test_columns_that_begin_with_a_dash_are_taken_on_the_command_line(tmp_path, capsys):

@@ -24,6 +24,7 @@ from otf_core.bags.sample_order import in_time_order, usable_path
 from otf_core.bags.screening import MixedSamples, Screening
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import InputError
+from otf_core.files.text_table import LeftOut
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -43,6 +44,8 @@ class BagContent:
     path : NominalPath
     remarks : tuple of str
         What was repaired or left out, in words.
+    left_out : tuple of LeftOut
+        Lines of a text that are no samples, by reason.
     signals : mapping of SignalSpec to Signal
         To be written beside them; reading is ``signals.read_signals``.
     """
@@ -51,6 +54,7 @@ class BagContent:
     path: NominalPath
     remarks: tuple[str, ...] = ()
     signals: Mapping[SignalSpec, Signal] = field(default_factory=dict)
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def read_bag(
@@ -122,7 +126,9 @@ def content_of(
             part.require(part.path)
     where = str(sources[0]) if len(sources) == 1 else f'{sources[0]} and {len(sources) - 1} more'
     samples, remarks = _told(where, parts)
-    return BagContent(samples, path_of(str(path or where), parts), tuple(remarks))
+    left_out = tuple(lines for part in parts for lines in part.left_out)
+    driven = path_of(str(path or where), parts)
+    return BagContent(samples, driven, tuple(remarks), left_out=left_out)
 
 
 def points_of(part: Reading, source: str | Path) -> Samples:

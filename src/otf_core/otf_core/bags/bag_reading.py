@@ -19,6 +19,7 @@ from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.sample_order import usable_path
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import InputError
+from otf_core.files.text_table import LeftOut
 from otf_core.model.path import NominalPath
 
 
@@ -51,6 +52,7 @@ class Reading(Protocol):
     paths: list[NDArray[np.float64]]
     foreign: Counter[str]
     remarks: list[str]
+    left_out: list[LeftOut]
     said: list[str]
     publisher: int | None
 
@@ -82,6 +84,8 @@ class BagReading:
         What was left out.
     foreign : Counter of str
         Points left out for their frame, by frame_id.
+    left_out : list of LeftOut
+        Empty: what a bag leaves out stands in its remarks.
     said : list of str
         How it was read, where that is not as usual.
     publisher : int or None
@@ -108,6 +112,7 @@ class BagReading:
         self.topics: dict[str, str] = {}
         self.paths: list[NDArray[np.float64]] = []
         self.remarks: list[str] = []
+        self.left_out: list[LeftOut] = []
         self.said: list[str] = []
         self.publisher: int | None = None
         self.foreign: Counter[str] = Counter()

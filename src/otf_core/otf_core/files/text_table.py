@@ -105,22 +105,32 @@ class TextTable:
         return number_columns(self.where, self.lines, named)
 
 
-def counted(faults: Mapping[int, str]) -> list[tuple[str, int, int]]:
-    """Reasons for which lines are left out: reason, how often, number of the first line."""
+@dataclass(frozen=True)
+class LeftOut:
+    """Lines that are left out for one reason: why, how many, and the number of the first."""
+
+    reason: str
+    lines: int
+    first_line: int
+
+
+def counted(faults: Mapping[int, str]) -> list[LeftOut]:
+    """Reasons for which lines are left out."""
     found: dict[str, tuple[int, int]] = {}
     for line, reason in sorted(faults.items()):
         often, first = found.get(reason, (0, line))
         found[reason] = often + 1, first
-    return [(reason, often, first) for reason, (often, first) in found.items()]
+    return [LeftOut(reason, often, first) for reason, (often, first) in found.items()]
 
 
 def fault_words(faults: Mapping[int, str]) -> str:
     """The same in words."""
     parts = [
-        f'{often} {"line" if often == 1 else "lines"}: {reason} (first line {first})'
-        if often > 1 else f'1 line: {reason} (line {first})'
-        for reason, often, first in counted(faults)
-    ]  # fmt: skip
+        f'{found.lines} lines: {found.reason} (first line {found.first_line})'
+        if found.lines > 1
+        else f'1 line: {found.reason} (line {found.first_line})'
+        for found in counted(faults)
+    ]
     shown = parts if len(parts) <= SHOWN else [*parts[:SHOWN], f'{len(parts) - SHOWN} more kinds']
     return '; '.join(shown)
 

@@ -129,4 +129,12 @@ def read_recording(
     declared = () if len(sources) > 1 or is_text(sources[0]) else used.signals
     signals = read_signals(sources[0], given.signals, declared)
     name = str(sources[0])
-    return Recording(content.samples, content.path, used, name, content.remarks, signals)
+    return Recording(
+        content.samples,
+        content.path,
+        used,
+        name,
+        content.remarks,
+        signals,
+        left_out=content.left_out,
+    )

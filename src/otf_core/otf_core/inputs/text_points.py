@@ -75,8 +75,8 @@ class TextReading:
         Empty until one is given.
     remarks : list of str
         What was left out.
-    left_out : list of dict
-        Lines that are no samples: ``reason``, ``lines`` (how many), ``first_line``.
+    left_out : list of LeftOut
+        Lines that are no samples, by reason.
     said : list of str
         How the file was read.
     foreign : Counter of str
@@ -108,10 +108,7 @@ class TextReading:
         chosen = _chosen(table, found)
         self._xyz, unit, factor = _points(chosen, found)
         self._stamp_ns, time_words = _stamps(chosen, found, self._xyz, rate)
-        self.left_out = [
-            {'reason': reason, 'lines': often, 'first_line': first}
-            for reason, often, first in counted(chosen.faults)
-        ]
+        self.left_out = counted(chosen.faults)
         if chosen.faults:
             self.remarks.append(
                 f'left out {len(chosen.faults)} of {len(chosen.lines) + len(chosen.faults)} lines '

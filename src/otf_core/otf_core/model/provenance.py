@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any, Protocol
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.files.manifest import file_digest
+from otf_core.files.text_table import LeftOut
 from otf_core.files.writing import unreadable
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
@@ -54,6 +55,8 @@ class Origin:
         See ``RUN_HASH``: the same for copies of a bag in another storage.
     machine : Machine, optional
         As it was described for this run.
+    left_out : tuple of LeftOut
+        Lines of a text that are no samples, by reason.
     """
 
     name: str
@@ -62,6 +65,7 @@ class Origin:
     last_ns: int
     sha256: str
     machine: Machine | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def _raw(values: NDArray[Any], kind: str) -> memoryview:
@@ -100,11 +104,19 @@ class Recorded(Protocol):
     def machine(self) -> Machine:
         """The machine as set up in this run."""
 
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Lines that are no samples."""
+
 
 def origins(recordings: Iterable[Recorded]) -> tuple[Origin, ...]:
     """Say what recordings are; they go by the last part of their names."""
     return tuple(
-        origin_of(Path(r.name).name or r.name, r.samples, r.path, r.machine) for r in recordings
+        replace(
+            origin_of(Path(r.name).name or r.name, r.samples, r.path, r.machine),
+            left_out=r.left_out,
+        )
+        for r in recordings
     )
 
 
@@ -143,7 +155,7 @@ def _run(origin: Origin) -> dict[str, Any]:
         'last_stamp_ns': origin.last_ns,
         'measured': {'first': moment(origin.first_ns), 'last': moment(origin.last_ns)},
         'sha256': origin.sha256,
-    }
+    } | ({'left_out': list(map(asdict, origin.left_out))} if origin.left_out else {})
 
 
 def _machine(machine: Machine) -> dict[str, str | None]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
+from otf_core.files.text_table import LeftOut
 from otf_core.memory import BLOCK
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import Machine
@@ -56,6 +57,8 @@ class Recording:
     seen : Followed, optional
         What was found of the track before its last samples came; it saves time and changes
         nothing.
+    left_out : tuple of LeftOut
+        Lines of a text that are no samples, by reason.
 
     Examples
     --------
@@ -73,6 +76,7 @@ class Recording:
     remarks: tuple[str, ...] = ()
     signals: Mapping[str, Signal] = field(default_factory=dict)
     seen: Followed | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
 
 @contextmanager
@@ -98,12 +102,15 @@ class Run(Observed):
     alignment : Alignment
     read : tuple of str
         Remarks of the recording.
+    left_out : tuple of LeftOut
+        See ``Recording``.
     """
 
     samples: Samples
     path: NominalPath
     alignment: Alignment
     read: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
     @classmethod
     def of(
@@ -128,6 +135,7 @@ class Run(Observed):
             signals=recording.signals,
             first_ns=int(recording.samples.stamp_ns[0]),
             read=tuple(recording.remarks),
+            left_out=recording.left_out,
         )
 
     @cached_property
@@ -142,7 +150,8 @@ class Run(Observed):
     def recording(self) -> Recording:
         """What was recorded; its remarks with the first part of a run that was cut."""
         read = self.read if self.late == 0.0 else ()
-        return Recording(self.samples, self.path, self.machine, self.name, read)
+        left_out = self.left_out if self.late == 0.0 else ()
+        return Recording(self.samples, self.path, self.machine, self.name, read, left_out=left_out)
 
 
 def check_same_machine(recordings: Sequence[Recording]) -> None:
