@@ -28,7 +28,8 @@ from otf_bringup.processes import NodeProcess, ended_together, module_of
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import ConfigError, OtfError
 from otf_core.files.writing import ensure_folder, write_text
-from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
+from otf_core.model.evaluation import lattice, without_rigid_motion
+from otf_core.model.expanded import micro_figure, micro_significant
 from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import load_machine
 from otf_core.model.tables import ErrorTables, load_tables, tables_to_dict
@@ -160,21 +161,28 @@ def _start(
 
 
 def _report(truth: ErrorTables, folder: Path) -> None:
-    """Print the tables and what is left of the errors on a grid."""
+    """Print verdicts, headline, and what is left of the errors on the same grid."""
     found = load_tables(folder / 'error_tables.json')
     q = lattice(truth.machine)
     before = exact_position(truth, q) - q
-    after = before - displacement(found.tables, q)
-    mean = [1e6 * mean_length(without_rigid_motion(field, q)) for field in (before, after)]
-    place = np.array(found.extra['alignment']['translation'])
-    print((folder / 'summary.txt').read_text(encoding='utf-8'))
-    print(f'Tracker found at {np.array2string(place, precision=6)} m in the machine frame.')
+    fields = before, before - displacement(found.tables, q)
+    lengths = [np.linalg.norm(without_rigid_motion(field, q), axis=1) for field in fields]
+    alone = found.extra['headline']['noise_and_misfit_alone']['U']
+    summary = (folder / 'summary.txt').read_text(encoding='utf-8')
+    print(summary.partition('\n\n')[0])
+    print(f'\nAgainst the true errors of this simulation, on the same {len(q)} points:')
+    for when, length in zip(('as it stands', 'compensated'), lengths, strict=True):
+        mean, largest = (
+            micro_figure(size(), alone[name])
+            for size, name in ((length.mean, 'mean'), (length.max, 'max'))
+        )
+        print(f'  {when}: mean {mean}, largest {largest}')
     print(
-        f'Mean error on a grid of {len(q)} points in the whole volume, against the true errors:\n'
-        f'  before {mean[0]:.2f} um, after compensation {mean[1]:.2f} um '
-        f'({100 * (1 - mean[1] / mean[0]):.1f} % less)'
+        f'  The simulated tracker has noise and nothing systematic, so U of noise and misfit '
+        f'alone holds here: mean {micro_significant(alone["mean"])}, largest '
+        f'{micro_significant(alone["max"])}.'
     )
-    print(f'Files: {folder}')
+    print(f'Report: {folder / "report.html"}; all numbers: summary.txt beside it')
 
 
 def _report_gap(gap: GapReport) -> None:

@@ -22,6 +22,7 @@ from otf_core.exports.remaining import remaining_error
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.tables import MotionTable, TablesFile, load_tables, tables_to_dict
 from otf_core.prediction.predict import predict
+from otf_core.prediction.volumetric import volumetric_error
 from otf_core.sim.cell import random_tables
 
 FULL = ('isg', 'heidenhain', 'qif', 'lattice-csv', 'lattice-npz')
@@ -66,6 +67,36 @@ def test_the_forecast_is_of_what_the_reader_takes_off(name, tables, places):
     np.testing.assert_allclose(made.held(places), -change, atol=5e-9)  # m; six decimals of a mm
     left = remaining_error(tables, made.held)
     assert left.after_mean < left.before_mean
+    stated = volumetric_error(tables)  # what a calibration states under the same name
+    assert (left.points, left.before_mean, left.before_max) == (
+        stated['points'], stated['mean'], stated['max'],
+    )  # fmt: skip
+
+
+@every_format
+def test_the_file_says_what_its_values_are_and_info_what_it_is(name, tables, tmp_path, capsys):
+    sign = 'error' if name in ASKED else None
+    request = Request(TablesFile(tables, {'run_id': 'abc123'}), 'cell.txt', sign)
+    made = export_format(name).export(request)
+    words = export_format(name).value_words
+    for file, content in made.files.items():
+        (tmp_path / file).write_bytes(content)
+        assert words.encode() in content, file
+        assert run('info', tmp_path / file, '--json') == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found['kind'] == 'export', file
+        assert found['facts']['format'] == name
+        assert found['facts']['run'] == 'abc123'
+        assert run('info', tmp_path / file) == 0
+        shown = capsys.readouterr().out
+        assert re.search(rf'values +{re.escape(words)}', shown), file
+        assert re.search(r'target offset +\(', shown), file
+
+
+def test_digits_of_what_remains_follow_the_uncertainty_of_the_calibration(tables):
+    headline = {'expected_after_compensation': {'U': {'mean': 7.3e-6}}}
+    said = remaining_error(tables, lambda q: 0.0 * q, headline).words
+    assert re.search(r'mean \d+\.\d um, largest \d+\.\d um; this file leaves', said)
 
 
 @pytest.mark.parametrize('name', ASKED)
@@ -150,7 +181,8 @@ def test_what_the_calibration_did_not_see_is_said_to_be_zero_for_that(name, tabl
     content = TablesFile(blind, {'not_identifiable': ['B0Z', 'EAZ', 'ECZ']})
     made = export_format(name).export(Request(content, 'cell.txt', sign))
     said = 'zero because the calibration does not show them: B0Z, EAZ, ECZ;'
-    assert said in made.remarks[-1]
+    assert said in made.remarks[-2]
+    assert made.remarks[-1].startswith('only at the target offset ')
     assert said.encode() in made.files['cell.txt']
 
 

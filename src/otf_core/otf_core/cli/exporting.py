@@ -70,7 +70,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     for target, packed in reversed(targets):
         with target.filled() as partial:
             partial.write_bytes(packed)
-    left = remaining_error(content.tables, made.held)
+    left = remaining_error(content.tables, made.held, content.extra.get('headline'))
     data: dict[str, Any] = {
         'schema': 'otf-export/1',
         'format': chosen.name,
@@ -95,7 +95,7 @@ def _judged(content: TablesFile) -> int:
     """Exit code by the quality gates of the calibration that the tables come from."""
     failed = content.extra.get('failed_gates')
     for gate in failed if isinstance(failed, list) else []:
-        note(f'otf export: the calibration failed a quality gate: {gate}')
+        note(f'otf export: the calibration is NOT GOOD: {gate}')
     return QUALITY_GATE_FAILED if failed else 0
 
 

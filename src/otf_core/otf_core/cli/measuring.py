@@ -91,7 +91,9 @@ def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list
 
     sections = calibration_sections(facts)
     report = sections_to_dict(sections)
-    words = sections_to_text(sections) if arguments.verbose else calibration_summary(facts)
+    words = calibration_summary(facts)
+    if arguments.verbose:
+        words += f'\n\n{sections_to_text(sections)}'
     open_next = 'report.html' if arguments.report else 'summary.txt'
     words = f'{words}\nopen {Path(arguments.out) / open_next}; all numbers: --verbose, summary.txt'
     answer_from(arguments, words, files, TABLES, report=report)

@@ -10,7 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from otf_core.cli.options import AddVerb
-from otf_core.cli.output import QUALITY_GATE_FAILED, answer, answer_from, listed, note
+from otf_core.cli.output import (
+    LIMIT_NOT_PROVEN,
+    QUALITY_GATE_FAILED,
+    answer,
+    answer_from,
+    listed,
+    note,
+)
 from otf_core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -117,7 +124,7 @@ def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
     from otf_core.fleet.fleet import fleet_to_dict, run_fleet, take_folder
     from otf_core.fleet.listed import listed_jobs
     from otf_core.fleet.run_list import read_list
-    from otf_core.reports.fleet import format_fleet, write_fleet
+    from otf_core.reports.fleet import format_fleet, offset_warnings, write_fleet
 
     verb = arguments.what
     runs = read_list(arguments.list)
@@ -125,9 +132,13 @@ def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
     jobs = listed_jobs(verb, runs, folder)
     outcomes = run_fleet(jobs, folder, workers, _progress(arguments))
     files = write_fleet(verb, folder, outcomes)
-    words = format_fleet(verb, outcomes) + listed(files, arguments.out)
-    answer(arguments, words, fleet_to_dict(verb, outcomes))
-    return QUALITY_GATE_FAILED if any(o.exit for o in outcomes.values()) else 0
+    warnings = offset_warnings(verb, folder, outcomes)
+    words = '\n'.join([format_fleet(verb, outcomes), *warnings]) + listed(files, arguments.out)
+    answer(arguments, words, fleet_to_dict(verb, outcomes) | {'warnings': warnings})
+    exits = {o.exit for o in outcomes.values()} - {0}
+    if not exits:
+        return 0
+    return LIMIT_NOT_PROVEN if exits == {LIMIT_NOT_PROVEN} else QUALITY_GATE_FAILED
 
 
 def _validation(arguments: argparse.Namespace, workers: Workers) -> int:

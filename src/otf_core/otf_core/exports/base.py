@@ -15,6 +15,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import TablesFile
+from otf_core.prediction.absorbed import offset_bound
 
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
@@ -63,10 +64,11 @@ class Request:
         names = [*squareness, *motions]
         if not names:
             return ()
+        bound = offset_bound(self.content.tables.machine, names).sentence
         return (
-            f'zero because the calibration does not show them: {", ".join(names)}; '
-            f'what they do is in the other errors where it was measured, at that target offset, '
-            f'and not for another tool',
+            f'zero because the calibration does not show them: {", ".join(names)}; what they do '
+            f'with another tool is not known',
+            *((bound,) if bound else ()),
         )
 
     def header(self, fmt: Format) -> list[str]:
@@ -80,6 +82,7 @@ class Request:
             f'{MARK} {fmt.name}: machine {machine.name}, chain {machine.chain}, run {run}',
             f'measured at the target offset {offset_words(machine)}',
             f'sign: {fmt.sign_words(self)}',
+            f'values: {fmt.value_words}',
             f'not in this file: {fmt.lacks}',
             *self.unseen_words,
         ]
@@ -116,12 +119,15 @@ class Format(ABC):
         What of the tables the format cannot hold, in words.
     sign_is_asked : bool
         True where the manual does not say whether values are errors or corrections.
+    value_words : str
+        What a value is: that of a table, or a mean over the volume.
     takes_points : bool
         True where it samples the tables anew, with as many points per axis as are asked for.
     """
 
     name: str
     lacks: str
+    value_words: str
     sign_is_asked: bool = False
     takes_points: bool = False
 
@@ -156,6 +162,16 @@ class Format(ABC):
             )
         if request.points is not None and request.points < 2:
             raise ConfigError(f'--points: {request.points}; at least 2')
+
+
+LINE_WORDS = (
+    'mean over the volume of the error in this direction at this position of the axis, zero at '
+    'the reference position; rotations act in it with their mean lever arms to the target, so it '
+    'differs from the table of the positioning or straightness error'
+)
+"""What a value is of formats that hold one course per axis."""
+POINT_WORDS = 'error vector of the target at the point, rotations with their lever arms in it'
+TABLE_WORDS = 'nodes of the error tables themselves'
 
 
 def offset_words(machine: Machine) -> str:

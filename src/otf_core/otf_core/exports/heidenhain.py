@@ -11,7 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.exports.base import Exported, Format, Request, asked_sign_words, lever_words
+from otf_core.exports.base import (
+    TABLE_WORDS,
+    Exported,
+    Format,
+    Request,
+    asked_sign_words,
+    lever_words,
+)
 from otf_core.exports.rounded import rounded_tables
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import DIRECTIONS, SQUARENESS
@@ -21,6 +28,7 @@ class Heidenhain(Format):
     """Columns to be typed or pasted into the table editor."""
 
     name = 'heidenhain'
+    value_words = TABLE_WORDS
     lacks = (
         'the framing of a .COM file (experimental: columns for the table editor only); '
         'differences between the directions of travel'

@@ -12,7 +12,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from otf_core.exports.base import Exported, Format, Request, asked_sign_words, lever_words
+from otf_core.exports.base import (
+    TABLE_WORDS,
+    Exported,
+    Format,
+    Request,
+    asked_sign_words,
+    lever_words,
+)
 from otf_core.exports.rounded import rounded_tables
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
@@ -24,6 +31,7 @@ class Isg(Format):
     """All 18 motions and three squareness errors in ISO 230 names."""
 
     name = 'isg'
+    value_words = TABLE_WORDS
     lacks = 'differences between the directions of travel; uncertainties'
     sign_is_asked = True
 

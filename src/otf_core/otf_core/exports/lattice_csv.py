@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from otf_core.errors import ConfigError, InputError
-from otf_core.exports.base import Exported, Format, Request
+from otf_core.exports.base import POINT_WORDS, Exported, Format, Request
 from otf_core.exports.lattice import Lattice, sampled_lattice
 from otf_core.files.text_table import fault_words, read_text_table
 from otf_core.files.units import LENGTHS, known_lengths, parted
@@ -25,6 +25,7 @@ class LatticeCsv(Format):
     """Volumetric errors and their standard uncertainties on a lattice."""
 
     name = 'lattice-csv'
+    value_words = POINT_WORDS
     lacks = (
         'the course between lattice points (take trilinear interpolation), other target offsets '
         'than the measured one, correlations; differences between the directions of travel'

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.exports.base import Exported, Format, Request
+from otf_core.exports.base import POINT_WORDS, Exported, Format, Request
 from otf_core.exports.lattice import lattice_covariance, sampled_lattice
 from otf_core.prediction.predict import predict
 
@@ -21,6 +21,7 @@ class LatticeNpz(Format):
     """Volumetric errors on a lattice with their uncertainties and the covariance of all."""
 
     name = 'lattice-npz'
+    value_words = POINT_WORDS
     lacks = (
         'the course between lattice points (take trilinear interpolation), other target offsets '
         f'than the measured one, the covariance of more than {MOST} points; differences between '

@@ -15,7 +15,7 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.exports.base import Exported, Format, Request
+from otf_core.exports.base import LINE_WORDS, Exported, Format, Request
 from otf_core.exports.line_terms import (
     OWN_PAIRS,
     LineTerm,
@@ -37,6 +37,7 @@ class LinuxCnc(Format):
     """LinuxCNC 2.8 and later, trivial kinematics: joints 0, 1, 2 are X, Y, Z."""
 
     name = 'linuxcnc'
+    value_words = LINE_WORDS
     lacks = 'straightness, rotations and squareness (a file per joint corrects its own axis only)'
     takes_points = True
 

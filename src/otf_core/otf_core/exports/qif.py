@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from otf_core.exports.base import Exported, Format, Request, lever_words, printable
+from otf_core.exports.base import TABLE_WORDS, Exported, Format, Request, lever_words, printable
 from otf_core.exports.rounded import rounded_tables
 from otf_core.model.frames import XYZ
 from otf_core.model.kinematics import displacement
@@ -39,6 +39,7 @@ class Qif(Format):
     """QIF 3.0 document with one machine and its 21 errors."""
 
     name = 'qif'
+    value_words = TABLE_WORDS
     lacks = (
         'the kinematic chain and the point that rotations act about (stated in a comment); '
         'uncertainties; differences between the directions of travel'

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otf_core.exports.base import Exported, Format, Request, asked_sign_words
+from otf_core.exports.base import LINE_WORDS, Exported, Format, Request, asked_sign_words
 from otf_core.exports.line_terms import (
     CROSS_PAIRS,
     LineTerm,
@@ -35,6 +35,7 @@ class SinumerikCec(Format):
     """Sag and angularity compensation, axes named X1, Y1, Z1."""
 
     name = 'sinumerik-cec'
+    value_words = LINE_WORDS
     lacks = (
         'positioning (see sinumerik-enc), rotations with their levers; differences between the '
         'directions of travel'

@@ -9,7 +9,7 @@ reference position, and is loaded while MD32700 is 0.
 
 from __future__ import annotations
 
-from otf_core.exports.base import Exported, Format, Request
+from otf_core.exports.base import LINE_WORDS, Exported, Format, Request
 from otf_core.exports.line_terms import (
     OWN_PAIRS,
     LineTerm,
@@ -26,6 +26,7 @@ class SinumerikEnc(Format):
     """Measuring-system error compensation, axes named X1, Y1, Z1."""
 
     name = 'sinumerik-enc'
+    value_words = LINE_WORDS
     lacks = (
         'straightness and squareness (see sinumerik-cec), rotations; differences between the '
         'directions of travel'

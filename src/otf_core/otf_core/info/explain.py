@@ -9,6 +9,7 @@ from otf_core.errors import ConfigError
 from otf_core.files.writing import unreadable
 from otf_core.info.array_kinds import DIRECT, POINTS, RESIDUALS
 from otf_core.info.bag_kind import BAG, TABLE
+from otf_core.info.export_kind import EXPORT
 from otf_core.info.folder_kind import FOLDER
 from otf_core.info.json_kinds import JSON_KINDS, OTHER
 from otf_core.info.kind import Explained, Kind
@@ -18,6 +19,7 @@ from otf_core.info.yaml_kinds import EFFECTS, MACHINE
 KINDS: tuple[Kind, ...] = (
     BAG,
     FOLDER,
+    EXPORT,
     *JSON_KINDS,
     OTHER,
     EFFECTS,

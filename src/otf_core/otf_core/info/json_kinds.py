@@ -7,9 +7,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from otf_core.errors import ConfigError
 from otf_core.files.json_file import read_json
 from otf_core.info.kind import Explained, Kind, begins
+from otf_core.model.expanded import micro_figure, micro_significant, micro_with_expanded
+from otf_core.prediction.absorbed import offset_words
 
 Data = Mapping[str, Any]
 Rows = list[tuple[str, str]]
@@ -44,18 +48,47 @@ def _tables(data: Data) -> Explained:
             f'{1e6 * fit["path_mae_after"]:.2f} um',
         ))  # fmt: skip
     volume = data.get('volumetric_error') or {}
-    if volume:
+    first = data.get('headline')
+    if first:
+        after = first['expected_after_compensation']
+        U = after['U']
+        error = first['error']
+        rows.append((
+            'volume', f'mean {micro_figure(error["mean"], U["mean"])}, largest '
+            f'{micro_with_expanded(error["max"], first["U_of_largest"])}, at {first["points"]} '
+            f'points',
+        ))  # fmt: skip
+        rows.append((
+            'expected', f'after compensation: mean {micro_significant(U["mean"])}, largest '
+            f'{micro_significant(U["max"])} (U, k = {after["k"]:.3g}; systematic contributions '
+            f'{after["systematic"]})',
+        ))  # fmt: skip
+    elif volume:
         rows.append((
             'volume', f'errors of {1e6 * volume["mean"]:.2f} um on average, at most '
             f'{1e6 * volume["max"]:.2f} um, at {volume["points"]} points',
         ))  # fmt: skip
+    verdicts = data.get('verdicts') or {}
+    rows += [('verdict', verdict['sentence']) for verdict in verdicts.values()]
+    bound = data.get('target_offset_bound') or {}
+    if bound.get('contains'):
+        offset = offset_words(np.array(bound['offset']))
+        rows.append(('holds', f'at target offset {offset} only: {", ".join(bound["contains"])}'))
     unseen = data.get('not_identifiable')
     if unseen is None:
         unseen = [m for m, table in data['motions'].items() if not table['identifiable']]
     rows.append(('not seen', ', '.join(unseen) or 'none'))
     rows += [('WARNING', text) for text in data.get('warnings') or ()]
-    rows += [('GATE FAILED', text) for text in data.get('failed_gates') or ()]
-    facts = {'machine': machine, 'fit': fit, 'volumetric_error': volume, 'not_seen': unseen}
+    if not verdicts:
+        rows += [('GATE FAILED', text) for text in data.get('failed_gates') or ()]
+    facts = {
+        'machine': machine,
+        'fit': fit,
+        'volumetric_error': volume,
+        'headline': first,
+        'verdicts': verdicts,
+        'not_seen': unseen,
+    }
     return Explained(tuple(rows), facts)
 
 
@@ -84,7 +117,15 @@ def _plan(data: Data) -> Explained:
         'path', f'{len(data["path"])} corner points, {data.get("length", 0.0):.2f} m, '
         f'{data.get("duration", 0.0):.0f} s',
     )]  # fmt: skip
-    if 'mean_grid_u' in forecast:
+    after = (data.get('systematic') or {}).get('expected_after_compensation')
+    if after:
+        U = after['U']
+        rows.append((
+            'forecast', f'mean {micro_significant(U["mean"])}, largest '
+            f'{micro_significant(U["max"])} (U, k = {after["k"]:.3g}; systematic contributions '
+            f'{after["systematic"]})',
+        ))  # fmt: skip
+    elif 'mean_grid_u' in forecast:
         u = f'{1e6 * forecast["mean_grid_u"]:.3f} um on average in the volume'
         rows.append(('forecast', f'{u} (k = 1, noise alone)'))
     facts = {

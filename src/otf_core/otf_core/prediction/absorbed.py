@@ -5,8 +5,8 @@ A rotation r(q_a) along d of an axis a moves a target at the offset T by r d x T
 the machine zero that the axes carry along. Where the data do not show r, this part of it is a
 translation like any other: it is in the straightness, the positioning and the squareness that
 were determined, and with another tool it would be another one. Which values take it up follows
-from the model: the displacement d x T of smooth functions r is split into what the values that
-are seen, in their gauge, and a rigid motion of the whole can make.
+from the model: the displacement d x T of smooth functions r is split into what squareness errors
+and translations that are seen, in their gauge, and a rigid motion of the whole can make.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ class OffsetBound:
             return ''
         unseen = dict.fromkeys(r for found in self.contains.values() for r in found)
         return (
-            f'{", ".join(self.contains)} hold at the target offset {offset_words(self.offset)} '
-            f'only: they contain {", ".join(unseen)} times the lever of the target, which these '
-            f'data do not show'
+            f'only at the target offset {offset_words(self.offset)} hold: '
+            f'{", ".join(self.contains)}, which contain {", ".join(unseen)} times the lever of '
+            f'the target, not shown by these data'
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -122,10 +122,10 @@ def offset_bound(machine: Machine, hidden: Collection[str]) -> OffsetBound:
 def _seen_columns(
     machine: Machine, hidden: Collection[str], s: Array, q: Array
 ) -> tuple[list[str], list[Array]]:
-    """Names of what is seen, and the displacements (n, 3, k) that each can make at q (n, 3)."""
+    """Names of what can take it up, and the displacements (n, 3, k) of each at q (n, 3)."""
     names: list[str] = [n for n in SQUARENESS if n not in hidden]
     columns = [squareness_influence(n, q)[:, :, None] for n in names]
-    for motion in (m for m in MOTIONS if m not in hidden):
+    for motion in (m for m in MOTIONS if m.is_translation and m not in hidden):
         shapes = _shapes(motion, s[:, motion.place])
         names.append(motion)
         columns.append(motion_influence(machine, motion, q)[:, :, None] * shapes[:, None, :])

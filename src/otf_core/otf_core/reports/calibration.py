@@ -33,6 +33,7 @@ from otf_core.prediction.volumetric import volumetric_error
 from otf_core.reports.budget import BudgetLine, budget_lines, budget_to_dict, expanded
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_report import calibration_html, calibration_sections
+from otf_core.reports.calibration_summary import calibration_summary
 from otf_core.reports.certificate import certificate_html
 from otf_core.reports.residuals import write_residuals
 from otf_core.reports.reversal import reversal_csv, reversal_to_dict
@@ -220,11 +221,12 @@ def write_report(folder: Path, facts: Facts) -> None:
 
 
 def format_result(result: CalibrationResult, facts: Facts | None = None) -> str:
-    """Return the text for a terminal: warnings first, then fit, squareness, tables.
+    """Return summary.txt: a dozen lines, an empty one, then all numbers.
 
     ``facts`` are worked out if not given.
     """
-    return sections_to_text(calibration_sections(facts or facts_of(result)))
+    facts = facts or facts_of(result)
+    return f'{calibration_summary(facts)}\n\n{sections_to_text(calibration_sections(facts))}'
 
 
 def facts_of(

@@ -5,37 +5,90 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from otf_core.calibration.verdict import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
 from otf_core.files.manifest import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import write_text
 from otf_core.fleet.fleet import FILE, PAGE, fleet_to_dict
 from otf_core.fleet.job import JobResult
 from otf_core.fleet.listed import listed_results
-from otf_core.model.motions import SQUARENESS
+from otf_core.model.expanded import figure, significant, with_expanded
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.prediction.absorbed import offset_words
 from otf_core.reports.page import Heading, page_html
 from otf_core.reports.section import Section, State, Table
 
-Row = list[str]
+Row = list[str | State]
+STATES = {'pass': 'kept', 'fail': 'broken'}
+MOODS = {'pass': 'good', 'fail': 'bad', 'not proven': 'open', 'not known': 'open'}
 
 TABLE_COLUMNS = (
-    'run', 'machine', 'volumetric error (um)', 'largest (um)', 'residual (um)',
-    *(f'{name} (urad)' for name in SQUARENESS), 'remark',
+    'run', 'machine', 'measurement', 'limits', 'error, mean (um)', 'error, largest (um)',
+    'expected after, largest U (um)', *(f'{name} (urad)' for name in SQUARENESS),
+    'target offset', 'remark',
 )  # fmt: skip
+JUDGED = {
+    MEASUREMENT_FAILED: 'measurement not good',
+    LIMIT_NOT_PROVEN: 'limits of the machine not proven to hold',
+}
+"""What exit codes of runs say that are done."""
 GAP_COLUMNS = ('run', 'machine', 'verdict', 'measured (um)', 'simulated (um)', 'causes', 'remark')
 
 
 def _calibrated(name: str, data: Mapping[str, Any], remark: str) -> Row:
-    error, square = data['volumetric_error'], data['squareness']
-    hidden = data.get('not_identifiable', ())
-    sizes = (error['mean'], error['max'], data['fit']['residual_rms'])
+    first, verdicts = data['headline'], data['verdicts']
+    error, wide = first['error'], first['expected_after_compensation']['U']
+    good, state = verdicts['measurement']['good'], verdicts['machine']['state']
     return [
-        name, str(data['machine']['name']), *(f'{1e6 * v:.2f}' for v in sizes),
-        *('not known' if k in hidden else f'{1e6 * square[k]["value"]:.1f}' for k in SQUARENESS),
+        name,
+        str(data['machine']['name']),
+        State('good', 'good') if good else State('not good', 'bad'),
+        State(STATES.get(state, state), MOODS.get(state, '')),
+        figure(1e6 * error['mean'], 1e6 * wide['mean']),
+        with_expanded(1e6 * error['max'], 1e6 * first['U_of_largest']),
+        significant(1e6 * wide['max']),
+        *(_squareness(data, k) for k in SQUARENESS),
+        offset_words(np.array(data['machine']['target_offset'])),
         remark,
-    ]  # fmt: skip
+    ]
+
+
+def _squareness(data: Mapping[str, Any], name: str) -> str:
+    """Value and U of a squareness error; a star where it holds at one target offset only."""
+    if name in data.get('not_identifiable', ()):
+        return 'not known'
+    entry, typical = data['squareness'][name], data.get('typical_systematic')
+    wide = entry['k'] * typical['squareness'][name]['u'] if typical else entry['U']
+    star = '*' if name in data['target_offset_bound']['contains'] else ''
+    return f'{with_expanded(1e6 * entry["value"], 1e6 * wide)}{star}'
+
+
+def offset_remarks(done: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
+    """What is to be minded where values hold at the target offset of their own run only."""
+    bound = {name: data['target_offset_bound'] for name, data in done}
+    contains = [
+        n for n in (*SQUARENESS, *MOTIONS) if any(n in b['contains'] for b in bound.values())
+    ]
+    if not contains:
+        return []
+    star = (
+        f'* holds at the target offset of its run only: {", ".join(contains)} contain rotations '
+        f'that the data do not show.'
+    )
+    runs: dict[str, list[str]] = {}
+    for name, one in bound.items():
+        if one['contains']:
+            runs.setdefault(offset_words(np.array(one['offset'])), []).append(name)
+    if len(runs) == 1:
+        return [star]
+    said = '; '.join(f'{offset}: {", ".join(names)}' for offset, names in runs.items())
+    return [star, f'WARNING target offsets differ ({said}): compare these values among runs of '
+            f'one offset only.']  # fmt: skip
 
 
 def _diagnosed(name: str, data: Mapping[str, Any], remark: str) -> Row:
@@ -71,7 +124,7 @@ def fleet_rows(
     done = list(listed_results(verb, folder, outcomes))
     if verb == 'calibrate':
         rows = [_calibrated(name, data, outcomes[name].message) for name, data in done]
-        return TABLE_COLUMNS, rows, []
+        return TABLE_COLUMNS, rows, offset_remarks(done)
     rows = [_diagnosed(name, data, outcomes[name].message) for name, data in done]
     counts = Counter(cause for _, data in done for cause in set(cause_names(data)))
     shared = [
@@ -87,9 +140,10 @@ def format_fleet(verb: str, outcomes: Mapping[str, JobResult], *, gates: bool = 
     data = fleet_to_dict(verb, outcomes)
     lines = [f'{data["done"]} of {len(outcomes)} runs done, {data["failed"]} failed']
     lines += [f'  {n}: exit {o.exit}: {o.message}' for n, o in outcomes.items() if not o.done]
-    beyond = [n for n, o in outcomes.items() if o.done and o.exit]
-    if beyond and gates:
-        lines.append(f'  quality gate failed: {", ".join(beyond)}')
+    for code, said in JUDGED.items():
+        named = [n for n, o in outcomes.items() if o.done and o.exit == code]
+        if named and gates:
+            lines.append(f'  {said}: {", ".join(named)}')
     return '\n'.join(lines)
 
 
@@ -98,7 +152,12 @@ def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> st
     columns, rows, shared = fleet_rows(verb, folder, outcomes)
     numbers = tuple(k for k, column in enumerate(columns) if '(u' in column)
     failed = tuple((n, str(o.exit), o.message) for n, o in outcomes.items() if not o.done)
-    gates = sum(o.done and o.exit != 0 for o in outcomes.values())
+    counts = [f'{len(rows)} of {len(outcomes)} runs done', f'{len(failed)} failed']
+    counts += [
+        f'{count} with {words}'
+        for code, words in JUDGED.items()
+        if (count := sum(o.done and o.exit == code for o in outcomes.values()))
+    ]
     sections = [
         Section('fleet', '', tuple(shared)),
         Section(
@@ -112,8 +171,7 @@ def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> st
         sections.insert(1, Section('failed', 'Failed', tables=(table,)))
     heading = Heading(
         f'Fleet: otf {verb}',
-        f'{len(rows)} of {len(outcomes)} runs done, {len(failed)} failed, {gates} with a quality '
-        f'gate that failed.',
+        f'{", ".join(counts)}.',
         (State('some failed', 'bad') if failed else State('all done', 'good'),),
     )
     return page_html(heading, sections)
@@ -127,9 +185,16 @@ def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> l
     list of Path
     """
     write_text(folder / PAGE, fleet_page(verb, folder, outcomes))
-    file = write_outcomes(verb, folder, outcomes)
+    file = write_outcomes(verb, folder, outcomes, offset_warnings(verb, folder, outcomes))
     list_results(verb, folder)
     return [file, folder / PAGE]
+
+
+def offset_warnings(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> list[str]:
+    """What is to be minded where calibrations with differing target offsets lie side by side."""
+    if verb != 'calibrate':
+        return []
+    return offset_remarks(list(listed_results(verb, folder, outcomes)))
 
 
 def list_results(verb: str, folder: Path) -> None:
@@ -137,8 +202,13 @@ def list_results(verb: str, folder: Path) -> None:
     write_manifest(folder / MANIFEST, written_files(folder), f'fleet {verb}')
 
 
-def write_outcomes(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> Path:
+def write_outcomes(
+    verb: str,
+    folder: Path,
+    outcomes: Mapping[str, JobResult],
+    warnings: Sequence[str] = (),
+) -> Path:
     """Write fleet.json into the folder of a fleet; its path."""
-    data = fleet_to_dict(verb, outcomes)
+    data = fleet_to_dict(verb, outcomes) | {'warnings': list(warnings)}
     write_text(folder / FILE, json.dumps(data, indent=1) + '\n')
     return folder / FILE

@@ -32,11 +32,20 @@ with open(os.environ['CALLS'], 'a') as calls:
 if 'broken' in pathlib.Path(bag).name:
     sys.exit('otf calibrate: broken: no bag')
 out.mkdir(exist_ok=True)
-data = {'volumetric_error': {'mean': 1e-5, 'max': 2e-5}, 'fit': {'residual_rms': 1e-6},
-        'machine': {'name': 'm'}, 'when': os.environ['SOURCE_DATE_EPOCH'], 'bag': bag,
-        'squareness': {k: {'value': 1e-6} for k in ('C0Y', 'B0Z', 'A0Z')}}
+name = pathlib.Path(bag).name
+offset = [0.0, 0.0, -0.25 if 'longer' in name else -0.15]
+sizes = {'mean': 1e-5, 'max': 2e-5}
+data = {'headline': {'error': sizes, 'U_of_largest': 1e-6,
+                     'expected_after_compensation': {'U': sizes}},
+        'verdicts': {'measurement': {'good': 'gate' not in name},
+                     'machine': {'state': 'fail' if 'limit' in name else 'not stated'}},
+        'machine': {'name': 'm', 'target_offset': offset},
+        'when': os.environ['SOURCE_DATE_EPOCH'], 'bag': bag,
+        'squareness': {k: {'value': 1e-6, 'U': 1e-7} for k in ('C0Y', 'B0Z', 'A0Z')},
+        'target_offset_bound': {'offset': offset,
+                                'contains': {'A0Z': ['EAZ']} if 'offset' in name else {}}}
 (out / 'error_tables.json').write_text(json.dumps(data))
-sys.exit(4 if 'gate' in pathlib.Path(bag).name else 0)
+sys.exit(4 if 'gate' in name else 5 if 'limit' in name else 0)
 """
 
 BLIND_STUB = """
@@ -154,6 +163,44 @@ def test_a_run_whose_quality_gate_failed_is_done_and_shows_in_the_exit_code(plan
     (plant / 'runs.csv').write_text('name,bag,machine\ng,gate.mcap,machine.yaml\n')
     assert fleet('out') == 4
     assert told(plant / 'out')['done'] == 1
+
+
+def test_a_machine_out_of_its_limits_is_no_measurement_that_failed(plant, capsys):
+    rows = ['name,bag,machine', 'x,limit.mcap,machine.yaml']
+    (plant / 'limit.mcap').write_text('')
+    (plant / 'runs.csv').write_text('\n'.join(rows) + '\n')
+    assert fleet('out') == 5
+    said = capsys.readouterr().out
+    assert 'limits of the machine not proven to hold: x' in said
+    assert 'not good' not in said
+    page = (plant / 'out/fleet.html').read_text(encoding='utf-8')
+    assert '1 with limits of the machine not proven to hold' in page and '>broken<' in page
+    (plant / 'gate.mcap').write_text('')
+    (plant / 'runs.csv').write_text('\n'.join([*rows, 'g,gate.mcap,machine.yaml']) + '\n')
+    assert fleet('out') == 4
+    said = capsys.readouterr().out
+    assert 'measurement not good: g' in said and 'not proven to hold: x' in said
+
+
+def test_runs_with_other_target_offsets_are_not_compared_silently(plant, capsys):
+    rows = ['name,bag,machine', 'a,offset.mcap,machine.yaml', 'b,offset_b.mcap,machine.yaml']
+    for name in ('offset', 'offset_b', 'longer_offset'):
+        (plant / f'{name}.mcap').write_text('')
+    (plant / 'runs.csv').write_text('\n'.join(rows) + '\n')
+    assert fleet('out') == 0
+    said = capsys.readouterr().out
+    assert '* holds at the target offset of its run only: A0Z contain' in said
+    assert 'WARNING' not in said
+    (plant / 'runs.csv').write_text('\n'.join([*rows, 'c,longer_offset.mcap,machine.yaml']) + '\n')
+    assert fleet('out') == 0
+    warning = (
+        'WARNING target offsets differ ((0, 0, -150) mm: a, b; (0, 0, -250) mm: c): compare these '
+        'values among runs of one offset only.'
+    )
+    assert warning in capsys.readouterr().out
+    assert told(plant / 'out')['warnings'][1] == warning
+    page = (plant / 'out/fleet.html').read_text(encoding='utf-8')
+    assert '1.00 ± 0.10*' in page.replace('\u00a0', ' ') and 'target offsets differ' in page
 
 
 def test_folders_of_others_and_fleets_of_other_verbs_are_left_alone(plant, capsys):
@@ -324,17 +371,24 @@ def test_options_of_another_fleet_are_refused(tmp_path, capsys, words, said):
 
 
 def test_a_squareness_that_was_not_seen_is_no_zero_in_the_table(tmp_path):
+    sizes = {'mean': 1e-5, 'max': 2e-5}
     data = {
-        'volumetric_error': {'mean': 1e-5, 'max': 2e-5}, 'fit': {'residual_rms': 1e-6},
-        'machine': {'name': 'm'}, 'not_identifiable': ['B0Z', 'EAZ'],
-        'squareness': {'C0Y': {'value': 1e-6}, 'B0Z': {'value': 0.0}, 'A0Z': {'value': 0.0}},
+        'headline': {'error': sizes, 'U_of_largest': 1e-6,
+                     'expected_after_compensation': {'U': sizes}},
+        'verdicts': {'measurement': {'good': True}, 'machine': {'state': 'not stated'}},
+        'machine': {'name': 'm', 'target_offset': [0.0, 0.0, 0.0]},
+        'not_identifiable': ['B0Z', 'EAZ'], 'target_offset_bound': {'contains': {}},
+        'squareness': {'C0Y': {'value': 1e-6, 'U': 1e-7}, 'B0Z': {'value': 0.0, 'U': 0.0},
+                       'A0Z': {'value': 0.0, 'U': 1e-7}},
     }  # fmt: skip
     (tmp_path / 'flat').mkdir()
     (tmp_path / 'flat/error_tables.json').write_text(json.dumps(data))
     done = {'flat': job.JobResult(0, '', 'digest')}
     columns, (row,), _ = fleet_rows('calibrate', tmp_path, done)
     shown = dict(zip(columns, row, strict=True))
-    assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == ['1.0', 'not known', '0.0']
+    assert [shown[f'{k} (urad)'] for k in ('C0Y', 'B0Z', 'A0Z')] == [
+        '1.00 +/- 0.10', 'not known', '0.00 +/- 0.10',
+    ]  # fmt: skip
 
 
 def test_a_function_by_its_name_is_a_run(tmp_path):

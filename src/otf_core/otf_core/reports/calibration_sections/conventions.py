@@ -37,7 +37,7 @@ def reference_words(result: CalibrationResult) -> str:
     )
     bound = result.offset_bound.sentence
     holds = (
-        f'{bound}; all other values hold at any target offset'
+        f'{bound[:1].upper()}{bound[1:]}; all other values hold at any target offset'
         if bound
         else 'All values that were determined hold at any target offset'
     )

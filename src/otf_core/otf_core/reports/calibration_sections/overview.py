@@ -57,8 +57,6 @@ def section(facts: Facts) -> Section:
 def _text(facts: Facts) -> tuple[str, ...]:
     result, fit, machine = facts.result, facts.result.fit, facts.machine
     return (
-        *result.verdicts.words,
-        *result.headline.words,
         *(f'WARNING {line}' for line in result.warnings),
         f'{machine.name}, chain {machine.chain}, run {result.run_id}',
         f'samples {fit.samples}, used {fit.used} in {fit.pieces} path pieces; '
