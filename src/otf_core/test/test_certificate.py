@@ -68,7 +68,10 @@ def test_a_certificate_states_who_what_where_and_how_sure(source, plain):
 def test_all_21_errors_stand_in_it_with_u_limit_and_state(source, plain):
     facts = facts_of(plain)
     rows = {row[0]: row for row in Page(source).rows('All 21 errors') if row[0] != 'volume'}
+    rows = {name.rstrip('*'): row for name, row in rows.items()}
     assert list(rows) == [*MOTIONS, *SQUARENESS]
+    starred = {row[0][:-1] for row in rows.values() if row[0].endswith('*')}
+    assert starred == set(plain.offset_bound.contains) != set()
     for one in error_sizes(facts):
         row = rows[one.name]
         if not one.known:

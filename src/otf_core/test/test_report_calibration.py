@@ -356,7 +356,7 @@ def test_largest_motions_are_said_with_place_and_uncertainty(page, tables, resul
         assert name == max(sizes, key=sizes.get) and axis == name[2]
         entry = motions[name]
         k = entry['position'].index(pytest.approx(1e-3 * number(at)))
-        wide = 1e6 * entry['k'] * facts.u_of_nodes(name)[k]
+        wide = 1e6 * facts.result.expanded[name][k]
         assert (number(value), float(u)) == (
             float(figure(1e6 * entry['value'][k], wide)), float(figure(wide, wide)),
         )  # fmt: skip
@@ -402,7 +402,7 @@ def test_all_21_errors_are_bars_with_u_and_the_limits_that_are_stated(page, resu
     assert list(sizes) == [*MOTIONS, *SQUARENESS]
     first = part(source, 'overview')
     for name, one in sizes.items():
-        assert f'>{name}</text>' in first
+        assert f'>{name}{"*" if one.bound else ""}</text>' in first
         if one.known:
             table = result.tables.motions.get(name)
             value = abs(result.tables.squareness[name].value) if table is None else (
@@ -410,6 +410,9 @@ def test_all_21_errors_are_bars_with_u_and_the_limits_that_are_stated(page, resu
             )  # fmt: skip
             assert one.value == pytest.approx(value)
             assert one.U > 0
+    bound = result.offset_bound
+    assert {n for n, one in sizes.items() if one.bound} == set(bound.contains) != set()
+    assert f'* {bound.sentence}.' in page.text.replace('\N{MINUS SIGN}', '-')
     judged = {one.name: one for one in result.machine_verdict.judged}
     for name in ('EXX', 'C0Y'):
         assert (sizes[name].value, sizes[name].U, sizes[name].state) == (

@@ -207,8 +207,9 @@ def _not_driven(result: Forecast, machine: Machine) -> list[Unseen]:
         gap = max(nodes[0] - spec.min, spec.max - nodes[-1])
         if gap > 1e-6 and len(nodes) > 1:
             words = (
-                f'{axis}: driven from {nodes[0]:g} m to {nodes[-1]:g} m; beyond, up to '
-                f'{1e3 * gap:.1f} mm, tables are held constant and this forecast does not count'
+                f'{axis}: driven from {1e3 * nodes[0]:g} mm to {1e3 * nodes[-1]:g} mm; beyond, '
+                f'up to {1e3 * gap:.1f} mm, tables are held constant and this forecast does not '
+                f'count'
             )
             found.append(Unseen(axis, (), words, 'a smaller margin'))
     return found

@@ -64,12 +64,6 @@ class Facts:
         covariance = own.covariance_with_typical
         return VolumetricError(own.tables, covariance, own.prior, own.not_identifiable)
 
-    def u_of_nodes(self, name: str) -> Array:
-        """Standard uncertainty of the nodes of a motion as the headline has it, (k,), m or rad."""
-        if self.typical is not None and name in self.typical.motions:
-            return self.typical.motions[name]
-        return self.tables.motions[name].u
-
     @cached_property
     def condition_number(self) -> float:
         """Largest over smallest standard uncertainty of what the covariance holds, um and urad."""

@@ -36,6 +36,8 @@ DRAWN = 4
 """Points of the grid per axis that are drawn: every other of seven."""
 REACH = 0.9
 """Length of the longest arrow, in distances between arrows along the shortest edge."""
+BOUND = '*'
+"""Stands behind the name of an error that holds at one target offset only."""
 RADII = 8
 """Different radii that are drawn."""
 STATE_KINDS = {PASS: 'good', FAIL: 'bad', OPEN: 'open'}
@@ -58,6 +60,8 @@ class ErrorSize:
         Of the limit; empty without one.
     known : bool
         False if the data do not show it; value and U are zero then.
+    bound : bool
+        True if it holds at the target offset of the measurement only.
     """
 
     name: str
@@ -67,6 +71,7 @@ class ErrorSize:
     limit: float | None
     state: str
     known: bool
+    bound: bool = False
 
 
 def error_sizes(facts: Facts) -> list[ErrorSize]:
@@ -83,7 +88,8 @@ def error_sizes(facts: Facts) -> list[ErrorSize]:
             else (0.0, 0.0)
         )
         found.append(ErrorSize(name, unit_of(name), value, wide, limits.get(name),
-                               states.get(name, ''), known))  # fmt: skip
+                               states.get(name, ''), known,
+                               known and name in result.offset_bound.contains))  # fmt: skip
     return found
 
 
@@ -106,22 +112,29 @@ def error_bars(facts: Facts) -> Picture:
     stroke = ' Upright stroke: the limit.' if limited else ''
     caption = (
         f'Span (largest less smallest value) of an error motion, size of a squareness error; '
-        f'line at the end of a bar: U (95 %).{stroke}'
+        f'line at the end of a bar: U (95 %).{stroke}{bound_words(facts)}'
     )
     legend = f'<p class="soft keys">{key}</p>' if limited else ''
     return Picture(tuple(parts), caption, columns=2, title='All 21 errors', key=legend)
 
 
+def bound_words(facts: Facts) -> str:
+    """Which of the errors hold at one target offset only, as a sentence after another one."""
+    bound = facts.result.offset_bound
+    return f' {BOUND} {bound.sentence}.' if bound.sentence else ''
+
+
 def _bar(one: ErrorSize) -> Bar:
     limit = None if one.limit is None else 1e6 * one.limit
     stated = '' if limit is None else f', limit {limit:g}'
+    name = f'{one.name}{BOUND}' if one.bound else one.name
     if not one.known:
-        return Bar(one.name, (), f'not known{stated}', limit)
+        return Bar(name, (), f'not known{stated}', limit)
     value, wide = 1e6 * one.value, 1e6 * one.U
     said = f'{micro_with_expanded(one.value, one.U, one.unit)}{stated}'
     kind = STATE_KINDS.get(one.state, 'after')
     ends = (max(value - wide, 0.0), value + wide)
-    return Bar(one.name, ((value, kind),), said, limit, ends)
+    return Bar(name, ((value, kind),), said, limit, ends)
 
 
 def volume_pictures(facts: Facts) -> Picture:

@@ -9,7 +9,13 @@ from otf_core.model.expanded import figure, significant, with_expanded
 from otf_core.model.limits import UNCERTAINTY, VOLUMETRIC
 from otf_core.model.motions import SQUARENESS, ErrorMotion
 from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.calibration_pictures import ErrorSize, error_sizes, volume_pictures
+from otf_core.reports.calibration_pictures import (
+    BOUND,
+    ErrorSize,
+    bound_words,
+    error_sizes,
+    volume_pictures,
+)
 from otf_core.reports.calibration_sections.limits import MOODS
 from otf_core.reports.calibration_sections.motions import role
 from otf_core.reports.calibration_sections.overview import badges, running_words
@@ -136,10 +142,11 @@ def _row(facts: Facts, one: ErrorSize) -> tuple[Cell, ...]:
     else:
         motion = ErrorMotion.of(one.name)
         said, value = f'{role(motion)} of {motion.axis}, span', one.value
+    name = f'{one.name}{BOUND}' if one.bound else one.name
     if not one.known:
-        return one.name, said, 'not known', '', '', limit, state
+        return name, said, 'not known', '', '', limit, state
     wide = 1e6 * one.U
-    return (one.name, said, figure(1e6 * value, wide), significant(wide), micro_unit(one.unit),
+    return (name, said, figure(1e6 * value, wide), significant(wide), micro_unit(one.unit),
             limit, state)  # fmt: skip
 
 
@@ -156,6 +163,7 @@ def _statement(facts: Facts) -> Section:
         'rigid motion taken out. Results hold at the time, the target offset and the conditions '
         'of the measurement and are not reduced to 20 °C.',
     ]
+    words.append(bound_words(facts).strip())
     hidden = facts.result.not_identifiable
     if hidden:
         words.append(f'Not known: {", ".join(hidden)}: these data do not show them.')
@@ -166,7 +174,8 @@ def _statement(facts: Facts) -> Section:
         f'{about["written"]}; SHA-256 of the recording begins: {", ".join(hashes[:RUNS])}{more}. '
         f'All values, covariances and whole hashes: error_tables.json.'
     )
-    return Section('statement', 'Uncertainty and traceability', tuple(words))
+    said = tuple(line for line in words if line)
+    return Section('statement', 'Uncertainty and traceability', said)
 
 
 def _signatures() -> Section:

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from otf_core.calibration.headline import Expected
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_significant
 from otf_core.planning.judged import PlanReport
+from otf_core.prediction.volumetric import length_sizes
 from otf_core.reports.drawing.heat import heat_key, heat_step
 from otf_core.reports.drawing.scene import SCRIPT
 from otf_core.reports.page import Heading, page_html
@@ -26,22 +28,23 @@ def plan_html(report: PlanReport, date: str) -> str:
     return page_html(_heading(report, date), [s for s in sections if s is not None])
 
 
-def expanded_forecast(report: PlanReport) -> tuple[float, str]:
-    """Mean expanded uncertainty of errors in the volume, m, and what it holds."""
-    found = report.systematic
-    if found is None:
-        return COVERAGE_FACTOR * report.forecast.mean_grid_u, 'tracker noise alone'
-    return found.expected.expanded['mean'], found.expected.label
+def _expected(report: PlanReport) -> Expected:
+    """What a calibration from this plan would state first; of noise alone if no more is known."""
+    if report.systematic is not None:
+        return report.systematic.expected
+    noise = length_sizes(COVERAGE_FACTOR * np.linalg.norm(report.forecast.grid_u_free, axis=1))
+    return Expected(noise, noise, COVERAGE_FACTOR, (), nothing_declared=True)
 
 
 def _heading(report: PlanReport, date: str) -> Heading:
     plan, found = report.plan, report.forecast
-    wide, label = expanded_forecast(report)
-    noise = micro_significant(COVERAGE_FACTOR * found.mean_grid_u)
-    sentence = (
-        f'Errors in the volume will be known to {micro_significant(wide)} on average (U, k = 2; '
-        f'{label}).'
-    )
+    expected = _expected(report)
+    wide, largest = (micro_significant(expected.expanded[size]) for size in ('mean', 'max'))
+    noise, most = (micro_significant(expected.observed[size]) for size in ('mean', 'max'))
+    label = 'tracker noise alone' if report.systematic is None else expected.label
+    sentence = f'{expected.expanded_words[:1].upper()}{expected.expanded_words[1:]}.'
+    if report.systematic is None:
+        sentence = f'{expected.forecast_words[:1].upper()}{expected.forecast_words[1:]}.'
     missing = [f.error for f in report.findings]
     badge = (
         State(f'{len(missing)} errors not shown', 'open')
@@ -49,8 +52,9 @@ def _heading(report: PlanReport, date: str) -> Heading:
         else State('all errors shown', 'good')
     )
     tiles = (
-        ('Expected, mean over the volume', micro_significant(wide), f'U, k = 2; {label}'),
-        ('Tracker noise alone', noise, 'the same mean, U (k = 2)'),
+        ('Expected after compensation', wide,
+         f'mean U over the volume (k = {expected.k:.3g}), largest {largest}; {label}'),
+        ('Noise of the tracker alone', noise, f'the same mean, largest {most}'),
         ('Drive', f'{found.duration:.0f} s', f'{plan.path.length:.1f} m, '
          f'{len(plan.path.points)} points'),
     )  # fmt: skip

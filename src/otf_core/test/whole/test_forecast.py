@@ -183,7 +183,7 @@ def test_nodes_that_no_line_determines_are_named():
 def test_part_of_a_range_that_is_not_driven_is_named_and_not_judged():
     machine = some_machine(offset=(0.0, 0.0, -0.15))
     plan = small_plan(machine, margin=0.01)
-    assert 'driven from 0.01 m to 0.29 m' in words(machine, plan)['X'].words
+    assert 'driven from 10 mm to 290 mm' in words(machine, plan)['X'].words
     grid = forecast(plan, Setup.of(machine)).grid
     np.testing.assert_allclose(grid.min(axis=0), machine.lower + 0.01)
     np.testing.assert_allclose(grid.max(axis=0), machine.upper - 0.01)

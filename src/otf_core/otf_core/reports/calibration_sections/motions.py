@@ -61,7 +61,7 @@ def _largest(facts: Facts) -> list[str]:
         name = max(known, key=lambda n: float(np.abs(facts.tables.motions[n].value).max()))
         motion, table = ErrorMotion.of(name), facts.tables.motions[name]
         k = int(np.abs(table.value).argmax())
-        wide = facts.by_name[name].k * float(facts.u_of_nodes(name)[k])
+        wide = float(facts.result.expanded[name][k])
         at = tidy(1e3 * float(table.position[k]))
         value = micro_with_expanded(float(table.value[k]), wide, unit)
         found.append(
@@ -88,10 +88,10 @@ def _row(facts: Facts, name: ErrorMotion) -> tuple[str, ...]:
     low, high = float(table.value.min()), float(table.value.max())
     k = line.k if line else 0.0
     dof = '' if line is None else dof_words(line.dof)
-    u = facts.u_of_nodes(name)
-    wide = 1e6 * k * float(u.max())
+    whole = facts.result.expanded[name]
+    wide = 1e6 * float(whole.max())
     sizes = (figure(1e6 * size, wide) for size in (low, high, high - low))
-    mean = figure(1e6 * float(u.mean()), wide)
+    mean = figure(1e6 * float(whole.mean()) / max(k, 1.0), wide)
     return (*start, *sizes, mean, significant(wide), f'{k:.2f}', dof)
 
 
@@ -158,7 +158,7 @@ def _panel(facts: Facts, name: ErrorMotion) -> str:
         marks = [words(190.0, 100.0, 'not identifiable in these data', 'middle soft')]
         return panel.draw(marks, f'{name}: not identifiable', heading)
     x, y = 1e3 * table.position, 1e6 * table.value
-    u = 1e6 * facts.by_name[name].k * facts.u_of_nodes(name)
+    u = 1e6 * facts.result.expanded[name]
     reversal = facts.result.reversal.motions.get(name)
     half = 0.5e6 * reversal.value if reversal is not None and reversal.identifiable else None
     sides = [y] if half is None else [y, y + half, y - half]
