@@ -57,3 +57,32 @@ def test_max_rate_limits_the_time_scale_and_says_so():
     backend.connect()
     assert backend.time_scale == pytest.approx(10.0)
     assert 'max_rate' in backend.remark
+
+
+@pytest.mark.parametrize(('time_scale', 'behind'), [(0.5, 0.0), (1.0, 0.0), (20.0, 9.99 * 0.95)])
+def test_stamps_of_now_keep_their_intervals_and_are_never_of_the_future(time_scale, behind):
+    backend = Known(time_scale=time_scale)
+    backend.of_now, begun_ns = True, 1_800_000_000_123_456_789
+    backend.now_ns = lambda: begun_ns + round(backend.now * 1e9)
+    backend.connect()
+    for _ in range(2):  # each stream is of its own now
+        begun = begun_ns + round(backend.now * 1e9)
+        backend.start()
+        latest, batches = [], []
+        while not backend.finished:
+            backend.now += 0.001
+            batch = backend.poll()
+            if len(batch):
+                batches.append(batch)
+                latest.append(backend.now_ns() - int(batch.stamp_ns[-1]))
+        stamps = np.concatenate([batch.stamp_ns for batch in batches])
+        assert np.array_equal(np.diff(stamps), np.full(999, 10_000_000))
+        assert stamps[0] - begun == pytest.approx(-behind * 1e9, abs=2e3)
+        assert min(latest) >= -2e3
+
+
+def test_samples_that_were_recorded_keep_their_stamps():
+    backend = Known()
+    backend.connect()
+    backend.start()
+    assert backend.poll().stamp_ns[0] == 1_700_000_000_000_000_000

@@ -45,6 +45,12 @@ FAULTS = {
     'foreign=0.003',
 }
 """Faults of the emulated tracker."""
+STOPPED = (3.0, 20.0)
+"""s; for so long the process of the driver stands still."""
+OFF = 5.0
+"""s; for so long nobody listens at the tracker's port."""
+SETTLES = 8.0
+"""s; what has piled up is read, published and heard."""
 KILLED = ('tracker_driver', 'calibrator', 'path_planner')
 START = 60.0
 """s; until the first samples come."""
@@ -95,6 +101,13 @@ class Soak:
         module, given = module_of(name), self._given[name]
         self.nodes.append(NodeProcess(label, module, given, self._folder, self._environment))
 
+    def stop(self, name: str, lasting: float, spin: Callable[[float], None]) -> None:
+        """Have the process of a node stand still."""
+        (node,) = (node for node in self.nodes if node.name.endswith(name))
+        node.interrupt(signal.SIGSTOP)
+        spin(lasting)
+        node.interrupt(signal.SIGCONT)
+
     def kill(self, name: str) -> None:
         """End a node in the middle of whatever it does, and start it again."""
         (node,) = (node for node in self.nodes if node.name.endswith(name))
@@ -116,6 +129,20 @@ def soak(
         spin(seconds)
         rows.append((name, ear.end(), _lost(ear, spin)))
     graph.tracker.change('')
+    for lasting in STOPPED:
+        spin(SETTLES)
+        ear.begin()
+        graph.stop('tracker_driver', lasting, spin)
+        spin(max(SETTLES, seconds - lasting))
+        rows.append(
+            (f'tracker_driver stands still for {lasting:.0f} s', ear.end(), _lost(ear, spin))
+        )
+    ear.begin()
+    graph.tracker.switch(False)
+    spin(OFF)
+    graph.tracker.switch(True)
+    spin(max(SETTLES, seconds - OFF))
+    rows.append((f'tracker off for {OFF:.0f} s', ear.end(), _lost(ear, spin)))
     for name in KILLED:
         spin(5.0)
         ear.begin()
@@ -151,7 +178,7 @@ def table(rows: list[tuple[str, Heard, int]]) -> str:
 def run(given: argparse.Namespace, folder: Path) -> int:
     """Soak and print the table; returns the exit code: 0, or 4 if anything was lost."""
     machine = Path(given.machine).absolute()
-    seconds = 60.0 * given.minutes / (len(FAULTS) + len(KILLED))
+    seconds = 60.0 * given.minutes / (len(FAULTS) + len(STOPPED) + 1 + len(KILLED))
     planning = PlannerConfig(passes=min(20, max(1, round(60 * given.minutes / LAP))))
     with EndRequest() as end, free_domain() as domain, running_ros([], domain):
         ear, executor = Ear(), SingleThreadedExecutor()

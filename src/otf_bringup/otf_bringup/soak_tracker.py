@@ -47,6 +47,11 @@ class SoakTracker:
         changing = self._tracker.change(read_faults(faults))
         asyncio.run_coroutine_threadsafe(changing, self._loop).result(ENDED_WITHIN)
 
+    def switch(self, on: bool) -> None:
+        """Switch it on or off: nobody listens at its port then."""
+        work = self._listen() if on else self._leave()
+        asyncio.run_coroutine_threadsafe(work, self._loop).result(ENDED_WITHIN)
+
     def close(self) -> None:
         """Stop serving."""
         self._loop.call_soon_threadsafe(self._stop.set)
@@ -54,8 +59,16 @@ class SoakTracker:
 
     async def _serve(self) -> None:
         self._stop = asyncio.Event()
-        server = await asyncio.start_server(self._tracker.accept, '127.0.0.1', 0)
-        self.port = server.sockets[0].getsockname()[1]
+        await self._listen()
         self._ready.set()
         await self._stop.wait()
-        await self._tracker.close(server)
+        await self._tracker.close(self._server)
+
+    async def _listen(self) -> None:
+        accept = self._tracker.accept
+        self._server = await asyncio.start_server(accept, '127.0.0.1', self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def _leave(self) -> None:
+        self._server.close()
+        await self._tracker.change(read_faults(''))

@@ -85,7 +85,7 @@ class Status:
         text = trouble or hindrance.text
         if kind not in ORDINARY or lasted >= 1.0:
             text += f'; no samples for {lasted:.0f} s'
-        if hindrance.restarts:
+        if hindrance.restarts and kind not in ORDINARY:
             text += f', {hindrance.restarts} restart{"s" if hindrance.restarts > 1 else ""}'
         self.message.silent_for, self.message.restarts = lasted, hindrance.restarts
         self._last(state, kind, text, lasted)

@@ -30,6 +30,9 @@ LOOK = 0.1
 MOST_AT_ONCE, MOST_PER_SECOND = 5000, 10_000
 """Samples; what has piled up while the process stood still is published at a pace that subscribers
 can follow: their queues hold 20 000."""
+STOOD_STILL, FOUND_AGAIN = 5.0, 4.0
+"""s; a process that stands still for longer may have been forgotten by the others, as the lease of
+its participant ends after 10 s. What is published before they have found it again is lost."""
 
 
 class Streamer:
@@ -61,6 +64,7 @@ class Streamer:
         self._timer = create_timer(node, PERIOD, self._tick, autostart=False)
         self._plan_wanted = self._streaming = False
         self._pending, self._allowed, self._ticked = NO_SAMPLES, 0.0, time.monotonic()
+        self._held_until = 0.0
         self._listening, self._looked = 0, 0.0
 
     def _offered_path(self) -> Publisher | None:
@@ -75,7 +79,7 @@ class Streamer:
     def begin(self, plan: Plan | None) -> None:
         """Get ready for a stream from the beginning; it starts when nothing is missing."""
         self._streaming, self._plan_wanted = False, self._backend.needs_plan
-        self._pending = NO_SAMPLES
+        self._pending, self._ticked = NO_SAMPLES, time.monotonic()
         self._timer.reset()
         self._status.repeat(True)
         if not self._plan_wanted:
@@ -185,9 +189,14 @@ class Streamer:
         """Take new samples; return what is to be published now, in order."""
         pending = joined([self._pending, new]) if len(self._pending) else new
         now = time.monotonic()
-        self._allowed += MOST_PER_SECOND * (now - self._ticked)
-        self._allowed, self._ticked = min(self._allowed, MOST_AT_ONCE), now
-        count = min(len(pending), int(self._allowed))
+        paused = now - self._ticked
+        if paused > STOOD_STILL:
+            self._held_until = now + FOUND_AGAIN
+        self._allowed, self._ticked = (
+            min(self._allowed + MOST_PER_SECOND * paused, MOST_AT_ONCE),
+            now,
+        )
+        count = 0 if now < self._held_until else min(len(pending), int(self._allowed))
         self._allowed -= count
         self._pending = pending.part(count, len(pending))
         return pending.part(0, count)
