@@ -25,6 +25,8 @@ AZIMUTH, ELEVATION = math.radians(-58.0), math.radians(24.0)
 """From where the picture is seen first: from the front, a little from the right and above."""
 LETTER, LINE = 5.9, 13.0
 """px; about the width of a letter and the height of a line of labels."""
+SIDES = (('', 9.0), ('end', -9.0), ('middle', 0.0))
+"""How a label stands beside its place, and how far off it, px."""
 NEAR = 0.3
 """Distance of a tracker from the volume, in its diagonals, up to which it stands in the scene."""
 
@@ -185,10 +187,9 @@ def _fitted(items: Sequence[Item], low: Array, high: Array) -> tuple[Array, floa
 def _label_spots(item: Label) -> list[tuple[str, float, float]]:
     """Class and offset of a label, the one wished for first."""
     own = (item.kind, item.dx, item.dy)
-    others = [('', 9.0, 4.0), ('end', -9.0, 4.0), ('middle', 0.0, -9.0), ('middle', 0.0, 18.0),
-              ('', 9.0, 18.0), ('end', -9.0, 18.0), ('', 9.0, -10.0),
-              ('end', -9.0, -10.0)]  # fmt: skip
-    return [own, *others]
+    near = [(kind, dx, dy) for dy in (4.0, -9.0, 18.0) for kind, dx in SIDES]
+    far = [(kind, 4.0 * dx, dy) for dy in (4.0, -26.0, 34.0) for kind, dx in SIDES]
+    return [own, *near, *far]
 
 
 def _label_box(item: Label, kind: str, x: float, y: float) -> tuple[float, float, float, float]:
