@@ -179,10 +179,10 @@ def range_words(curve: Curve) -> str:
     """Where a curve is lowest and highest, in words."""
     low, high = int(np.argmin(curve.value)), int(np.argmax(curve.value))
     ends = ' to '.join(
-        f'{number_words(curve.value[k], curve.unit)} at {_at_words(curve.input, curve.at[k])}'
+        f'{number_words(curve.value[k], curve.unit)} at {at_words(curve.input, curve.at[k])}'
         for k in sorted((low, high), key=lambda k: curve.at[k])
     )
-    held = ', '.join(_at_words(n, v) for n, v in curve.held.items())
+    held = ', '.join(at_words(n, v) for n, v in curve.held.items())
     return f'{curve.term} goes from {ends}' + (f' ({held})' if held else '')
 
 
@@ -197,7 +197,7 @@ def _slope_words(curve: Curve) -> str:
     return f' {factor * slope:.3g} +/- {factor * u:.1g} {unit} per {per}'
 
 
-def _at_words(name: str, value: float) -> str:
+def at_words(name: str, value: float) -> str:
     """An input and its value in words."""
     if name.startswith(SENSE):
         return f'{name.removeprefix(SENSE).upper()} {SENSES[int(np.sign(round(value)))]}'

@@ -26,7 +26,8 @@ UNSURE, HALF = 2.0, 0.5
 FEWEST_PIECES = 0.01
 """Share of all pieces below which a group is not named in words."""
 CLEAR = 4.0
-"""Standard deviations from which the mean of the legs in one sense of travel has a sign."""
+"""Standard deviations from which there is something, of many groups looked at, and from which the
+mean of the legs in one sense of travel has a sign."""
 CONCENTRATED = 0.2
 """Share of the gap beyond the share of the path that parts must hold to be its place."""
 NAMED = 3
@@ -151,7 +152,7 @@ def _words(found: Placement, views: Sequence[RunView], residuals: Sequence[Array
         place, held = _line_words(views[0].axis_names, worth, much, some)
         if not found.concentrated(held):
             return ''
-        nothing = f'; nothing {_line_names([p.label for p in none], "or")}' if none else ''
+        nothing = _rest_words(none, _line_names([p.label for p in none], 'or'))
         moving = [a for a in views[0].axis_names if place.endswith(f' {a}')]
         sense = _sense_words(views, residuals, moving[0]) if moving else ''
         return f'{place}{sense}{_share_words(found, held)}{nothing}'
@@ -164,7 +165,15 @@ def _words(found: Placement, views: Sequence[RunView], residuals: Sequence[Array
         return _plane_words(found, much)
     place = words(grouping, much)
     rest = len(none) == len(worth) - len(much)
-    return f'{place}{_share_words(found, much)}{"; nothing elsewhere" if none and rest else ""}'
+    return f'{place}{_share_words(found, much)}{_rest_words(none if rest else (), "elsewhere")}'
+
+
+def _rest_words(none: Sequence[Part], where: str) -> str:
+    """Where there is nothing beyond noise, or little; empty of no parts."""
+    if not none:
+        return ''
+    nothing = all(p.excess < CLEAR * p.u_excess for p in none)
+    return f'; {"nothing beyond noise" if nothing else "little"} {where}'
 
 
 def _group_words(grouping: Grouping, much: Sequence[Part]) -> str:

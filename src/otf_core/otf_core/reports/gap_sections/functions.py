@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from otf_core.diagnosis.free_curves import SCALES, Curve
+from otf_core.diagnosis.free_curves import SCALES, Curve, at_words
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects.inputs import label_of
 from otf_core.reports.drawing.panel import Panel
@@ -61,6 +61,6 @@ def _panel(curve: Curve) -> str:
         panel.band(at, low, high, 'after band'),
         panel.line(at, value, 'after'),
     ]
-    held = ', '.join(f'{label_of(n)} = {v:.3g}' for n, v in curve.held.items())
-    heading = f'{curve.term} at {held}' if held else curve.term
+    held = ', '.join(at_words(n, v) for n, v in curve.held.items())
+    heading = f'{curve.term}, {held}' if held else curve.term
     return panel.draw(marks, f'{curve.term} against {label_of(curve.input)}', heading)
