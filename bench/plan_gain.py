@@ -26,7 +26,7 @@ from otf_core.model.plan import Plan, plan_for_path
 from otf_core.planning.creator import plan_path
 from otf_core.planning.drive_time import drive_times
 from otf_core.planning.forecast import Setup, forecast, grid_uncertainty
-from otf_core.planning.optimised import PathOptimiser
+from otf_core.planning.path_optimiser import PathOptimiser
 from otf_core.sim.cell import simulate
 
 RANGES = {'X': (0.0, 0.6), 'Y': (0.0, 0.5), 'Z': (-0.4, 0.0)}

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from otf_core.model.plan import Plan
     from otf_core.model.tables import ErrorTables, TablesFile, load_tables
     from otf_core.pieces.runs import Recording
-    from otf_core.planning.judged import PlanReport
+    from otf_core.planning.plan_report import PlanReport
     from otf_core.prediction.predict import Prediction
 
 _HOMES = {
@@ -75,7 +75,7 @@ _HOMES = {
     'model.plan': ('Plan',),
     'model.tables': ('ErrorTables', 'TablesFile', 'load_tables'),
     'pieces.runs': ('Recording',),
-    'planning.judged': ('PlanReport',),
+    'planning.plan_report': ('PlanReport',),
     'prediction.predict': ('Prediction',),
 }
 """Where the public names come from; the imports above say the same to type checkers."""

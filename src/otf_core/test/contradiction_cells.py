@@ -8,8 +8,8 @@ import numpy as np
 from nature import Cell
 
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
+from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import prepare_runs
 

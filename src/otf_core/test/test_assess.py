@@ -8,7 +8,7 @@ import pytest
 from engine_cells import cause_of, coloured, holding, noise, rms_um, solved_rows, trace_of
 from scipy.stats import binom
 
-from otf_core.diagnosis.engine.assess import (
+from otf_core.diagnosis.engine.gap_sizes import (
     Residuals,
     gap_um,
     plain_residuals,

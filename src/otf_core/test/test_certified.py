@@ -19,8 +19,8 @@ from certified.measured_rows import HERE, pieces_of, read_run, read_samples
 
 from otf_core.calibration.calibrate import assemble
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.assess import gap_um, plain_residuals
-from otf_core.diagnosis.engine.rows import build_rows
+from otf_core.diagnosis.engine.gap_sizes import gap_um, plain_residuals
+from otf_core.diagnosis.engine.residual_rows import build_rows
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples

@@ -15,7 +15,7 @@ from otf_core.tracking.alignment import align
 from otf_core.tracking.arcs import bulge_of, with_arcs
 from otf_core.tracking.curve_pieces import MAX_TURN, curve_boundaries
 from otf_core.tracking.curves import GROUP_LENGTH, Lines, shape_of
-from otf_core.tracking.order import OFF_PATH
+from otf_core.tracking.driving_order import OFF_PATH
 
 CONFIG = CalibrationConfig()
 X, Y, Z = np.eye(3)

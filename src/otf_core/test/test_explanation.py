@@ -17,8 +17,8 @@ from engine_cells import (
 )
 from scipy.optimize import brentq
 
-from otf_core.diagnosis.engine.assess import plain_residuals, residuals_with
 from otf_core.diagnosis.engine.decoys import Jump
+from otf_core.diagnosis.engine.gap_sizes import plain_residuals, residuals_with
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.explanation import explain
 from otf_core.diagnosis.verdict import matters

@@ -4,17 +4,17 @@
 import numpy as np
 from engine_cells import cause_of, holding, noise, solved_rows, trace_of
 
+from otf_core.diagnosis.cause_parameters import fitted_causes
+from otf_core.diagnosis.engine.effect_products import tried_shapes
 from otf_core.diagnosis.engine.search import Cause, fit_jointly
-from otf_core.diagnosis.engine.tried import tried_shapes
-from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.free_curves import curves_of
 from otf_core.effects import REGISTRY
-from otf_core.effects.acting import vector
+from otf_core.effects.action import vector
 from otf_core.effects.empirical import Empirical
-from otf_core.effects.found_inputs import CYCLE, found_name
 from otf_core.effects.free import Free
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import functions_of, scaled_input, span_of
+from otf_core.effects.located_inputs import CYCLE, found_name
 
 CYCLIC, BACKLASH = REGISTRY['cyclic_error'], REGISTRY['backlash']
 PERIOD = 0.031

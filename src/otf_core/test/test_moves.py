@@ -4,8 +4,8 @@
 import pytest
 
 from otf_core.diagnosis.free_curves import Curve
-from otf_core.diagnosis.moves import WORDS, told_otherwise
-from otf_core.diagnosis.unnamed import Unnamed
+from otf_core.diagnosis.moves import WORDS, qualify_moves
+from otf_core.diagnosis.unnamed_cause import Unnamed
 from otf_core.pieces.finding import GATE, WARNING, Finding
 
 MOVE = Finding('moved', WARNING, 'tracker or target moved 412.2 s after the start')
@@ -24,7 +24,7 @@ def unnamed(*inputs, before_um=5.8, after_um=0.4):
 
 
 def test_a_cycle_that_leaves_hardly_anything_explains_a_move():
-    told = told_otherwise([NOISE, MOVE], unnamed('cycle:51.1'))
+    told = qualify_moves([NOISE, MOVE], unnamed('cycle:51.1'))
     assert told == (NOISE, Finding('moved', WARNING, MOVE.words + WORDS))
 
 
@@ -40,9 +40,9 @@ def test_a_cycle_that_leaves_hardly_anything_explains_a_move():
     ids=['a cause with a name', 'time', 'a jolt', 'a cycle and a jolt', 'half of the gap'],
 )
 def test_nothing_else_explains_a_move(cause):
-    assert told_otherwise([MOVE, NOISE], cause) == (MOVE, NOISE)
+    assert qualify_moves([MOVE, NOISE], cause) == (MOVE, NOISE)
 
 
 def test_a_run_that_cannot_be_mended_stays_one():
     broken = Finding('moved', GATE, 'what is left on one side does not fix the tracker')
-    assert told_otherwise([broken], unnamed('cycle:51.1')) == (broken,)
+    assert qualify_moves([broken], unnamed('cycle:51.1')) == (broken,)

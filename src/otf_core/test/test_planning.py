@@ -12,7 +12,7 @@ from otf_core.errors import ConfigError, InputError
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import check_inside, plan_for_path
-from otf_core.planning import after
+from otf_core.planning import follow_up
 from otf_core.planning.creator import plan_path
 from otf_core.solving.solution import determined_by_data
 
@@ -137,6 +137,6 @@ def test_the_shortest_time_that_is_said_after_a_diagnosis_suffices(acceleration)
     config = ForecastConfig(acceleration=acceleration)
     setup = SimpleNamespace(machine=some_machine(), config=config)
     with pytest.raises(ConfigError, match='no path takes 1 s or less') as raised:
-        after._candidates(setup, PlannerConfig(), 1.0)
+        follow_up._candidates(setup, PlannerConfig(), 1.0)
     enough = float(str(raised.value).split()[-2])
-    assert after._candidates(setup, PlannerConfig(), enough)
+    assert follow_up._candidates(setup, PlannerConfig(), enough)

@@ -16,7 +16,7 @@ from otf_core.diagnosis.free_curves import Curve
 from otf_core.diagnosis.place.where import describe_structure, where_of
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
 from otf_core.diagnosis.sizes import CauseSize
-from otf_core.diagnosis.unnamed import Unnamed
+from otf_core.diagnosis.unnamed_cause import Unnamed
 from otf_core.model.circumstances import Circumstances
 from otf_core.model.quantities import quantity
 from otf_core.reports.diagnosis import diagnosis_to_dict

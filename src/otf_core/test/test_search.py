@@ -24,9 +24,9 @@ from otf_core.diagnosis.engine.search import (
     MAX_CAUSES,
     fit_jointly,
     fit_out,
-    found_beside,
     noise_variance,
     search,
+    search_beside,
 )
 from otf_core.effects import REGISTRY
 
@@ -374,8 +374,8 @@ def test_what_is_known_stays_first_and_the_rest_is_found_beside_it():
     whole = trace_of(known, Z_X2Y=3e-6) + trace_of(other, B_X=4e-6)
     rows = holding(whole + noise(7))
     tried = tried_with(rows, {'backlash': options_of(BACKLASH)})
-    first, *found = found_beside(rows, tried, [known])
+    first, *found = search_beside(rows, tried, [known])
     assert first is known and named(found) == ['backlash']
     alone = holding(trace_of(known, Z_X2Y=3e-6) + noise(7))
     tried = tried_with(alone, {'backlash': options_of(BACKLASH)})
-    assert found_beside(alone, tried, [known]) == [known]
+    assert search_beside(alone, tried, [known]) == [known]

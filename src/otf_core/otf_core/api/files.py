@@ -15,8 +15,8 @@ from otf_core.files.output import OutputFolder
 from otf_core.inputs.recordings import Given, read_recording
 from otf_core.model.machine import Machine
 from otf_core.pieces.runs import Recording
-from otf_core.planning.judged import PlanReport
 from otf_core.planning.nc import DIALECTS
+from otf_core.planning.plan_report import PlanReport
 from otf_core.reports import calibration, gap_report, plan
 from otf_core.reports import diagnosis as reports
 

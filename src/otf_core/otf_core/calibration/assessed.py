@@ -16,7 +16,7 @@ from otf_core.budget.typical import TypicalSystematic, typical_pulls, typical_sy
 from otf_core.calibration.passes import unfollowed
 from otf_core.calibration.result import Fit, RunResult
 from otf_core.config import CalibrationConfig
-from otf_core.effects.stated import TakenOff
+from otf_core.effects.stated_effect import TakenOff
 from otf_core.memory import give_back
 from otf_core.model.tables import ErrorTables, with_uncertainty
 from otf_core.noise.events import lost_samples

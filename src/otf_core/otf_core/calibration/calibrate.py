@@ -19,8 +19,8 @@ from otf_core.calibration.result import CalibrationResult, Fit
 from otf_core.calibration.solved import solve_recordings
 from otf_core.calibration.verdict import judge
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.worth import check_worth, sample_noise
-from otf_core.effects.stated import TakenOff
+from otf_core.contradictions.table_worth import check_worth, sample_noise
+from otf_core.effects.stated_effect import TakenOff
 from otf_core.live.stages import silent
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS

@@ -28,9 +28,9 @@ from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.solved import Examined
 from otf_core.config import CalibrationConfig
 from otf_core.effects import Shape, State
+from otf_core.effects.removable_effect import Taken
 from otf_core.effects.state import probe_state
-from otf_core.effects.stated import StatedEffect, TakenOff, effects_to_list
-from otf_core.effects.taken import Taken
+from otf_core.effects.stated_effect import StatedEffect, TakenOff, effects_to_list
 from otf_core.live.stages import silent
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables

@@ -17,7 +17,7 @@ from otf_core.calibration.display import data_frame, figure, one_line, table_htm
 from otf_core.calibration.headline import Headline
 from otf_core.calibration.verdict import Verdict, Verdicts
 from otf_core.config import CalibrationConfig
-from otf_core.effects.stated import StatedEffect
+from otf_core.effects.stated_effect import StatedEffect
 from otf_core.model.frames import RigidTransform
 from otf_core.model.provenance import Origin
 from otf_core.model.tables import ErrorTables

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
-from otf_core.contradictions.left_out import LeftOut, findings, left_out
+from otf_core.contradictions.outlier_places import LeftOut, findings, left_out
+from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.live.stages import silent
 from otf_core.memory import give_back, one_heap
 from otf_core.pieces.finding import WARNING, Finding
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
-from otf_core.solving.curve_lag import moved_onto_curves
+from otf_core.solving.curve_lag import move_onto_curves
 from otf_core.solving.joint import Progress
 from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
 
@@ -92,7 +92,7 @@ def solve_recordings(
     give_back()
 
     solution = solve_with_reversal(runs, nodes, config, progress)
-    on_curves = moved_onto_curves(runs, solution)
+    on_curves = move_onto_curves(runs, solution)
     if on_curves is not None:
         runs, solution = on_curves, solve_with_reversal(on_curves, nodes, config, progress)
 

@@ -19,8 +19,8 @@ from otf_core.calibration.solved import solve_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo
 from otf_core.effects.effects_yaml import read_effects
-from otf_core.effects.stated import FILE
-from otf_core.effects.taken import Taken, taken
+from otf_core.effects.removable_effect import Taken, taken
+from otf_core.effects.stated_effect import FILE
 from otf_core.errors import ConfigError
 from otf_core.live.stages import silent
 from otf_core.pieces.runs import Recording

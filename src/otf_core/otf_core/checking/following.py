@@ -12,7 +12,7 @@ from otf_core.checking.seen import Seen
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
 from otf_core.tracking.alignment import Alignment
-from otf_core.tracking.order import OFF_PATH
+from otf_core.tracking.driving_order import OFF_PATH
 
 WHOLE = 0.98
 """Driven share from which on nothing is said."""

@@ -13,8 +13,8 @@ from otf_core.bags.sample_order import in_time_order
 from otf_core.bags.screening import MixedSamples, Screening
 from otf_core.checking.seen import Seen
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.before import check_recordings
 from otf_core.contradictions.examine import examine
+from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.stamps import check_samples
 from otf_core.errors import InputError
 from otf_core.inputs.recordings import Given, open_reading

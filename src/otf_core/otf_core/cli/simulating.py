@@ -114,7 +114,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
     from otf_core.noise.fields import read_noise
-    from otf_core.planning.after import measured_runs, open_questions
+    from otf_core.planning.follow_up import measured_runs, open_questions
     from otf_core.planning.job import PlanRequest, make_plan, read_place
     from otf_core.planning.nc import DIALECTS
     from otf_core.reports.plan import format_report, plan_summary, write_report

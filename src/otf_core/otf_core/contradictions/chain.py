@@ -9,7 +9,7 @@ classes of four chains each.
 
 from __future__ import annotations
 
-from otf_core.contradictions.model import Model
+from otf_core.contradictions.quick_model import Model
 from otf_core.model.machine import Chain
 from otf_core.pieces.finding import GATE, Finding
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from otf_core.contradictions.model import Model
+from otf_core.contradictions.quick_model import Model
 from otf_core.pieces.finding import WARNING, Finding
 
 LEAST = 0.8

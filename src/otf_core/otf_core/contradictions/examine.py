@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
+from otf_core.contradictions.beam_breaks import settle_offsets
 from otf_core.contradictions.chain import check_chain
 from otf_core.contradictions.driven_range import check_driven_range
-from otf_core.contradictions.found_again import settle_offsets
-from otf_core.contradictions.model import Model
-from otf_core.contradictions.moved import settle_steps
 from otf_core.contradictions.noise_level import check_noise_level
 from otf_core.contradictions.one_machine import check_one_machine
+from otf_core.contradictions.quick_model import Model
 from otf_core.contradictions.target_offset import check_target_offset
+from otf_core.contradictions.tracker_moves import settle_steps
 from otf_core.pieces.finding import Finding
 from otf_core.pieces.runs import Run
 

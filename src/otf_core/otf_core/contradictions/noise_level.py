@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.model import Model
+from otf_core.contradictions.quick_model import Model
 from otf_core.model.observation import Samples
 from otf_core.noise.standstill import find_standstills, standstill_noise
 from otf_core.pieces.finding import GATE, WARNING, Finding

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from otf_core.contradictions.model import Model
+from otf_core.contradictions.quick_model import Model
 from otf_core.errors import InputError
 from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.runs import Run

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from otf_core.contradictions.fit import Fit
-from otf_core.contradictions.rows import UNIT, Rows
+from otf_core.contradictions.quick_fit import Fit
+from otf_core.contradictions.quick_rows import UNIT, Rows
 from otf_core.model.observation import Samples
 from otf_core.pieces.pieces import Pieces
 from otf_core.tracking.track import broken

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre
 from numpy.typing import NDArray
 
-from otf_core.contradictions.fit import Fit, gain
-from otf_core.contradictions.rows import UNIT, Rows, pose_columns, reversal_columns
+from otf_core.contradictions.quick_fit import Fit, gain
+from otf_core.contradictions.quick_rows import UNIT, Rows, pose_columns, reversal_columns
 
 Array = NDArray[np.float64]
 

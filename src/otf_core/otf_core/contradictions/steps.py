@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from otf_core.contradictions.fit import Fit, gain
-from otf_core.contradictions.rows import Rows
+from otf_core.contradictions.quick_fit import Fit, gain
+from otf_core.contradictions.quick_rows import Rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

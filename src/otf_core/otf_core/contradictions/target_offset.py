@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.contradictions.model import Model
+from otf_core.contradictions.quick_model import Model
 from otf_core.pieces.finding import GATE, Finding
 
 Array = NDArray[np.float64]

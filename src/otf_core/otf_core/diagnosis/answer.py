@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from otf_core.diagnosis.engine.assess import (
+from otf_core.diagnosis.cause_parameters import FittedCause
+from otf_core.diagnosis.engine.gap_sizes import (
     SIMULATED_U,
     gap_um,
     shrink_interval,
@@ -16,11 +17,10 @@ from otf_core.diagnosis.engine.assess import (
 )
 from otf_core.diagnosis.engine.noise_check import NoiseFinding
 from otf_core.diagnosis.explanation import Explanation
-from otf_core.diagnosis.fitted import FittedCause
 from otf_core.diagnosis.free_curves import curves_of, departs_words
 from otf_core.diagnosis.result import FORMULA, FREE, Gap, NamedCause
 from otf_core.diagnosis.sizes import chosen_sizes, sizes_of, sizes_words
-from otf_core.diagnosis.unnamed import Unnamed
+from otf_core.diagnosis.unnamed_cause import Unnamed
 from otf_core.effects import State
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import Machine

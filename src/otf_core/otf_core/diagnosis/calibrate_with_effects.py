@@ -9,7 +9,7 @@ from dataclasses import replace
 from otf_core.calibration.with_effects import EffectsCalibration, calibrate_with_file
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.diagnose import diagnose
-from otf_core.diagnosis.simulated import Twin
+from otf_core.diagnosis.twin_residual import Twin
 from otf_core.errors import ConfigError
 from otf_core.pieces.runs import Recording
 from otf_core.solving.joint import Progress

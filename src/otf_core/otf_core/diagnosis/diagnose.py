@@ -21,26 +21,26 @@ from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.solved import Examined, SolvedRecordings, solve_recordings
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.left_out import left_out
+from otf_core.contradictions.outlier_places import left_out
 from otf_core.diagnosis.answer import gap_of, known_words, named_causes, sentence_of
-from otf_core.diagnosis.corrected import FoundCauses, Told, with_causes, without_causes
+from otf_core.diagnosis.cause_parameters import FittedCause, fitted_causes
+from otf_core.diagnosis.corrected_calibration import FoundCauses, Told, with_causes, without_causes
 from otf_core.diagnosis.engine.catalogue import (
     Found,
     Visibility,
     search_catalogue,
     spectral_lines,
 )
-from otf_core.diagnosis.engine.followed import held_by, rows_to_diagnose, straight_rows
-from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.shaken import calmed
+from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.diagnosis.engine.short_waves import held_by, rows_to_diagnose, straight_rows
+from otf_core.diagnosis.engine.standstill_vibration import remove_steady_vibration
 from otf_core.diagnosis.explanation import Explanation, explain
-from otf_core.diagnosis.fitted import FittedCause, fitted_causes
-from otf_core.diagnosis.judged import Judged, judge, run_views
-from otf_core.diagnosis.moves import told_otherwise
+from otf_core.diagnosis.moves import qualify_moves
 from otf_core.diagnosis.place.views import RunView, noise_factor
 from otf_core.diagnosis.place.where import Where, where_and_shape
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
-from otf_core.diagnosis.simulated import Twin, simulated_residual_um
+from otf_core.diagnosis.twin_residual import Twin, simulated_residual_um
+from otf_core.diagnosis.weighing import Judged, judge, run_views
 from otf_core.effects import REGISTRY, Effect
 from otf_core.live.stages import silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
@@ -174,7 +174,7 @@ def _search(
     nodes, solution = observed.nodes, observed.solution
     rows = rows_to_diagnose(observed.runs, solution, nodes, config, exclude)
     straight = partial(straight_rows, done=solution, nodes=nodes, config=config, exclude=exclude)
-    calm = partial(calmed, config=config)
+    calm = partial(remove_steady_vibration, config=config)
     progress('diagnosing', 0.0)
     with Ahead() as ahead:
         ahead.begin(simulated_residual_um, rows, nodes, config, twin)
@@ -281,7 +281,7 @@ def _answer(
         smallest_found_um={
             n: 1e6 * v.smallest for n, v in visible.items() if np.isfinite(v.smallest)
         },
-        contradictions=told_otherwise(examined.findings, said),
+        contradictions=qualify_moves(examined.findings, said),
         table_change_um=_table_change_um(calibration),
         unnamed=said,
         applied=nameless.applied if nameless else applied,

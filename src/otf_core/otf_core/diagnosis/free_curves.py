@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.fitted import FittedCause
+from otf_core.diagnosis.cause_parameters import FittedCause
 from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
     SIGNAL,

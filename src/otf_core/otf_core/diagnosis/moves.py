@@ -11,15 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from otf_core.diagnosis.unnamed import Unnamed
+from otf_core.diagnosis.unnamed_cause import Unnamed
 from otf_core.diagnosis.verdict import EXPLAINED_SHARE
-from otf_core.effects.found_inputs import CYCLE, MOMENT, head_of
+from otf_core.effects.located_inputs import CYCLE, MOMENT, head_of
 from otf_core.pieces.finding import WARNING, Finding
 
 WORDS = '; the cycle that this diagnosis finds explains the run as well, without a move'
 
 
-def told_otherwise(findings: Sequence[Finding], unnamed: Unnamed | None) -> tuple[Finding, ...]:
+def qualify_moves(findings: Sequence[Finding], unnamed: Unnamed | None) -> tuple[Finding, ...]:
     """Say so beside findings of moves.
 
     Parameters

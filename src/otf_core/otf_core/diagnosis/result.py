@@ -11,7 +11,7 @@ from otf_core.diagnosis.free_curves import Curve
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.place.where import Where
 from otf_core.diagnosis.sizes import CauseSize
-from otf_core.diagnosis.unnamed import Unnamed
+from otf_core.diagnosis.unnamed_cause import Unnamed
 from otf_core.effects import AppliedEffect
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding

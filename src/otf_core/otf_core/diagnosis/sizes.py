@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.fitted import FittedCause
+from otf_core.diagnosis.cause_parameters import FittedCause
 from otf_core.diagnosis.free_curves import Curve, number_words
 from otf_core.effects import REGISTRY, State
 from otf_core.effects.sizes import Coefficients, Size

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from otf_core.effects.applied import AppliedEffect, total_displacement
+from otf_core.effects.applied_effect import AppliedEffect, total_displacement
 from otf_core.effects.base import BelongsTo, Effect, Shape, State, Terms
 from otf_core.effects.catalogue.backlash import Backlash
 from otf_core.effects.catalogue.corner_rounding import CornerRounding

@@ -19,7 +19,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.acting import Acting
+from otf_core.effects.action import Acting
 from otf_core.effects.drawing import Trial
 from otf_core.effects.free import Free
 from otf_core.effects.sizes import Coefficients, Size

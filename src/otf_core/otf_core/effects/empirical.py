@@ -14,10 +14,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.acting import Acting
-from otf_core.effects.applied import AppliedEffect
+from otf_core.effects.action import Acting
+from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
-from otf_core.effects.found_inputs import cycle_period
 from otf_core.effects.free import Free
 from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
@@ -28,6 +27,7 @@ from otf_core.effects.inputs import (
     scaled_input,
     unscaled_input,
 )
+from otf_core.effects.located_inputs import cycle_period
 
 EMPIRICAL = 'empirical'
 CONDITION = 1e8

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 
-from otf_core.effects.acting import Acting
+from otf_core.effects.action import Acting
 from otf_core.effects.inputs import SIGNAL
 from otf_core.effects.switching import Switching
 from otf_core.effects.terms import BelongsTo, Terms

@@ -16,11 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from otf_core.effects.acting import Acting
+from otf_core.effects.action import Acting
 from otf_core.effects.base import Array, Effect, Shape, State, Terms
-from otf_core.effects.found_inputs import TURNS, head_of
 from otf_core.effects.free import AXIS, TERM, Free, follower
 from otf_core.effects.inputs import SIGNAL, Span, functions_of, input_values, scaled_input, span_of
+from otf_core.effects.located_inputs import TURNS, head_of
 
 _TAKEN_OVER = (
     'name', 'cause', 'equation', 'coefficients', 'typical', 'source', 'signature', 'needs',

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from otf_core.effects import REGISTRY
-from otf_core.effects.acting import ACTING, DIRECTION, Acting, Along, acting_name
-from otf_core.effects.applied import AppliedEffect
+from otf_core.effects.action import ACTING, DIRECTION, Acting, Along, acting_name
+from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.base import Effect
 from otf_core.effects.empirical import EMPIRICAL, Empirical, of_table, tabulated
 from otf_core.effects.free import Free, follower, switched

@@ -3,7 +3,7 @@
 
 Time, axis positions, sense of travel, feed, what happened since the last stop or reversal, place
 in the path, direction and length of the beam, signals recorded beside the samples, and those with
-numbers of their own (``found_inputs``). A distance or a time since something is compressed to
+numbers of their own (``located_inputs``). A distance or a time since something is compressed to
 s / (s + s0), so that what dies out needs few functions. Functions are Legendre polynomials; of a
 phase they are harmonics, of what switches its responses.
 """
@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.polynomial import legendre
 
-from otf_core.effects.found_inputs import cycle_period, found_kind, numbers_of
+from otf_core.effects.located_inputs import cycle_period, found_kind, numbers_of
 from otf_core.effects.switching import Switching
 from otf_core.effects.terms import Array, State
 from otf_core.errors import ConfigError

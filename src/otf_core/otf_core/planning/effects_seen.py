@@ -19,8 +19,8 @@ from otf_core.diagnosis.engine.catalogue import (
     shapes_of,
     sight_of,
 )
-from otf_core.diagnosis.engine.rows import Rows, rows_of
-from otf_core.diagnosis.engine.tried import Tried, tried_shapes
+from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
+from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.effects import REGISTRY, Effect
 from otf_core.planning.planned_budget import Planned
 

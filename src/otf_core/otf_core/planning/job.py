@@ -14,15 +14,15 @@ from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
 from otf_core.noise.model import NoiseModel
-from otf_core.planning.after import Answer, Question, plan_after
 from otf_core.planning.creator import plan_path
 from otf_core.planning.effects_seen import forecast_effects, forecast_rows
+from otf_core.planning.follow_up import Answer, Question, plan_after
 from otf_core.planning.forecast import Forecast, Setup, forecast
-from otf_core.planning.judged import EffectForecast, PlanReport
-from otf_core.planning.measured import MeasuredRun
+from otf_core.planning.measured_runs import MeasuredRun
 from otf_core.planning.nc.programs import on_increment
 from otf_core.planning.observability import findings
-from otf_core.planning.optimised import PathOptimiser
+from otf_core.planning.path_optimiser import PathOptimiser
+from otf_core.planning.plan_report import EffectForecast, PlanReport
 from otf_core.planning.planned_budget import (
     Planned,
     PlannedSystematic,

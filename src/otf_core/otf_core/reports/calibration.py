@@ -20,7 +20,7 @@ import numpy as np
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
 from otf_core.config import OTF, STANDSTILL
-from otf_core.effects.stated import effects_to_list
+from otf_core.effects.stated_effect import effects_to_list
 from otf_core.files.csv_points import tidy
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of

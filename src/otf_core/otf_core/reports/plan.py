@@ -24,9 +24,9 @@ from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
 from otf_core.noise.fields import noise_to_fields
 from otf_core.planning.forecast import Forecast
-from otf_core.planning.judged import PlanReport
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import program
+from otf_core.planning.plan_report import PlanReport
 from otf_core.reports.plan_page import plan_html
 from otf_core.reports.plots.plan import write_plan_picture
 from otf_core.reports.quantities import place

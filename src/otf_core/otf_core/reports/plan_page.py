@@ -9,7 +9,7 @@ import numpy as np
 
 from otf_core.calibration.headline import Expected
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_significant
-from otf_core.planning.judged import PlanReport
+from otf_core.planning.plan_report import PlanReport
 from otf_core.prediction.volumetric import length_sizes
 from otf_core.reports.drawing.heat import heat_key, heat_step
 from otf_core.reports.drawing.scene import SCRIPT

@@ -65,7 +65,7 @@ def lags(runs: Sequence[Observed], done: JointSolution) -> list[tuple[float, flo
     return found
 
 
-def moved_onto_curves(
+def move_onto_curves(
     runs: Sequence[AnyRun], solved: ReversalSolution[AnyRun]
 ) -> list[AnyRun] | None:
     """Runs whose paths lie as far inside their curves as was driven; None if none does.

@@ -290,7 +290,9 @@ def solve_jointly(
     poses = [run.pose for run in runs]
     systems = systems_of(runs, poses, unknowns, start.tables if start else None)
     whiteners = whiteners_of(runs, systems)
-    accepted = start.accepted if start else seen_blocks(runs, unknowns, whiteners, limit)
+    accepted = (
+        start.accepted if start else find_identifiable_blocks(runs, unknowns, whiteners, limit)
+    )
     normal = summed(systems, unknowns, whiteners, accepted)
     rough = Search(normal, unknowns, accepted, limit).run(start.logs if start else None)
     solution = solve(normal, unknowns, limit, accepted, rough.precision)
@@ -356,7 +358,7 @@ def whiteners_of(runs: Sequence[Observed], systems: Sequence[System]) -> list[Wh
     return found
 
 
-def seen_blocks(
+def find_identifiable_blocks(
     runs: Sequence[Observed], unknowns: Unknowns, whiteners: Sequence[Whitener], limit: float
 ) -> tuple[str, ...]:
     """Blocks of unknowns that the data determine, to ``limit``, ``unidentifiable_above``."""

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.solving.repeated import taken_once
+from otf_core.solving.repeated_lines import weigh_repeated_lines
 from otf_core.solving.system import System
 from otf_core.solving.triangular import lower_times
 from otf_core.solving.unknowns import Unknowns
@@ -88,8 +88,8 @@ def line_equations(
     whitener: Whitener,
     blocks: Collection[str] | None = None,
 ) -> NormalEquations:
-    """Sum up the rows of every line with the weight of all passes, see ``repeated``."""
-    once = taken_once(system, whitener)
+    """Sum up the rows of every line with the weight of all passes, see ``repeated_lines``."""
+    once = weigh_repeated_lines(system, whitener)
     found = normal_equations(once.system, unknowns, once.whitener, blocks)
     return replace(found, square=found.square + once.square, rows=once.rows)
 

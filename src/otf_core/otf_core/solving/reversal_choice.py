@@ -34,7 +34,7 @@ from otf_core.solving.design import Design
 from otf_core.solving.folds import FOLDS, fold_of
 from otf_core.solving.joint import JointSolution, Progress, solve_robustly, tables_of
 from otf_core.solving.normal import NormalEquations, sum_groups
-from otf_core.solving.repeated import Once, taken_once
+from otf_core.solving.repeated_lines import Once, weigh_repeated_lines
 from otf_core.solving.reversal import MODELS
 from otf_core.solving.roughness import TRACE
 from otf_core.solving.shape_choice import choose_shapes
@@ -206,7 +206,7 @@ def _held_out_squares(
     lines, rivals = [], []
     for k, (run, solved) in enumerate(zip(runs, done.runs, strict=True)):
         system = build_system(run.machine, run.pieces, solved.pose, unknowns, tables, run=k)
-        lines.append(taken_once(system, solved.whitener))
+        lines.append(weigh_repeated_lines(system, solved.whitener))
         rivals.append(_rival_columns(run, system)[:, lines[k].pieces])
     seen = done.solution.accepted
     blocks = [n for n in unknowns.blocks if _motion(n) in seen]

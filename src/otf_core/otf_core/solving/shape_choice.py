@@ -33,9 +33,9 @@ from otf_core.solving.joint import (
     Progress,
     SolvedRun,
     Start,
+    find_identifiable_blocks,
     improved_runs,
     left_by,
-    seen_blocks,
     solve_jointly,
     summed,
     systems_of,
@@ -142,7 +142,7 @@ def choose_shapes(
     limit = config.unidentifiable_above
     smooth = layout(smooth_bases(nodes), len(runs))
     whiteners = whiteners_of(runs, systems_of(runs, [r.pose for r in runs], smooth, None))
-    seen = seen_blocks(runs, smooth, whiteners, limit)
+    seen = find_identifiable_blocks(runs, smooth, whiteners, limit)
     start, poses = _started(runs, smooth, Start({}, seen), config, progress)
     moved = [replace(r, pose=p) for r, p in zip(runs, poses, strict=True)]
     best, scores = _try_all(moved, nodes, start, whiteners, limit)

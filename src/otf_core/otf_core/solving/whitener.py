@@ -18,7 +18,7 @@ from otf_core.errors import InputError
 from otf_core.model.path import leg_bounds
 from otf_core.noise.model import Misfit, NoiseModel
 from otf_core.pieces.pieces import Pieces
-from otf_core.solving.alike import (
+from otf_core.solving.leg_covariance import (
     Alike,
     Covariances,
     Moments,
@@ -127,7 +127,7 @@ class Whitener:
 
     @cached_property
     def once(self) -> Whitener:
-        """For every line once, with the weight of all legs over it; see ``repeated``."""
+        """For every line once, with the weight of all legs over it; see ``repeated_lines``."""
         lines, line = np.unique(self.first, return_inverse=True)
         if len(lines) == len(self.bounds):
             return self

@@ -21,12 +21,12 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
 from otf_core.tracking.arcs import Bulge, bulge_of, with_arcs
 from otf_core.tracking.curves import SHORT_CURVE, Lines, PathShape, straight_shape
-from otf_core.tracking.driven import Driven, as_planned, driven_path, sample_chords, visits
+from otf_core.tracking.driven_path import Driven, as_planned, driven_path, sample_chords, visits
+from otf_core.tracking.driving_order import FORWARD, OFF_PATH, Match, follow
 from otf_core.tracking.guide import Guide
 from otf_core.tracking.line_step import line_step
 from otf_core.tracking.matching import ENOUGH, LEAST, cut_track
 from otf_core.tracking.no_match import MIRRORED, mirrored, why_no_match
-from otf_core.tracking.order import FORWARD, OFF_PATH, Match, follow
 from otf_core.tracking.rounding import rounded_ends, sharpened
 from otf_core.tracking.track import Track, measured_track
 

@@ -4,8 +4,8 @@
 The paper (1.2.3) uses start point, end point and centroid, which fails where the recording holds
 more or less than the path. Here short runs of measured corner points are compared with runs of
 nominal ones by their mutual distances; each agreement proposes a pose, and the pose under which
-the whole track follows the path in driving order (``order``) wins. Where corners do not tell,
-points at equal distances along track and path take their place (``arc_windows``).
+the whole track follows the path (``driving_order``) wins. Where corners do not decide, points at
+equal distances along track and path take their place (``arc_windows``).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.tracking.arc_windows import dense_points, propose
-from otf_core.tracking.order import OFF_PATH as OFF_PATH
-from otf_core.tracking.order import Match as Match
-from otf_core.tracking.order import follow as follow
-from otf_core.tracking.order import follow_within
+from otf_core.tracking.driving_order import OFF_PATH as OFF_PATH
+from otf_core.tracking.driving_order import Match as Match
+from otf_core.tracking.driving_order import follow as follow
+from otf_core.tracking.driving_order import follow_within
 from otf_core.tracking.track import Track
 
 Array = NDArray[np.float64]

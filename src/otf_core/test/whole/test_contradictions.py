@@ -26,8 +26,8 @@ from otf_core import cli
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions import model, moved
-from otf_core.contradictions.worth import check_worth, volumetric
+from otf_core.contradictions import quick_model, tracker_moves
+from otf_core.contradictions.table_worth import check_worth, volumetric
 from otf_core.errors import InputError
 from otf_core.model.machine import Axis, Chain, TrackerSpec
 from otf_core.model.observation import Samples
@@ -197,9 +197,9 @@ def test_a_tracker_that_moved_is_found_in_time(size):
 
 
 def test_long_runs_are_examined_on_every_nth_piece(monkeypatch):
-    monkeypatch.setattr(model, 'ENOUGH', 500)
+    monkeypatch.setattr(quick_model, 'ENOUGH', 500)
     a = recorded(4)
-    rows = model.Model.of([a_run := prepare_runs([a], CONFIG)[0][0]]).rows
+    rows = quick_model.Model.of([a_run := prepare_runs([a], CONFIG)[0][0]]).rows
     assert 500 <= len(rows) < 1000 < len(a_run.pieces)
     (found,) = asked(stepped(a, (12e-6, -16e-6, 0.0)))
     seconds = float(found.words.split('moved ')[1].split(' s ')[0])
@@ -350,11 +350,11 @@ def test_steps_without_end_are_no_moves(monkeypatch):
         runs = (SimpleNamespace(recording=recorded(), name='', late=0.0),)
 
     whole = Whole()
-    step = moved.Step(0, 1.0, np.zeros(3), 1e-5, 0.0, 0.1)
-    monkeypatch.setattr(moved, 'find_step', lambda model, run: step)
-    monkeypatch.setattr(moved, 'split', lambda run, *_: (run, run))
-    monkeypatch.setattr(moved.Model, 'of', lambda runs: SimpleNamespace(runs=tuple(runs)))
-    model, findings = moved.settle_steps(whole, (), CalibrationConfig(), mend=True)
+    step = tracker_moves.Step(0, 1.0, np.zeros(3), 1e-5, 0.0, 0.1)
+    monkeypatch.setattr(tracker_moves, 'find_step', lambda model, run: step)
+    monkeypatch.setattr(tracker_moves, 'split', lambda run, *_: (run, run))
+    monkeypatch.setattr(tracker_moves.Model, 'of', lambda runs: SimpleNamespace(runs=tuple(runs)))
+    model, findings = tracker_moves.settle_steps(whole, (), CalibrationConfig(), mend=True)
     assert model is whole
     assert [f.check for f in findings] == ['moved']
     assert 'as no single move' in findings[0].words
@@ -364,16 +364,18 @@ def test_steps_without_end_are_no_moves(monkeypatch):
 def test_several_moves_leave_hardly_anything_or_are_none(monkeypatch, left, cut):
     run = SimpleNamespace(recording=recorded(), name='', late=0.0)
     whole = SimpleNamespace(runs=(run,), fit=SimpleNamespace(ratio=5.2))
-    step = moved.Step(0, 1.0, np.zeros(3), 1e-5, 0.0, 0.1)
+    step = tracker_moves.Step(0, 1.0, np.zeros(3), 1e-5, 0.0, 0.1)
 
     def of(runs):
         return SimpleNamespace(runs=tuple(runs), fit=SimpleNamespace(ratio=left))
 
     monkeypatch.setattr(
-        moved, 'find_step', lambda model, k: step if k == 0 and len(model.runs) < 4 else None
+        tracker_moves,
+        'find_step',
+        lambda model, k: step if k == 0 and len(model.runs) < 4 else None,
     )
-    monkeypatch.setattr(moved, 'split', lambda run, *_: (run, run))
-    monkeypatch.setattr(moved.Model, 'of', of)
-    model, findings = moved.settle_steps(whole, (), CalibrationConfig(), mend=True)
+    monkeypatch.setattr(tracker_moves, 'split', lambda run, *_: (run, run))
+    monkeypatch.setattr(tracker_moves.Model, 'of', of)
+    model, findings = tracker_moves.settle_steps(whole, (), CalibrationConfig(), mend=True)
     assert (len(model.runs), len(findings)) == ((4, 3) if cut else (1, 1))
     assert cut or 'at 3 moments and more, as no single move' in findings[0].words

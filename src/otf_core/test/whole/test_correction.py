@@ -14,11 +14,11 @@ from otf_core.calibration.correction import corrected, estimates, missing_in_tab
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis import calibrate_with_effects as above
 from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
-from otf_core.diagnosis.corrected import FoundCauses, Told, _to_take, with_causes
+from otf_core.diagnosis.corrected_calibration import FoundCauses, Told, _to_take, with_causes
 from otf_core.effects import REGISTRY, AppliedEffect
+from otf_core.effects.removable_effect import taken
 from otf_core.effects.state import probe_state
-from otf_core.effects.stated import FILE, FOUND, format_effects
-from otf_core.effects.taken import taken
+from otf_core.effects.stated_effect import FILE, FOUND, format_effects
 from otf_core.errors import ConfigError
 from otf_core.model.motions import MOTIONS
 from otf_core.pieces.runs import prepare_runs

@@ -14,7 +14,7 @@ from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.calibration.solved import solve_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.diagnosis.diagnose import diagnose
-from otf_core.diagnosis.engine.rows import build_rows
+from otf_core.diagnosis.engine.residual_rows import build_rows
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion

@@ -12,7 +12,7 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.tracking.alignment import align
 from otf_core.tracking.curves import Lines
-from otf_core.tracking.order import OFF_PATH
+from otf_core.tracking.driving_order import OFF_PATH
 from otf_core.tracking.path_watch import PathWatcher
 
 CONFIG = CalibrationConfig()

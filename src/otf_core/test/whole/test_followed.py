@@ -8,8 +8,8 @@ from nature import NAMES, Cell
 from otf_core.calibration.solved import solve_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.catalogue import tried_effects
-from otf_core.diagnosis.engine.followed import rows_to_diagnose
 from otf_core.diagnosis.engine.search import search
+from otf_core.diagnosis.engine.short_waves import rows_to_diagnose
 from otf_core.effects import REGISTRY
 from otf_core.solving.basis import LINEAR
 from otf_core.solving.shape_choice import is_finer

@@ -11,14 +11,22 @@ from effect_cells import driven_state
 from engine_cells import holding, noise, solved_rows
 
 from otf_core.diagnosis.engine.catalogue import tried_effects
+from otf_core.diagnosis.engine.effect_products import tried_shapes
+from otf_core.diagnosis.engine.empirical_structure import (
+    find_another,
+    find_structure,
+    try_structures,
+)
 from otf_core.diagnosis.engine.search import search
-from otf_core.diagnosis.engine.tried import tried_shapes
-from otf_core.diagnosis.engine.unnamed import find_another, find_structure, try_structures
 from otf_core.effects import REGISTRY, AppliedEffect
-from otf_core.effects.acting import Along, rigid_tracker, vector
+from otf_core.effects.action import Along, rigid_tracker, vector
 from otf_core.effects.effects_yaml import effects_from_data, effects_to_data
 from otf_core.effects.empirical import of_table, tabulated
-from otf_core.effects.found_inputs import (
+from otf_core.effects.free import Free
+from otf_core.effects.free_form import FreeForm, free_forms
+from otf_core.effects.history import lap_numbers, path_history, travel_at_start
+from otf_core.effects.inputs import scaled_input, unscaled_input
+from otf_core.effects.located_inputs import (
     DIRECTION,
     MOMENT,
     PLACE,
@@ -26,11 +34,7 @@ from otf_core.effects.found_inputs import (
     head_of,
     numbers_of,
 )
-from otf_core.effects.free import Free
-from otf_core.effects.free_form import FreeForm, free_forms
-from otf_core.effects.history import lap_numbers, path_history, travel_at_start
-from otf_core.effects.inputs import scaled_input, unscaled_input
-from otf_core.effects.taken import taken
+from otf_core.effects.removable_effect import taken
 from otf_core.errors import ConfigError
 from otf_core.tracking.curves import Lines, straight_shape
 

@@ -10,10 +10,10 @@ from otf_core.config import PlannerConfig
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.errors import ConfigError
-from otf_core.planning.after import Question, answered, open_questions, plan_after
 from otf_core.planning.creator import plan_path
+from otf_core.planning.follow_up import Question, answered, open_questions, plan_after
 from otf_core.planning.forecast import Setup, forecast
-from otf_core.planning.measured import MeasuredRun, joint_rows
+from otf_core.planning.measured_runs import MeasuredRun, joint_rows
 from otf_core.planning.planned_budget import planned_solution
 
 MACHINE = some_machine(pitch=0.1)

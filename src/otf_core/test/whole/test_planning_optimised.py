@@ -24,7 +24,7 @@ from otf_core.planning.drive_time import drive_times
 from otf_core.planning.forecast import Setup, forecast
 from otf_core.planning.line_allocation import allocate, judge, total, variance
 from otf_core.planning.observability import chain_shows
-from otf_core.planning.optimised import PathOptimiser
+from otf_core.planning.path_optimiser import PathOptimiser
 from otf_core.planning.walk_search import best_walk
 from otf_core.sim.cell import random_tables, simulate
 
@@ -188,7 +188,7 @@ def test_wanted_uncertainty_is_reached_in_a_short_time(best):
 
 
 def test_wanted_uncertainty_out_of_reach_is_refused(best, monkeypatch):
-    monkeypatch.setattr('otf_core.planning.optimised.LONGEST', 300.0)
+    monkeypatch.setattr('otf_core.planning.path_optimiser.LONGEST', 300.0)
     with pytest.raises(ConfigError, match=r'needs more than 300 s at this feed; then [\d.]+ um'):
         best.optimiser.for_uncertainty(1e-9)
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from otf_core.aside import shared_out
-from otf_core.diagnosis.engine.courses import courses_tried
 from otf_core.diagnosis.engine.decoys import DECOYS
-from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.effect_products import NO_TRACE, Tried, tried_shapes
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, search
 from otf_core.diagnosis.engine.spectral import LINE_SCORE, SpectralLine, strongest_lines
-from otf_core.diagnosis.engine.tried import NO_TRACE, Tried, tried_shapes
+from otf_core.diagnosis.engine.time_courses import courses_tried
 from otf_core.effects import REGISTRY, BelongsTo, Effect, Shape
 from otf_core.effects.free_form import free_forms
 

@@ -12,8 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.diagnosis.engine.in_time import InTime
-from otf_core.effects.acting import Acting, rigid_tracker, vector
+from otf_core.diagnosis.engine.time_products import InTime
+from otf_core.effects.action import Acting, rigid_tracker, vector
 from otf_core.effects.base import Array, Effect, Shape, State
 
 MOMENTS = 40

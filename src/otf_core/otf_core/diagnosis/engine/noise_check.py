@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.catalogue.tracker_noise import TrackerNoise
 from otf_core.noise.departure import Departure, as_simulated, noise_departure
@@ -119,7 +119,7 @@ def check_noise(
     )
 
 
-def heard(run: Run, speed: float) -> Run:
+def with_measured_noise(run: Run, speed: float) -> Run:
     """Return a run with the noise of its standstills where that is clearly louder than specified.
 
     Up to ``noise.departure.LEVEL`` it passes as specified, and a solution takes it as specified;

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.touched import Touched, acts_on_lines
+from otf_core.diagnosis.engine.line_groups import Touched, acts_on_lines
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]

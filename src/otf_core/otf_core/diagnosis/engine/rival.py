@@ -24,19 +24,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.diagnosis.engine.empirical_structure import Structures, inputs_of
 from otf_core.diagnosis.engine.evidence import log_evidence
-from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import (
     NEEDED_EVIDENCE,
     Cause,
     fit_jointly,
     noise_variance,
 )
-from otf_core.diagnosis.engine.unnamed import Structures, inputs_of
-from otf_core.effects.acting import vector
-from otf_core.effects.found_inputs import stands_for
+from otf_core.effects.action import vector
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL
+from otf_core.effects.located_inputs import stands_for
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy import sparse
 
-from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.solving.whitener import Whitener
 
 Array = NDArray[np.float64]

@@ -10,8 +10,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.beside import Beside, Candidates, Pool, orthonormal
+from otf_core.diagnosis.engine.candidates import Beside, Candidates, Pool, orthonormal
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES
+from otf_core.diagnosis.engine.effect_products import Tried
 from otf_core.diagnosis.engine.evidence import (
     Estimate,
     Option,
@@ -19,16 +20,15 @@ from otf_core.diagnosis.engine.evidence import (
     estimate,
     log_evidence,
 )
-from otf_core.diagnosis.engine.followers import (
+from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.diagnosis.engine.signal_lag import (
     AS_WELL,
     in_proportion,
     preferred,
     signal_of,
     with_lags,
 )
-from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.switched import with_switches
-from otf_core.diagnosis.engine.tried import Tried
+from otf_core.diagnosis.engine.switching_times import add_switching
 from otf_core.solving.columns import column_size
 from otf_core.solving.residual_check import check_residuals
 
@@ -185,7 +185,7 @@ def search(rows: Rows, tried: Candidates) -> tuple[list[Cause], list[tuple[str, 
     return causes, considered
 
 
-def found_beside(rows: Rows, tried: Candidates, known: Sequence[Cause]) -> list[Cause]:
+def search_beside(rows: Rows, tried: Candidates, known: Sequence[Cause]) -> list[Cause]:
     """Find effects beside causes that are known already; these come first."""
     pool = Pool.of(rows, tried)
     for cause in known:
@@ -229,7 +229,7 @@ def _found(
 def _beside(pool: Pool, causes: Sequence[Cause], variance: float) -> Beside:
     """Candidates beside causes, those with lags and moments at their likeliest ones."""
     beside = pool.beside([c.option for c in causes])
-    return with_switches(with_lags(beside, variance), variance)
+    return add_switching(with_lags(beside, variance), variance)
 
 
 def _changed(pool: Pool, causes: Sequence[Cause]) -> list[Cause] | None:

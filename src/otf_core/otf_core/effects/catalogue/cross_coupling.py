@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from otf_core.effects.acting import vector
+from otf_core.effects.action import vector
 from otf_core.effects.base import Coefficients, Effect, Shape, Size, State, Terms
 from otf_core.effects.drawing import Either, Number, OfMachine, Several, Share, Trial
 from otf_core.effects.free import Free

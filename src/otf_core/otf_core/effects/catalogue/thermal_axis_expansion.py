@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
-from otf_core.effects.acting import Acting
+from otf_core.effects.action import Acting
 from otf_core.effects.base import Coefficients, Contribution, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
-from otf_core.effects.acting import Acting, vector
+from otf_core.effects.action import Acting, vector
 from otf_core.effects.base import Array, Coefficients, Shape, Size, State, Terms
 from otf_core.effects.drawing import Axes, Trial
 from otf_core.effects.free import Free

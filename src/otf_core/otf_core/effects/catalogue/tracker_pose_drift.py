@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from otf_core.effects import drift
-from otf_core.effects.acting import Acting, rigid_tracker
+from otf_core.effects.action import Acting, rigid_tracker
 from otf_core.effects.base import Coefficients, Shape, Size, State, Terms
 from otf_core.effects.catalogue.thermal_structure_drift import translation_columns
 from otf_core.effects.drawing import Axes, Either, Trial

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from otf_core.effects.stated import FOUND, effects_to_list, format_effects
+from otf_core.effects.stated_effect import FOUND, effects_to_list, format_effects
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.section import Section, Table
 

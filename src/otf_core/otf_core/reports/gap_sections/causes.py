@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from otf_core.diagnosis.corrected import in_reversal_tables
+from otf_core.diagnosis.corrected_calibration import in_reversal_tables
 from otf_core.diagnosis.result import Diagnosis, NamedCause
 from otf_core.effects import REGISTRY, BelongsTo
 from otf_core.model.quantities import quantity

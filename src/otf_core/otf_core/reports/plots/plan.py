@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
-from otf_core.planning.judged import PlanReport
+from otf_core.planning.plan_report import PlanReport
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_step, heat_words
 from otf_core.reports.drawing.scene import Dots, Item, Strokes, box, scene, tracker_items

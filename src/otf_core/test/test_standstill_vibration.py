@@ -7,8 +7,8 @@ import numpy as np
 from engine_cells import cause_of, solved_rows
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.followed import straight_rows
-from otf_core.diagnosis.engine.shaken import calmed, measured_again
+from otf_core.diagnosis.engine.short_waves import straight_rows
+from otf_core.diagnosis.engine.standstill_vibration import remeasure_noise, remove_steady_vibration
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.model.observation import Samples
 from otf_core.noise.standstill import noise_model
@@ -41,7 +41,7 @@ def test_noise_is_that_of_the_samples_before_they_swung():
     shaken = replace(still, xyz=still.xyz + moved @ pose.rotation)
     size = {'frequency': FREQUENCY, 'S_X': 4e-6, 'S_Y': -3e-6, 'S_Z': 6e-6}
     found = AppliedEffect(REGISTRY['vibration'], size)
-    calm = measured_again(replace(run, samples=shaken), [found], pose.rotation, CONFIG)
+    calm = remeasure_noise(replace(run, samples=shaken), [found], pose.rotation, CONFIG)
     wanted, loud = (
         noise_model(samples, run.machine.tracker, CONFIG.standstill_speed)
         for samples in (still, shaken)
@@ -52,8 +52,10 @@ def test_noise_is_that_of_the_samples_before_they_swung():
 
 def test_noise_stays_where_nothing_steady_swings():
     rows = solved_rows()
-    assert calmed(rows, [], CONFIG) is None
-    assert calmed(rows, [cause_of(REGISTRY['backlash'], held=1.0)], CONFIG) is None
+    assert remove_steady_vibration(rows, [], CONFIG) is None
+    assert (
+        remove_steady_vibration(rows, [cause_of(REGISTRY['backlash'], held=1.0)], CONFIG) is None
+    )
 
 
 def test_straight_tables_are_left_as_they_are():

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.rows import Rows, rows_of
+from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.errors import ConfigError, OtfError
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan

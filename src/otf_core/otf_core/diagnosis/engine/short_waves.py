@@ -27,18 +27,18 @@ from numpy.typing import NDArray
 
 from otf_core.aside import shared_out
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.beside import Candidates
+from otf_core.diagnosis.engine.candidates import Candidates
 from otf_core.diagnosis.engine.catalogue import (
     effects_without,
     shapes_from_lines,
     spectral_lines,
     tried_effects,
 )
+from otf_core.diagnosis.engine.effect_products import tried_shapes
 from otf_core.diagnosis.engine.evidence import TOGETHER, Option, likeliest_width, motions_of
-from otf_core.diagnosis.engine.noise_check import heard
-from otf_core.diagnosis.engine.rows import Rows, build_rows
-from otf_core.diagnosis.engine.search import Cause, fit_jointly, found_beside, search
-from otf_core.diagnosis.engine.tried import tried_shapes
+from otf_core.diagnosis.engine.noise_check import with_measured_noise
+from otf_core.diagnosis.engine.residual_rows import Rows, build_rows
+from otf_core.diagnosis.engine.search import Cause, fit_jointly, search, search_beside
 from otf_core.effects import BelongsTo, Effect
 from otf_core.errors import InputError
 from otf_core.live.stages import silent
@@ -82,7 +82,7 @@ def rows_to_diagnose(
         Effects taken out of the catalogue.
     """
     limit = config.unidentifiable_above
-    loud = [heard(run, config.standstill_speed) for run in runs]
+    loud = [with_measured_noise(run, config.standstill_speed) for run in runs]
     rows = build_rows(loud, done, limit)
     effects = _at_places(exclude)
     if not is_finer(done.unknowns.bases) or not effects:
@@ -134,7 +134,7 @@ def straight_rows(
         return None
     straight = build_rows(rows.runs, solved, config.unidentifiable_above)
     candidates = _candidates(straight, _at_places(exclude))
-    beside = found_beside(straight, candidates, [_again(cause, straight) for cause in known])
+    beside = search_beside(straight, candidates, [_again(cause, straight) for cause in known])
     better = _likelihood(straight, beside) > _likelihood(rows, causes) + CLEAR
     return straight if better else None
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from otf_core.contradictions.rows import Rows, levers, turning
+from otf_core.contradictions.quick_rows import Rows, levers, turning
 from otf_core.model.machine import Chain
 
 Array = NDArray[np.float64]

@@ -2,10 +2,11 @@
 """Structure of a gap that no effect explains: which inputs it depends on, and how it acts.
 
 Smooth functions of every input, and of every two, are compared; a cycle in time or along an axis,
-a moment, a place or a direction of the beam is an input where there is a clear one (``sought``). A
-score test screens them (``score``). The best are fitted exactly and priced as effects are; then
-the way to act, the same for all until then, is chosen in the same way. Looking at many costs the
-logarithm of their number. What a structure leaves may follow another input besides.
+a moment, a place or a direction of the beam is an input where there is a clear one
+(``input_search``). A score test screens them (``score``). The best are fitted exactly, and their
+parameters are penalised as those of effects are; then the way to act, the same for all until then,
+is chosen in the same way. Looking at many costs the logarithm of their number. What a structure
+leaves may depend on another input besides.
 """
 
 from __future__ import annotations
@@ -18,22 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.aside import shared_out
-from otf_core.diagnosis.engine.beside import Pool
-from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.candidates import Pool
+from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
+from otf_core.diagnosis.engine.input_search import find_inputs
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.score import Scores
 from otf_core.diagnosis.engine.search import Cause, noise_variance
-from otf_core.diagnosis.engine.sought import sought_inputs
-from otf_core.diagnosis.engine.tried import Tried, tried_shapes
-from otf_core.effects.acting import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
+from otf_core.effects.action import ACTING, RIGID_TABLE, RIGID_TRACKER, Acting, Along, vector
 from otf_core.effects.empirical import Empirical
-from otf_core.effects.found_inputs import (
-    CYCLE,
-    MOMENT,
-    cycle_period,
-    found_kind,
-    head_of,
-    plain_names,
-)
 from otf_core.effects.free import Free
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import (
@@ -43,6 +36,14 @@ from otf_core.effects.inputs import (
     input_values,
     scaled_input,
     span_of,
+)
+from otf_core.effects.located_inputs import (
+    CYCLE,
+    MOMENT,
+    cycle_period,
+    found_kind,
+    head_of,
+    plain_names,
 )
 
 Array = NDArray[np.float64]
@@ -128,7 +129,7 @@ class Structures:
 def try_structures(rows: Rows, pairs_tried: int = SCREENED) -> Structures:
     """Fit every structure of one input, and those of two that a score test prefers."""
     scores = Scores.of(rows)
-    sought = sought_inputs(rows, scores)
+    sought = find_inputs(rows, scores)
     inputs = [*_inputs(rows), *(name for name in sought if head_of(name) == CYCLE)]
     alone = [_form((name,)) for name in dict.fromkeys([*inputs, *sought])]
     alone.append(Free(('time',), (LONG,), acts=vector))

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 from otf_core.aside import shared_out
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.assess import Residuals, gap_um
+from otf_core.diagnosis.engine.empirical_structure import AS_RIVALS, SCREENED, try_structures
+from otf_core.diagnosis.engine.gap_sizes import Residuals, gap_um
 from otf_core.diagnosis.engine.noise_check import NoiseFinding, check_noise
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.rival import Rival, rival_of
-from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.unnamed import AS_RIVALS, SCREENED, try_structures
 from otf_core.diagnosis.explanation import Explanation
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.place.where import describe_structure
 from otf_core.diagnosis.place.where_words import EVERYWHERE, NO_STRUCTURE
-from otf_core.diagnosis.unnamed import Nameless, find_unnamed
+from otf_core.diagnosis.unnamed_cause import Nameless, find_unnamed
 from otf_core.diagnosis.verdict import Case, matters, verdict_of
 
 

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.aside import shared_out
-from otf_core.diagnosis.engine.beside import Beside
-from otf_core.diagnosis.engine.courses import CourseInTime, Courses
+from otf_core.diagnosis.engine.candidates import Beside
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES, SlowWave
-from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.tried import Tried, tried_shapes
-from otf_core.effects.acting import Acting
+from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
+from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.diagnosis.engine.time_courses import CourseInTime, Courses
+from otf_core.effects.action import Acting
 from otf_core.effects.base import Effect, Shape
 from otf_core.effects.free import switched
 from otf_core.effects.free_form import FreeForm
@@ -70,7 +70,7 @@ KINDS: tuple[_Kind, ...] = (
 )  # fmt: skip
 
 
-def with_switches(beside: Beside, variance: float) -> Beside:
+def add_switching(beside: Beside, variance: float) -> Beside:
     """The same with drifts and jumps of what switches, and waves, at their likeliest moments."""
     groups = {n: list(g) for n, g in beside.candidates.items()}
     courses = [t for g in groups.values() for t in g if isinstance(t.effect, CourseInTime)]

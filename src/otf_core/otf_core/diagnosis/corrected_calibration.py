@@ -12,8 +12,8 @@ from otf_core.calibration.solved import Examined
 from otf_core.calibration.with_effects import EffectsCalibration, beside_plain, listed
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, names_of
-from otf_core.effects.stated import FOUND
-from otf_core.effects.taken import Taken, taken
+from otf_core.effects.removable_effect import Taken, taken
+from otf_core.effects.stated_effect import FOUND
 from otf_core.solving.reversal import Reversal
 
 SURE = 0.99

@@ -8,33 +8,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from otf_core.diagnosis.engine.assess import (
-    gap_um,
-    residuals_with,
-    shrink_interval,
-    shrink_percent,
-)
-from otf_core.diagnosis.engine.rival import Rival
-from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.unnamed import (
+from otf_core.diagnosis.cause_parameters import fitted_causes
+from otf_core.diagnosis.engine.empirical_structure import (
     Structure,
     Structures,
     find_another,
     find_structure,
 )
+from otf_core.diagnosis.engine.gap_sizes import (
+    gap_um,
+    residuals_with,
+    shrink_interval,
+    shrink_percent,
+)
+from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.diagnosis.engine.rival import Rival
 from otf_core.diagnosis.explanation import Explanation, noise_level
-from otf_core.diagnosis.fitted import fitted_causes
 from otf_core.diagnosis.free_curves import Curve, curves_of, range_words
 from otf_core.diagnosis.verdict import matters
 from otf_core.effects import AppliedEffect
-from otf_core.effects.acting import (
+from otf_core.effects.action import (
     RIGID_TABLE,
     RIGID_TRACKER,
     VECTOR,
     Along,
     acting_name,
 )
-from otf_core.effects.found_inputs import (
+from otf_core.effects.inputs import SIGNAL
+from otf_core.effects.located_inputs import (
     CYCLE,
     MOMENT,
     PLACE,
@@ -44,7 +45,6 @@ from otf_core.effects.found_inputs import (
     numbers_of,
     plain_names,
 )
-from otf_core.effects.inputs import SIGNAL
 from otf_core.model.frames import XYZ
 
 FAR_BETTER = 0.5

@@ -10,9 +10,9 @@ from itertools import permutations
 
 import numpy as np
 
-from otf_core.contradictions.design import Design
-from otf_core.contradictions.fit import Fit, solve
-from otf_core.contradictions.rows import (
+from otf_core.contradictions.quick_design import Design
+from otf_core.contradictions.quick_fit import Fit, solve
+from otf_core.contradictions.quick_rows import (
     Array,
     Index,
     Rows,

@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.score import TOGETHER, Scores
 from otf_core.diagnosis.engine.spectral import LINE_SCORE, line_across_axis, line_along_axis
-from otf_core.effects.found_inputs import CYCLE, DIRECTION, MOMENT, PLACE, TURNS, found_name
 from otf_core.effects.inputs import functions_of
+from otf_core.effects.located_inputs import CYCLE, DIRECTION, MOMENT, PLACE, TURNS, found_name
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -40,7 +40,7 @@ REFINED = 120
 """Gains by which centre and width are refined."""
 
 
-def sought_inputs(rows: Rows, scores: Scores) -> list[str]:
+def find_inputs(rows: Rows, scores: Scores) -> list[str]:
     """Names of the inputs with numbers that are clear in a residual."""
     names = [strongest_cycle(rows, scores), strongest_moment(rows, scores)]
     names += strongest_places(rows, scores) + strongest_directions(rows, scores)

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.model import Model
-from otf_core.contradictions.rows import pose_columns
+from otf_core.contradictions.quick_model import Model
+from otf_core.contradictions.quick_rows import pose_columns
 from otf_core.contradictions.smooth_change import sharp_share
 from otf_core.contradictions.steps import Profile, step_profile
 from otf_core.errors import InputError

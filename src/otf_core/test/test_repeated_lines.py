@@ -18,7 +18,7 @@ from otf_core.model.nodes import table_nodes
 from otf_core.noise.model import Misfit
 from otf_core.solving import whitener as whitener_module
 from otf_core.solving.normal import line_equations, normal_equations
-from otf_core.solving.repeated import taken_once
+from otf_core.solving.repeated_lines import weigh_repeated_lines
 from otf_core.solving.shape_choice import linear_bases
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import layout
@@ -87,7 +87,7 @@ def test_only_passes_over_the_same_pieces_in_the_same_direction_are_one():
 
 def test_whitener_of_lines_has_the_weight_of_all_passes():
     system, _, whitener, _ = laps()
-    once = taken_once(system, whitener)
+    once = weigh_repeated_lines(system, whitener)
     known = dict(zip(ways(once.system, once.whitener), once.whitener.bounds, strict=True))
     place = np.concatenate([np.arange(*known[way]) for way in ways(system, whitener)])
     value = np.random.default_rng(5).standard_normal(once.system.deviation.shape)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from otf_core.model.plan import Plan
-from otf_core.planning.after import Answer
+from otf_core.planning.follow_up import Answer
 from otf_core.planning.forecast import Forecast, Setup
 from otf_core.planning.observability import Unseen
 from otf_core.planning.planned_budget import PlannedSystematic

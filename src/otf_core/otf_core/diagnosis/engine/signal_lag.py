@@ -18,8 +18,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.diagnosis.engine.beside import Beside
-from otf_core.diagnosis.engine.tried import Tried, tried_shapes
+from otf_core.diagnosis.engine.candidates import Beside
+from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
 from otf_core.effects.free import follower
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL

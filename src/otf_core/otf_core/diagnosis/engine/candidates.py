@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.aside import shared_out
+from otf_core.diagnosis.engine.effect_products import Tried, family, shared_with
 from otf_core.diagnosis.engine.evidence import Option
-from otf_core.diagnosis.engine.rows import Pulled, Rows
-from otf_core.diagnosis.engine.tried import Tried, family, shared_with
+from otf_core.diagnosis.engine.residual_rows import Pulled, Rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.diagnosis.engine.in_time import InTime
-from otf_core.diagnosis.engine.touched import Touched, touched
+from otf_core.diagnosis.engine.line_groups import Touched, touched
+from otf_core.diagnosis.engine.time_products import InTime
 from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.free_form import FreeForm
 from otf_core.model.motions import MOTIONS

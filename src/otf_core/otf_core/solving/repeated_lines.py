@@ -51,7 +51,7 @@ class Once:
     rows: int
 
 
-def taken_once(system: System, whitener: Whitener) -> Once:
+def weigh_repeated_lines(system: System, whitener: Whitener) -> Once:
     """Take every line once with the weight of all passes over it."""
     rows, once = system.deviation.size, whitener.once
     if once is whitener:

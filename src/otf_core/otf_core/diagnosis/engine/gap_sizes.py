@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.diagnosis.engine.evidence import estimate
-from otf_core.diagnosis.engine.rows import Rows
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.solving.folds import FOLDS, leg_numbers
 

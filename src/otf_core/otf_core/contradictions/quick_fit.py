@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weighted least squares on ``rows``, robust, and what further columns would explain."""
+"""Weighted least squares on ``quick_rows``, robust, and what further columns would explain."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.contradictions.design import Design
-from otf_core.contradictions.rows import Rows
+from otf_core.contradictions.quick_design import Design
+from otf_core.contradictions.quick_rows import Rows
 from otf_core.pieces.outliers import RAYLEIGH_MEDIAN
 
 Array = NDArray[np.float64]

@@ -30,9 +30,9 @@ from otf_core.diagnosis.engine.evidence import (
     log_evidence,
     motion_subsets,
 )
-from otf_core.diagnosis.engine.in_time import InTime
 from otf_core.diagnosis.engine.products import add_products
-from otf_core.diagnosis.engine.rows import Pulled, Rows
+from otf_core.diagnosis.engine.residual_rows import Pulled, Rows
+from otf_core.diagnosis.engine.time_products import InTime
 from otf_core.effects import Effect, Shape, Terms
 from otf_core.effects.free_form import FreeForm
 from otf_core.solving.columns import column_size

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from otf_core.effects.applied import AppliedEffect
+from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.base import Array, Effect, State
-from otf_core.effects.stated import FILE, FOUND
+from otf_core.effects.stated_effect import FILE, FOUND
 
 LARGEST_STEP = 0.5
 """Of the logarithm of a time constant or a period, in its prior standard deviations."""

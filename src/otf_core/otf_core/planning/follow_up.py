@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from otf_core.config import PlannerConfig
 from otf_core.diagnosis.engine.catalogue import best_sight, shapes_of, sight_of
-from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.tried import tried_shapes
+from otf_core.diagnosis.engine.effect_products import tried_shapes
+from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.free_form import free_forms
@@ -34,7 +34,7 @@ from otf_core.model.plan import Plan
 from otf_core.planning.creator import plan_path
 from otf_core.planning.drive_time import drive_times
 from otf_core.planning.forecast import Setup, forecast
-from otf_core.planning.measured import MeasuredRun, joint_rows
+from otf_core.planning.measured_runs import MeasuredRun, joint_rows
 from otf_core.planning.planned_budget import planned_solution
 from otf_core.planning.tracker_places import check_place
 

@@ -16,11 +16,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
 from otf_core.diagnosis.engine.evidence import SPREADS
-from otf_core.diagnosis.engine.in_time import InTime
-from otf_core.diagnosis.engine.rows import Rows
-from otf_core.diagnosis.engine.tried import Tried, tried_shapes
-from otf_core.effects.acting import Acting
+from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.diagnosis.engine.time_products import InTime
+from otf_core.effects.action import Acting
 from otf_core.effects.base import Effect, Shape, State
 
 Array = NDArray[np.float64]

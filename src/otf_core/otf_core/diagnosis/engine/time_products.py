@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.effects.acting import Acting
+from otf_core.effects.action import Acting
 from otf_core.effects.base import Effect, Shape, State, Terms
 
 Array = NDArray[np.float64]

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.noise_check import heard
-from otf_core.diagnosis.engine.rows import Rows, build_rows
+from otf_core.diagnosis.engine.noise_check import with_measured_noise
+from otf_core.diagnosis.engine.residual_rows import Rows, build_rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
-from otf_core.effects.applied import AppliedEffect
+from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.state import state_of_travel
 from otf_core.model.observation import Samples
@@ -35,7 +35,9 @@ OTHER_LEVEL, OTHER_TIME = 1.1, 1.5
 """Factors on level and correlation time from which on noise is another one."""
 
 
-def calmed(rows: Rows, causes: Sequence[Cause], config: CalibrationConfig) -> Rows | None:
+def remove_steady_vibration(
+    rows: Rows, causes: Sequence[Cause], config: CalibrationConfig
+) -> Rows | None:
     """Rows with the noise of standstills less the steady vibrations found; None if it is the same.
 
     The samples of their runs are without these vibrations, the pieces still hold them.
@@ -46,7 +48,7 @@ def calmed(rows: Rows, causes: Sequence[Cause], config: CalibrationConfig) -> Ro
     pairs = zip(causes, places, strict=True)
     found = [_applied(cause, value[own]) for cause, own in pairs if _is_steady(cause)]
     calm = [
-        measured_again(run, found, solved.pose.rotation, config)
+        remeasure_noise(run, found, solved.pose.rotation, config)
         for run, solved in zip(rows.runs, rows.done.runs, strict=True)
     ]
     if all(_same(one.noise, run.noise) for one, run in zip(calm, rows.runs, strict=True)):
@@ -67,7 +69,7 @@ def _applied(cause: Cause, value: Array) -> AppliedEffect:
     return AppliedEffect(option.effect, {**option.shape, **parameters})
 
 
-def measured_again(
+def remeasure_noise(
     run: Run, found: Sequence[AppliedEffect], rotation: Array, config: CalibrationConfig
 ) -> Run:
     """Return a run with samples that do not swing, and the noise of their standstills.
@@ -76,7 +78,7 @@ def measured_again(
     """
     samples, speed = _without(run.samples, run, found, rotation), config.standstill_speed
     noise = noise_model(samples, run.machine.tracker, speed)
-    return heard(replace(run, samples=samples, noise=noise), speed)
+    return with_measured_noise(replace(run, samples=samples, noise=noise), speed)
 
 
 def _without(

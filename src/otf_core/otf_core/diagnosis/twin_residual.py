@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.rows import Rows, left_by
+from otf_core.diagnosis.engine.residual_rows import Rows, left_by
 from otf_core.live.stages import silent
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
