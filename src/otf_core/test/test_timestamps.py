@@ -2,6 +2,7 @@
 """Times of texts: dates by one rule a file, every form read or refused by name, repairs."""
 
 import random
+import re
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -125,14 +126,12 @@ AMBIGUOUS = {
 
 
 @pytest.mark.parametrize('text', AMBIGUOUS)
-def test_dates_of_two_readings_are_refused_with_both_and_a_cure_that_works(text):
+def test_dates_of_two_readings_are_refused_with_both(text):
     with pytest.raises(MomentError) as refused:
         read_moments([text])
-    said = str(refused.value)
-    assert all(reading in said for reading in AMBIGUOUS[text])
-    for order in ('dmy', 'mdy', 'ymd'):
-        if f'time_{order}' in said:
-            read_moments([text], order)
+    assert all(reading in str(refused.value) for reading in AMBIGUOUS[text])
+    different = {int(read_moments([text], order).stamp_ns[0]) for order in refused.value.orders}
+    assert len(different) == 2
 
 
 def test_the_rule_is_found_anywhere_in_the_file():
@@ -307,12 +306,13 @@ def test_decimals_without_trailing_zeros_are_decimals(tmp_path):
 def test_an_ambiguous_date_names_its_column_and_the_cure_works(tmp_path):
     start = datetime(2026, 2, 11, 10, tzinfo=timezone.utc)
     file = table(tmp_path, [f'{m:%d/%m/%Y %H:%M:%S}.{part(m)}' for m in moments(start)])
-    with pytest.raises(
-        InputError, match=r"run.csv: time: '11/02/2026' may be .*time_dmy or time_mdy"
-    ):
+    with pytest.raises(InputError, match=r"run.csv: time: '11/02/2026' may be ") as refused:
         TextReading(file)
-    for order, want in (('dmy', start), ('mdy', datetime(2026, 11, 2, 10, tzinfo=timezone.utc))):
-        _, got = since_of(file, columns=f'time_{order},x_mm,y_mm,z_mm')
+    cures = re.findall(r'--columns ([^ ;]+)', str(refused.value))
+    assert [cure[:9] for cure in cures] == ['time_dmy,', 'time_mdy,']
+    other = datetime(2026, 11, 2, 10, tzinfo=timezone.utc)
+    for cure, want in zip(cures, (start, other), strict=True):
+        _, got = since_of(file, columns=cure)
         assert got.received().stamp_ns[0] == ns(want)
 
 

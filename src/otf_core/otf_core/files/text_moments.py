@@ -79,11 +79,13 @@ class MomentError(ValueError):
     ----------
     row : int or None
         Of the text that is none, from 0; None: it is not that of one row.
+    orders : tuple of str
+        Of ``ORDERS``, between which the texts leave the choice.
     """
 
-    def __init__(self, message: str, row: int | None = None) -> None:
+    def __init__(self, message: str, row: int | None = None, orders: Sequence[str] = ()) -> None:
         super().__init__(message)
-        self.row = row
+        self.row, self.orders = row, tuple(orders)
 
 
 @dataclass(frozen=True)
@@ -423,10 +425,7 @@ def _days(
             f'{date.fromordinal(int(days[0]) + EPOCH).isoformat()} ({ORDERS[name]})'
             for name, days in readings.items()
         )
-        choice = ' or '.join(f'time_{name}' for name in readings)
-        raise MomentError(
-            f'{dates[0].text!r} may be {both}; say which in --columns, by {choice} for the time'
-        )
+        raise MomentError(f'{dates[0].text!r} may be {both}', orders=list(readings))
     name, days = next(iter(readings.items()))
     return days, ORDERS[name]
 

@@ -335,9 +335,11 @@ def _stamps(
     return total, f'time from {" and ".join(words)}'
 
 
-def _without_time(chosen: _Chosen, columns: Columns) -> str:
-    """Columns as --columns takes them, without the times."""
+def _without_time(chosen: _Chosen, columns: Columns, time: str = '-') -> str:
+    """Columns as --columns takes them, without the times or with another name of them."""
     words = ['-'] * chosen.width
+    for column in columns.time:
+        words[column.place] = time
     for axis, column in zip('xyz', columns.point, strict=True):
         unit = SUGGESTED.get(LENGTHS.get(column.unit or '', 0.0))
         words[column.place] = axis if unit is None else f'{axis}_{unit}'
@@ -358,7 +360,9 @@ def _stamps_of(
         read = read_times(texts, column.unit, xyz, alone=alone)
     except MomentError as error:
         line = '' if error.row is None else f'line {chosen.lines[error.row]}: '
-        raise InputError(f'{chosen.where}: {line}{column.name}: {error}') from None
+        ways = [_without_time(chosen, columns, f'time_{order}') for order in error.orders]
+        cure = f'; say which: {" or ".join(f"--columns {way}" for way in ways)}' if ways else ''
+        raise InputError(f'{chosen.where}: {line}{column.name}: {error}{cure}') from None
     except InputError as error:
         raise InputError(f'{chosen.where}: {column.name}: {error}') from None
     return read.stamp_ns, read.words
