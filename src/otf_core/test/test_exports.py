@@ -199,11 +199,10 @@ def test_no_name_leaves_its_comment(name, tables, places):
 
 def test_backlash_stands_in_the_columns_of_the_directions(tables):
     reversal = {'motions': {'EYY': {'position': [0.0, 0.25], 'value': [4e-6, 6e-6]}}}
-    files = (
-        export_format('linuxcnc')
-        .export(Request(TablesFile(tables, {'reversal': reversal}), 'a.ini'))
-        .files
-    )
+    request = Request(TablesFile(tables, {'reversal': reversal}), 'a.ini')
+    exported_files = export_format('linuxcnc').export(request)
+    files, said = exported_files.files, ' '.join(exported_files.remarks)
+    assert re.search(r'on average X 0\.00 um, Y [45]\.\d\d um, Z 0\.00 um', said), said
     for name, wanted in (('a_x.comp', (0.0, 0.0)), ('a_y.comp', (4e-3, 6e-3))):
         lines = files[name].decode().splitlines()
         rows = np.array([line.split() for line in lines if line[0] != '#'], float)

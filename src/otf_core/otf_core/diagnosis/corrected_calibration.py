@@ -140,7 +140,7 @@ def _done_words(taking: Sequence[Taken], stays: Sequence[str]) -> str:
     held = '; '.join(stays)
     held = held[:1].upper() + held[1:]
     if taking:
-        return f'Taken off: {listed(taking)}.' + (f' {held}.' if held else '')
+        return f'Taken off: {listed(taking).replace("_", " ")}.' + (f' {held}.' if held else '')
     return f'{held}; nothing else to take off.' if held else 'No effect was taken off.'
 
 

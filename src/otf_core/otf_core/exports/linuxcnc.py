@@ -60,11 +60,12 @@ class LinuxCnc(Format):
             terms[pair] = LineTerm(nominal, (nominal + term.value).round(DECIMALS + 3) - nominal)
         words = [f'# {line}' for line in request.header(self)]
         ini = f'{stem}.ini'
-        files, piece = {ini: b''}, list(words)
+        files, piece, reversals = {ini: b''}, list(words), []
         for k, axis in enumerate(tables.machine.axis_names):
             name = f'{stem}_{axis.lower()}.comp'
             half = half_reversal(request.content, k, terms[k, k].position)
             files[name] = _joint_file(terms[k, k], half, words)
+            reversals.append(f'{axis} {2e6 * half.mean() + 0.0:.2f} um')
             piece += [f'[JOINT_{k}]', f'COMP_FILE = {name}', 'COMP_FILE_TYPE = 0']
         files[ini] = ('\n'.join(piece) + '\n').encode()
         return Exported(
@@ -73,7 +74,9 @@ class LinuxCnc(Format):
             (
                 'put the lines of the .ini file into the sections of that name in the INI file of '
                 'the machine (a section that comes twice is read once); BACKLASH of a joint with '
-                'COMP_FILE is ignored: what was found of it stands in columns 2 and 3',
+                'COMP_FILE is ignored: columns 2 and 3 hold the reversal, on average '
+                f'{", ".join(reversals)} (backlash at the target in the summary of the '
+                f'calibration)',
                 *remarks,
             ),
         )
