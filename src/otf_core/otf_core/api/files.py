@@ -200,7 +200,7 @@ def write_plan(
     --------
     >>> files = otf_core.write_plan(report, 'plan', dialect='linuxcnc')
     >>> [file.name for file in files]
-    ['otf_path.ngc', 'path.csv', 'forecast.txt', 'plan.svg', 'plan.json']
+    ['otf_path.ngc', 'path.csv', 'forecast.txt', 'plan.svg', 'report.html', 'plan.json']
     """
     if dialect is not None and dialect not in DIALECTS:
         raise ConfigError(f'dialect: {dialect!r} is unknown; possible: {", ".join(DIALECTS)}')

@@ -13,10 +13,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.expanded import figure, significant
 from otf_core.model.frames import XYZ
 from otf_core.prediction.volumetric import table_rows, table_values
 from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.quantities import micro
 from otf_core.reports.section import Section, Table
 
 Array = NDArray[np.float64]
@@ -74,8 +74,9 @@ def section(facts: Facts) -> Section:
         value, u = deviations(facts, one)
         span, wide = float(np.ptp(value)), k * float(u[-1])
         length = float(np.linalg.norm(one.b - one.a))
-        rows.append((one.kind, one.name, f'{1e3 * length:.0f}', micro(span),
-                     micro(float(value[-1])), micro(wide)))  # fmt: skip
+        end, u_end = 1e6 * float(value[-1]), 1e6 * wide
+        rows.append((one.kind, one.name, f'{1e3 * length:.0f}', figure(1e6 * span, u_end),
+                     figure(end, u_end), significant(u_end)))  # fmt: skip
         data.append({'kind': one.kind, 'direction': one.name, 'length': length, 'span': span,
                      'end': float(value[-1]), 'U_end': wide})  # fmt: skip
     words = (

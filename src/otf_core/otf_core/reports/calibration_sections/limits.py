@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from otf_core.calibration.verdict import FAIL, OPEN, PASS, UNKNOWN, WHAT, Judged
+from otf_core.model.expanded import figure, significant
 from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.quantities import listed, micro, micro_unit
+from otf_core.reports.quantities import listed, micro_unit
 from otf_core.reports.section import Cell, Section, State, Table
 
 MOODS = {PASS: 'good', FAIL: 'bad', OPEN: 'open', UNKNOWN: 'open'}
@@ -36,6 +37,6 @@ def section(facts: Facts) -> Section:
 def _row(one: Judged) -> tuple[Cell, ...]:
     what = WHAT.get(one.name, f'{one.name}')
     unit = micro_unit(one.unit)
-    value = '' if one.state == UNKNOWN else micro(one.value)
-    wide = micro(one.U) if one.U else ''
-    return what, value, wide, micro(one.limit), unit, State(one.state, MOODS[one.state])
+    value = '' if one.state == UNKNOWN else figure(1e6 * one.value, 1e6 * (one.U or one.value))
+    wide = significant(1e6 * one.U) if one.U else ''
+    return what, value, wide, f'{1e6 * one.limit:g}', unit, State(one.state, MOODS[one.state])

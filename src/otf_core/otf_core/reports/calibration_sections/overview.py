@@ -27,10 +27,12 @@ def section(facts: Facts) -> Section:
     now = result.headline.error
     at = volume.grid[int(np.argmax(volume.length))]
     worst = contributions(facts)[:WORST]
+    mean = result.headline.expanded['mean']
     words = [
-        f'Worst: the longest error vector of the grid, {micro(now["max"])} um, lies at '
+        f'Worst: the longest error vector of the grid, '
+        f'{micro_figure(now["max"], result.headline.of_largest)}, lies at '
         f'{place(at)}. Most is due to '
-        + listed(f'{name} ({micro(size)} um)' for name, size in worst)
+        + listed(f'{name} ({micro_figure(size, mean)})' for name, size in worst)
         + ', each alone, root mean square over the volume.',
         *_unknown(facts),
     ]
