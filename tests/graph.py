@@ -43,7 +43,8 @@ class Graph:
     def __init__(self, domain, folder):
         self.folder = folder
         self.nodes = []
-        self.environment = {'ROS_DOMAIN_ID': str(domain)}
+        # what a killed driver leaves is for the next one in this graph only
+        self.environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_HOME': str(folder / 'ros')}
         self._context = rclpy.Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
         self._ear = rclpy.create_node('test_ear', context=self._context)

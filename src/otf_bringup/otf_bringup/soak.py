@@ -78,7 +78,10 @@ class Soak:
         self, folder: Path, machine: Path, planning: PlannerConfig, seed: int, domain: int
     ) -> None:
         self.tracker = SoakTracker(load_machine(str(machine)), planning, seed)
-        self._folder, self._environment = folder, {'ROS_DOMAIN_ID': str(domain)}
+        self._folder, self._environment = (
+            folder,
+            {'ROS_DOMAIN_ID': str(domain), 'ROS_HOME': str(folder / 'ros')},
+        )
         files = {'machine_file': machine}
         self._given: dict[str, dict[str, object]] = {
             'path_planner': {**files, 'passes': planning.passes, 'levels': planning.levels},
