@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A driver whose process stands still loses nothing that TCP keeps, and blames nobody."""
 
+import socket
+
 import numpy as np
 import pytest
 from other_tracker import RADIUS, other_tracker, time_of
@@ -8,6 +10,11 @@ from polled import polled
 from streaming import CARTESIAN, INTERVAL, described, sender
 from test_other_tracker import off
 
+from otf_tracker_driver.stream.description import Source
+from otf_tracker_driver.stream.transport import opened
+
+SENT = 20_000
+"""Datagrams of a kilobyte, more than any buffer holds."""
 STEP = 2_000_000
 """ns; from sample to sample of the tracker."""
 FIRST = 'no reflector in the beam'
@@ -47,3 +54,24 @@ def test_no_point_of_a_stream_is_lost_while_the_process_stands_still(tmp_path, l
     assert np.diff(got.xyz[:, 0]) == pytest.approx(np.full(len(got.xyz) - 1, 1e-3), abs=1e-8)
     assert np.diff(got.stamp_ns) == pytest.approx(np.full(len(got.xyz) - 1, 4e6), rel=0.01)
     assert got.said == [''] and not got.left_out and got.gaps == got.interruptions == 0
+
+
+def test_datagrams_that_found_no_room_are_counted():
+    filler = ' ' * 1000
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as source:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(('127.0.0.1', 0))
+            port = free.getsockname()[1]
+        source.connect(('127.0.0.1', port))
+        transport = opened(Source('udp', '127.0.0.1', port))
+        try:
+            for k in range(SENT):
+                source.send(f'{k};1;2;3{filler}'.encode())
+            got = 0
+            while transport.receive(0.1):
+                got += 1
+            source.send(b'last')
+            assert transport.receive(1.0) == b'last'
+            assert 0 < got < SENT and transport.dropped == SENT - got
+        finally:
+            transport.close()

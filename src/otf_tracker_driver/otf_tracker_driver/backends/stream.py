@@ -11,7 +11,7 @@ from otf_core.model.observation import Samples
 from otf_tracker_driver.backends.base import NO_SAMPLES, Backend, CommonConfig, joined
 from otf_tracker_driver.health import Health, Hindrance, left_out
 from otf_tracker_driver.stream.description import read_description
-from otf_tracker_driver.stream.reader import NOT_FETCHED, Reader
+from otf_tracker_driver.stream.reader import Reader
 from otf_tracker_driver.stream.transport import opened
 
 BY_HOST = (
@@ -65,14 +65,13 @@ class Stream(Backend):
         if reader is None:
             return Health(connected=False)
         by_host = reader.by_host
-        not_fetched = {NOT_FETCHED: reader.not_fetched} if reader.not_fetched else {}
         return Health(
             connected=reader.connected,
             device=reader.source,
             hardware=reader.source,
             clock=None if by_host else reader.stamper.clock,
             by_host=by_host,
-            left_out=left_out(reader.repeated, not_fetched),
+            left_out=left_out(reader.repeated, reader.left_out),
             unreadable=reader.unreadable,
             connections=reader.connections,
             interruptions=reader.interruptions,

@@ -14,10 +14,15 @@ import struct
 import sys
 import time
 
-SO_TIMESTAMPNS = 35
-"""asm-generic/socket.h; the module socket does not name it."""
+SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40
+"""asm-generic/socket.h; the module socket does not name them."""
+COUNT = struct.Struct('=I')
+MUCH = 1 << 22
+"""Bytes of datagrams that the kernel is asked to keep; it may keep less."""
 STAMP = struct.Struct('@ll')
 """struct timespec: s, ns."""
+NOTES = socket.CMSG_SPACE(STAMP.size) + socket.CMSG_SPACE(COUNT.size)
+"""Bytes of what the kernel tells with what it hands over."""
 SLACK = 10**6
 """ns; between reading two clocks."""
 
@@ -31,11 +36,20 @@ class Arrivals:
     Parameters
     ----------
     opened : socket
+
+    Attributes
+    ----------
+    dropped : int
+        Datagrams that the kernel had no room for, as far as later ones have told.
     """
 
     def __init__(self, opened: socket.socket) -> None:
         self._socket = opened
-        self._empty_ns = time.monotonic_ns()
+        self._empty_ns, self.dropped = time.monotonic_ns(), 0
+        if opened.type == socket.SOCK_DGRAM:
+            with contextlib.suppress(OSError):
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, MUCH)
+                opened.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
         if sys.platform == 'linux':
             with contextlib.suppress(OSError):
                 opened.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
@@ -53,14 +67,17 @@ class Arrivals:
         """
         looked_ns = time.monotonic_ns()
         try:
-            data, notes, _, peer = self._socket.recvmsg(size, socket.CMSG_SPACE(STAMP.size))
+            data, notes, _, peer = self._socket.recvmsg(size, NOTES)
         except (BlockingIOError, TimeoutError):
             self._empty_ns = looked_ns
             raise
+        age = 0
         for level, kind, note in notes:
+            if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL) and len(note) == COUNT.size:
+                (self.dropped,) = COUNT.unpack(note)
             if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS) and len(note) == STAMP.size:
                 seconds, ns = STAMP.unpack(note)
                 age = time.time_ns() - (seconds * 10**9 + ns)
                 oldest = time.monotonic_ns() - self._empty_ns + SLACK
-                return data, age if 0 < age <= oldest else 0, peer
-        return data, 0, peer
+                age = age if 0 < age <= oldest else 0
+        return data, age, peer

@@ -39,7 +39,7 @@ MANY, FEW = 100, 0.05
 """If more than this share of so many points is left out, or goes back in time, it is trouble."""
 MOST_HELD = 100_000
 """Chunks that wait to be fetched; the oldest are left out beyond."""
-NOT_FETCHED = 'not fetched in time'
+NOT_FETCHED, NO_ROOM = 'not fetched in time', 'datagrams that came while there was no room'
 MOST_GAPS = 1000
 ENDED_WITHIN = 6.0
 """s"""
@@ -109,6 +109,12 @@ class Reader:
     def repeated(self) -> int:
         """Points left out because their time had been there."""
         return self._stamper.dropped
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """What else was left out, by reason."""
+        counts = {NOT_FETCHED: self.not_fetched, NO_ROOM: self._transport.dropped}
+        return {reason: count for reason, count in counts.items() if count}
 
     @property
     def stamper(self) -> Stamper:

@@ -37,6 +37,11 @@ class Transport(ABC):
     datagrams = cuts_in = False
     age_ns = 0
 
+    @property
+    def dropped(self) -> int:
+        """Messages that came and that this computer had no room for."""
+        return 0
+
     @abstractmethod
     def receive(self, timeout: float) -> bytes | None:
         """Return what has come, or None if nothing comes within the timeout, s."""
@@ -57,6 +62,11 @@ class Socket(Transport):
         self._socket, self.datagrams, self._only = opened, datagrams, only
         self._peer: object = None
         self._arrivals = Arrivals(opened)
+
+    @property
+    def dropped(self) -> int:
+        """Datagrams that the kernel had no room for, while nobody read."""
+        return self._arrivals.dropped
 
     def receive(self, timeout: float) -> bytes | None:
         """Return what has come; a TCP peer that has closed is an OSError."""
