@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Follow a recording as far as it leads: read, put in order, align, reduce to pieces."""
+"""A recording as far as it can be read, aligned and reduced: what its checks look at."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from otf_core.bags.bag_reading import path_of
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.bags.bag_reading import Received, path_of
 from otf_core.bags.publishers import advice_of, received_of
 from otf_core.bags.sample_order import in_time_order
 from otf_core.bags.screening import MixedSamples, Screening
-from otf_core.checking.seen import Seen
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.recording_checks import check_recordings
@@ -19,10 +21,64 @@ from otf_core.contradictions.stamps import check_samples
 from otf_core.errors import InputError
 from otf_core.inputs.recordings import Given, open_reading
 from otf_core.model.machine import Machine
-from otf_core.pieces.runs import Recording, prepare_runs
+from otf_core.model.observation import Samples
+from otf_core.model.path import NominalPath
+from otf_core.pieces.finding import Finding
+from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.threads import one_thread
-from otf_core.tracking.alignment import align
+from otf_core.tracking.alignment import Alignment, align
 from otf_core.tracking.no_match import check_partial
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A recording as far as it could be followed.
+
+    Attributes
+    ----------
+    name : str
+    topics : mapping of topic to message type
+    config : CalibrationConfig
+    received : Received, optional
+    samples : Samples, optional
+        In the order of time, unusable ones dropped.
+    path : NominalPath, optional
+    machine : Machine, optional
+    alignment : Alignment, optional
+    run : Run, optional
+        Reduced to pieces; needs a machine.
+    findings : tuple of Finding
+        Contradictions in it.
+    nodes : mapping of axis to ndarray, m, optional
+        Of the tables.
+    remarks : tuple of str
+        What was mended while it was read.
+    said : tuple of str
+        How it was read, where that is not as usual.
+    refused : mapping of step to str
+        Why a step failed: 'bag', 'points', 'path', 'stamps', 'following', 'run'.
+    """
+
+    name: str
+    topics: Mapping[str, str]
+    config: CalibrationConfig
+    received: Received | None = None
+    samples: Samples | None = None
+    path: NominalPath | None = None
+    machine: Machine | None = None
+    alignment: Alignment | None = None
+    run: Run | None = None
+    findings: tuple[Finding, ...] = ()
+    nodes: Mapping[str, Array] | None = None
+    remarks: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+    refused: Mapping[str, str] | None = None
+
+    def why(self, step: str) -> str:
+        """Why a step failed; empty if it did not, or was not reached."""
+        return (self.refused or {}).get(step, '')
 
 
 class _Refusals(dict[str, str]):

@@ -18,7 +18,7 @@ LOOKED_AT = ('match_tolerance', 'standstill_speed')
 def run_check(arguments: argparse.Namespace) -> int:
     """Say whether a recording is usable."""
     config = parameters(CalibrationConfig, arguments, LOOKED_AT)
-    from otf_core.checking.check import check
+    from otf_core.checking.checks import check
     from otf_core.model.machine import load_machine
     from otf_core.reports.check import format_check
 

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from otf_core.checking.check import CheckReport
-from otf_core.checking.checked import ERROR, Checked
-from otf_core.checking.forecast import FORECAST
+from otf_core.checking.checks import ERROR, FORECAST, Checked, CheckReport
 
 
 def format_check(report: CheckReport) -> str:

@@ -11,7 +11,7 @@ from cli_cells import run
 
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.topics import PATH
-from otf_core.checking.check import check
+from otf_core.checking.checks import check
 from otf_core.model.observation import Samples
 
 

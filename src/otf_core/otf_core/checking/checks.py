@@ -1,0 +1,464 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of a recording: can it be calibrated, and how well will the errors be known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.bags.bag_reading import Received
+from otf_core.calibration.calibrate import MIN_COVERAGE
+from otf_core.checking.look import Seen, look
+from otf_core.config import CalibrationConfig
+from otf_core.inputs.recordings import AS_IT_IS, Given
+from otf_core.model.machine import Machine
+from otf_core.model.observation import Samples
+from otf_core.model.path import Legs, NominalPath
+from otf_core.model.provenance import moment
+from otf_core.noise.events import lost_samples
+from otf_core.noise.standstill import MIN_TOTAL, find_standstills, standstill_noise
+from otf_core.pieces.finding import GATE, WARNING, words_of
+from otf_core.planning.forecast import Setup, forecast_of_pieces
+from otf_core.planning.planned_budget import planned_systematic, solution_of_pieces
+from otf_core.threads import one_thread
+from otf_core.tracking.alignment import Alignment
+from otf_core.tracking.driving_order import OFF_PATH
+from otf_core.tracking.track import HOP, broken
+
+ERROR = 'error'
+"""A calibration would refuse the recording, or a quality gate of it would fail."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something wrong with a recording.
+
+    Attributes
+    ----------
+    severity : str
+        ``WARNING`` or ``ERROR``.
+    what : str
+        What, where, and what to do.
+    """
+
+    severity: str
+    what: str
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What one check found.
+
+    Attributes
+    ----------
+    words : str
+        For the table; empty if there is nothing to look at.
+    facts : mapping of str to plain data
+        In the units that the names state.
+    problems : tuple of Problem
+    """
+
+    words: str = ''
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    problems: tuple[Problem, ...] = ()
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question to a recording.
+
+    Attributes
+    ----------
+    name : str
+        What is looked at, one word.
+    ask : callable
+        Seen to Checked.
+    """
+
+    name: str
+    ask: Callable[[Seen], Checked]
+
+
+def warnings(*texts: str) -> tuple[Problem, ...]:
+    """Problems that a calibration can live with; empty texts are none."""
+    return tuple(Problem(WARNING, text) for text in texts if text)
+
+
+def errors(*texts: str) -> tuple[Problem, ...]:
+    """Problems that it cannot live with; empty texts are none."""
+    return tuple(Problem(ERROR, text) for text in texts if text)
+
+
+def _check_content(seen: Seen) -> Checked:
+    parts = list(seen.said)
+    if seen.received is not None and not parts:
+        parts.append(f'{len(seen.received.stamp_ns)} points')
+    if seen.path is not None:
+        parts.append(f'path of {len(seen.path.points)} corner points, {seen.path.length:.2f} m')
+    facts = {
+        'topics': dict(seen.topics),
+        'samples': 0 if seen.received is None else len(seen.received.stamp_ns),
+    }
+    problems = errors(*(seen.why(step) for step in ('bag', 'points', 'path')))
+    return Checked('; '.join(parts), facts, problems + warnings(*seen.remarks))
+
+
+CONTENT = Check('content', _check_content)
+
+
+SAMPLES_PER_PIECE = 2.0
+"""Samples of a path piece at the top feed that are wanted at least."""
+TOP_FEED_PERCENTILE = 99.0
+"""Percentile of the steps that is taken for the top feed."""
+
+
+def _check_rate(seen: Seen) -> Checked:
+    samples = seen.samples
+    if samples is None or len(samples) < 2:
+        return Checked(facts={'rate_hz': 0.0, 'duration_s': 0.0})
+    rate = 1.0 / samples.step
+    apart = np.linalg.norm(np.diff(samples.xyz, axis=0), axis=1)
+    usual = np.diff(samples.stamp_ns) < 1.5 * samples.step_ns
+    spacing = float(np.percentile(apart[usual], TOP_FEED_PERCENTILE)) if usual.any() else 0.0
+    coarse, enough = '', seen.config.piece_length / SAMPLES_PER_PIECE
+    if spacing > enough:
+        coarse = (
+            f'samples lie {1e3 * spacing:.1f} mm apart at the top feed, above '
+            f'{1e3 * enough:g} mm: raise the rate of the tracker or drive slower'
+        )
+    duration = float(samples.time[-1])
+    return Checked(
+        f'{rate:.1f} Hz over {duration:.1f} s, a sample every {1e3 * spacing:.2f} mm at the top '
+        f'feed',
+        {'rate_hz': rate, 'duration_s': duration, 'spacing_mm': 1e3 * spacing},
+        warnings(coarse),
+    )
+
+
+RATE = Check('rate', _check_rate)
+
+
+LOST_SHARE = 0.01
+"""Share of the samples that may be missing without a word."""
+GAPS_LISTED = 3
+
+
+def _check_gaps(seen: Seen) -> Checked:
+    samples = seen.samples
+    if samples is None or len(samples) < 3:
+        return Checked(facts={'gaps': 0, 'lost_share': 0.0, 'longest_gap_s': 0.0})
+    lost, time = lost_samples(samples), samples.time
+    at = np.flatnonzero(broken(samples))
+    length = time[at + 1] - time[at]
+    share = lost.samples / (lost.samples + len(samples))
+    longest = float(length.max()) if len(at) else 0.0
+    facts = {'gaps': len(at), 'lost_share': share, 'longest_gap_s': longest}
+    if not len(at):
+        few = f', {lost.samples} single samples lost' if lost.samples else ''
+        return Checked(f'none{few}', facts)
+    words = f'{len(at)}, {100 * share:.1f} % of the samples lost, the longest {longest:.2f} s'
+    first = np.argsort(-length)[:GAPS_LISTED]
+    where = ', '.join(f'{length[k]:.2f} s at {time[at[k]]:.1f} s' for k in np.sort(first))
+    more = ', ...' if len(at) > GAPS_LISTED else ''
+    if share < LOST_SHARE:
+        return Checked(words, facts)
+    return Checked(words, facts, warnings(
+        f'{100 * share:.1f} % of the samples are missing, in {len(at)} gaps ({where}{more}): '
+        f'look for a broken beam, lost packets, or a recorder that was too slow'
+    ))  # fmt: skip
+
+
+GAPS = Check('gaps', _check_gaps)
+
+
+CLOCK_STEP = 0.3
+"""s; a lasting change between both clocks that no transport explains."""
+CLOCK_WINDOW = 50
+"""Samples on either side over which the difference of the clocks is taken."""
+JITTER = 0.5
+"""Usual deviation of an interval from the median, over it, from which on stamps are doubtful."""
+
+
+def _check_clock(seen: Seen) -> Checked:
+    samples = seen.samples
+    if seen.received is None or samples is None or len(samples) < 2 * CLOCK_WINDOW:
+        return Checked(problems=errors(seen.why('stamps')))
+    first = moment(int(samples.stamp_ns[0]))
+    words = f'starts {first}' if first else 'stamps count from an epoch of their own'
+    steps = _clock_steps(seen.received)
+    said = ''
+    if len(steps):
+        said = (
+            f'the clock of the stamps was set {len(steps)} times against that of the recorder, '
+            f'first {steps[0]:.1f} s after the start: let the driver stamp with a clock that '
+            f'nobody sets'
+        )
+    step = np.diff(samples.stamp_ns)
+    jitter = float(np.median(np.abs(step - np.median(step))) / np.median(step))
+    uneven = ''
+    if jitter > JITTER:
+        uneven = (
+            f'intervals of the stamps scatter by {100 * jitter:.0f} %, as times of arrival do: '
+            f'let the driver stamp the moment of measurement'
+        )
+    return Checked(
+        f'{words}, intervals scatter by {100 * jitter:.1f} %',
+        {'first_stamp': first, 'clock_set': len(steps), 'jitter': jitter},
+        errors(seen.why('stamps')) + warnings(said, uneven),
+    )
+
+
+def _clock_steps(received: Received) -> NDArray[np.float64]:
+    """Moments at which the difference of both clocks jumps and stays, s since the start."""
+    late = 1e-9 * (received.log_time - received.stamp_ns)
+    late -= late[0]
+    jump = np.flatnonzero(np.abs(np.diff(late)) > CLOCK_STEP)
+    jump = jump[(jump >= CLOCK_WINDOW) & (jump < len(late) - CLOCK_WINDOW)]
+
+    def lasts(k: int) -> bool:
+        before, after = late[k - CLOCK_WINDOW : k + 1], late[k + 1 : k + CLOCK_WINDOW]
+        return bool(abs(np.median(after) - np.median(before)) > CLOCK_STEP)
+
+    stays = [k for k in jump.tolist() if lasts(k)]
+    return np.asarray(1e-9 * (received.log_time[stays] - received.log_time[0]))
+
+
+CLOCK = Check('clock', _check_clock)
+
+
+def _check_beam(seen: Seen) -> Checked:
+    if seen.received is None or seen.samples is None:
+        return Checked()
+    lost = int(np.count_nonzero(~seen.received.xyz.any(axis=1)))
+    samples = seen.samples
+    at = np.flatnonzero(broken(samples))
+    moved = np.linalg.norm(samples.xyz[at + 1] - samples.xyz[at], axis=1) > HOP
+    breaks = int(np.count_nonzero(moved))
+    reach = np.linalg.norm(samples.xyz, axis=1)
+    words = f'{breaks} breaks while the target moved' if breaks else 'never broken in motion'
+    origin = f', {lost} points in the origin of the tracker' if lost else ''
+    return Checked(
+        f'{words}{origin}; {reach.min():.2f} to {reach.max():.2f} m long',
+        {
+            'beam_breaks': breaks,
+            'without_beam': lost,
+            'beam_m': [float(reach.min()), float(reach.max())],
+        },
+    )
+
+
+BEAM = Check('beam', _check_beam)
+
+
+COMPLETE_PATH = 0.98
+"""Driven share from which on nothing is said."""
+SHORT_LEG = 4.0
+"""Corner exclusions; a leg no longer is not looked for."""
+LEG_SEEN = 0.5
+"""Share of a leg between its corners that has to be seen."""
+LEGS_LISTED = 3
+
+
+def _check_path(seen: Seen) -> Checked:
+    found = seen.alignment
+    coverage = 0.0 if found is None else found.coverage
+    facts = {'coverage': coverage, 'legs_missing': 0}
+    reasons = dict.fromkeys(seen.why(step) for step in ('following', 'run'))  # often the same
+    problems = errors(*reasons)
+    if found is None or seen.samples is None or seen.path is None:
+        return Checked('', facts, problems)
+    missing = _missing(seen.samples, seen.path, found, seen.config.corner_exclusion)
+    facts['legs_missing'] = len(missing)
+    if coverage < COMPLETE_PATH:
+        corners = 1e3 * seen.path.corners()[0]
+        which = ', '.join(
+            f'{k + 1} from ({_place(corners[k])}) to ({_place(corners[k + 1])}) mm'
+            for k in missing[:LEGS_LISTED]
+        )
+        legs = f'; missing legs: {which}{", ..." if len(missing) > LEGS_LISTED else ""}'
+        text = (
+            f'only {100 * coverage:.1f} % of the path was recorded'
+            f'{legs if missing else ""}; drive the rest, into the same recording or another one'
+        )
+        problems += errors(text) if coverage < MIN_COVERAGE else warnings(text)
+    end = '' if found.last_leg_driven or coverage < COMPLETE_PATH else ', but not to its end'
+    return Checked(f'{100 * coverage:.1f} % of the path driven{end}', facts, problems)
+
+
+def _place(point: NDArray[np.float64]) -> str:
+    return ', '.join(f'{v:.0f}' for v in point + 0.0)
+
+
+def _missing(samples: Samples, path: NominalPath, found: Alignment, margin: float) -> list[int]:
+    """Legs of the published path of which less than half was seen."""
+    legs = Legs(path.corners()[0])
+    on = found.leg != OFF_PATH
+    number = found.leg[on]
+    published = number if found.published is None else found.published[number]
+    on, number = np.flatnonzero(on)[published != OFF_PATH], published[published != OFF_PATH]
+    along = legs.along(found.T_machine_tracker.apply(samples.xyz[on]), number)
+    low, high = np.full(len(legs.length), np.inf), np.full(len(legs.length), -np.inf)
+    np.minimum.at(low, number, along)
+    np.maximum.at(high, number, along)
+    seen = np.where(high > low, high - low, 0.0)
+    long = legs.length > SHORT_LEG * margin
+    return np.flatnonzero(long & (seen < LEG_SEEN * (legs.length - 2 * margin))).tolist()
+
+
+FOLLOWING = Check('path', _check_path)
+
+
+def _check_standstills(seen: Seen) -> Checked:
+    if seen.samples is None:
+        return Checked()
+    runs = find_standstills(seen.samples, seen.config.standstill_speed)
+    total = float((runs[:, 1] - runs[:, 0]).sum()) * seen.samples.step
+    facts: dict[str, object] = {'standstills': len(runs), 'standstill_s': total}
+    words = f'{len(runs)}, {total:.1f} s in all'
+    noise = standstill_noise(seen.samples, runs)
+    if noise is None:
+        short = f'the target stood still for {total:.1f} s only' if total < MIN_TOTAL else (
+            'the points of the standstills repeat without any noise'
+        )  # fmt: skip
+        return Checked(words, facts, warnings(
+            f'{short}: the noise is taken from machine.yaml then; let the target stand for '
+            f'{MIN_TOTAL:g} s at the start and the end, unfiltered'
+        ))  # fmt: skip
+    level = 1e6 * noise.noise.level
+    facts |= {'noise_range_um': float(level[0]), 'noise_angle_urad': level[1:].tolist()}
+    return Checked(
+        f'{words}; noise {level[0]:.2f} um along the beam, {level[1]:.2f} and {level[2]:.2f} '
+        f'urad across',
+        facts,
+    )
+
+
+STANDSTILL = Check('standstill', _check_standstills)
+
+
+def _check_contradictions(seen: Seen) -> Checked:
+    if seen.machine is None or seen.run is None:
+        return Checked()
+    findings = seen.findings
+    doubtful = errors(*words_of(findings, GATE)) + warnings(*words_of(findings, WARNING))
+    words = ', '.join(f.check for f in findings) or 'no contradictions'
+    return Checked(f'{seen.machine.name}, chain {seen.machine.chain}: {words}', {}, doubtful)
+
+
+CONTRADICTION = Check('machine', _check_contradictions)
+
+
+def _check_forecast(seen: Seen) -> Checked:
+    run = seen.run
+    if run is None or run.pieces.standstill or seen.nodes is None:
+        return Checked()
+    setup = Setup.of(run.machine, run.pose.translation, run.noise)
+    with one_thread():
+        found = forecast_of_pieces(
+            run.pieces, run.pose, dict(seen.nodes), run.path.points, setup, run.pieces.end
+        )
+        expected = planned_systematic(solution_of_pieces(run, found), found).expected
+    unseen = found.not_identifiable
+    facts = {
+        'mean_grid_u_um': 1e6 * found.mean_grid_u,
+        **expected.to_dict(),
+        'not_identifiable': list(unseen),
+        'mean_u': {
+            name: float(np.sqrt(np.mean(u**2)))
+            for name, u in found.u.items()
+            if name not in unseen
+        },
+    }
+    words = f'{expected.expanded_words}\n{expected.forecast_words}'
+    if unseen:
+        words += f'\nnot seen by this path: {", ".join(map(str, unseen))}'
+    loose = ', '.join(map(str, found.loose_nodes))
+    said = f'parts of {loose} will be interpolated only: no line passes there' if loose else ''
+    return Checked(words, {'forecast': facts}, warnings(said))
+
+
+FORECAST = Check('forecast', _check_forecast)
+
+
+CHECKS: tuple[Check, ...] = (
+    CONTENT,
+    RATE,
+    GAPS,
+    CLOCK,
+    BEAM,
+    STANDSTILL,
+    FOLLOWING,
+    CONTRADICTION,
+    FORECAST,
+)
+"""In the order in which they are shown; a further one is one file and one line here."""
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What is to be known of a recording before the tracker is dismounted.
+
+    Attributes
+    ----------
+    name : str
+    checked : mapping of str to Checked
+        By the names of the checks.
+    """
+
+    name: str
+    checked: Mapping[str, Checked]
+
+    @property
+    def problems(self) -> tuple[tuple[str, Problem], ...]:
+        """Names of checks and what they found, errors first."""
+        every = [(name, p) for name, found in self.checked.items() for p in found.problems]
+        return tuple(sorted(every, key=lambda item: item[1].severity != ERROR))
+
+    @property
+    def usable(self) -> bool:
+        """True if a calibration would take the recording."""
+        return all(p.severity != ERROR for _, p in self.problems)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        facts: dict[str, Any] = {}
+        for found in self.checked.values():
+            facts |= found.facts
+        problems = [
+            {'check': name, 'severity': p.severity, 'what': p.what} for name, p in self.problems
+        ]
+        return {'usable': self.usable, 'problems': problems, **facts}
+
+
+def check(
+    source: str,
+    machine: Machine | None = None,
+    config: CalibrationConfig | None = None,
+    given: Given = AS_IT_IS,
+) -> CheckReport:
+    """Ask a recording whether it can be used.
+
+    Parameters
+    ----------
+    source : str
+        A bag, or a table of samples as text.
+    machine : Machine, optional
+    config : CalibrationConfig, optional
+    given : Given
+        How it is read.
+
+    Returns
+    -------
+    CheckReport
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file or folder.
+    """
+    seen = look(source, machine, config or CalibrationConfig(), given)
+    return CheckReport(source, {c.name: c.ask(seen) for c in CHECKS})
