@@ -105,6 +105,11 @@ def test_page_is_well_formed(page):
     assert reader.open == []
 
 
+def test_paper_names_the_diagnosis_in_its_head(view):
+    page = report_html(diagnosis(view, found=causes()))
+    assert re.search(r'@top-left \{ content: "[^"]*diagnosis of run', page)
+
+
 def test_page_needs_nothing_else(page):
     assert unloading(page) == []
     assert Page(page).scripts == 0

@@ -9,6 +9,7 @@ from itertools import combinations
 
 from otf_core.diagnosis.place.separation import TIME, VOLUME, groupings_by_view
 from otf_core.diagnosis.result import Diagnosis, NamedCause
+from otf_core.reports.circumstances import measured
 from otf_core.reports.gap_pictures import groups_side_by_side
 from otf_core.reports.gap_sections.over_time import size_pictures
 from otf_core.reports.gap_sections.place import volume_picture
@@ -46,7 +47,15 @@ def heading(diagnosis: Diagnosis) -> Heading:
     )  # fmt: skip
     title = f'{TITLE} · {listed(diagnosis.runs)}'
     badge = State(VERDICTS.get(verdict, verdict), MOODS.get(verdict, ''))
-    return Heading(title, diagnosis.sentence, (badge,), tuple(tiles))
+    return Heading(title, diagnosis.sentence, (badge,), tuple(tiles), running_words(diagnosis))
+
+
+def running_words(diagnosis: Diagnosis) -> str:
+    """Head of printed pages: machine, run, date."""
+    machines = dict.fromkeys(o.machine.name for o in diagnosis.origin if o.machine)
+    date = measured(diagnosis.origin)
+    parts = [*machines, f'diagnosis of {listed(diagnosis.runs)}', *([date] if date else [])]
+    return ', '.join(parts)
 
 
 def _size_tile(cause: NamedCause) -> tuple[str, str, str] | None:
