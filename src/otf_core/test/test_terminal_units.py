@@ -29,14 +29,14 @@ class Terminal(io.StringIO):
 @pytest.mark.parametrize(
     ('stream', 'shown'),
     [
-        (Terminal('utf-8'), 'largest 12 µm, 3 µrad/m; mean_um of a minimum'),
-        (Terminal('latin-1'), 'largest 12 µm, 3 µrad/m; mean_um of a minimum'),
-        (Terminal('ascii'), 'largest 12 um, 3 urad/m; mean_um of a minimum'),
-        (Terminal('utf-8', terminal=False), 'largest 12 um, 3 urad/m; mean_um of a minimum'),
+        (Terminal('utf-8'), 'largest 12 ± 2 µm, 3 µrad/m; mean_um of a minimum'),
+        (Terminal('latin-1'), 'largest 12 ± 2 µm, 3 µrad/m; mean_um of a minimum'),
+        (Terminal('ascii'), 'largest 12 +/- 2 um, 3 urad/m; mean_um of a minimum'),
+        (Terminal('utf-8', terminal=False), 'largest 12 +/- 2 um, 3 urad/m; mean_um of a minimum'),
     ],
 )
 def test_a_terminal_shows_micrometres_with_their_sign_where_it_has_it(stream, shown):
-    assert as_shown('largest 12 um, 3 urad/m; mean_um of a minimum', stream) == shown
+    assert as_shown('largest 12 +/- 2 um, 3 urad/m; mean_um of a minimum', stream) == shown
 
 
 def test_words_of_a_verb_are_shown_so_and_objects_stay_as_they_are(monkeypatch):

@@ -13,6 +13,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.outlier_places import LeftOut, findings, left_out
 from otf_core.contradictions.recording_checks import check_recordings
+from otf_core.contradictions.table_pitch import check_table_pitch
 from otf_core.live.stages import silent
 from otf_core.memory import give_back, one_heap
 from otf_core.pieces.finding import WARNING, Finding
@@ -84,6 +85,7 @@ def solve_recordings(
     one_heap()
     progress('aligning', 0.0)
     check_recordings(recordings)
+    pitch = check_table_pitch(recordings[0].machine, config.piece_length)
     runs, nodes = prepare(recordings, config)
     give_back()
 
@@ -97,6 +99,8 @@ def solve_recordings(
         runs, solution = on_curves, solve_with_reversal(on_curves, nodes, config, progress)
 
     outliers = tuple(left_out(run, own) for run, own in zip(runs, solution.runs, strict=True))
-    repairs = (Finding('recording', WARNING, text) for r in recordings for text in r.remarks)
+    repairs = [Finding('recording', WARNING, text) for r in recordings for text in r.remarks]
+    if pitch:
+        repairs.append(Finding('table_pitch', WARNING, pitch.removeprefix('table_pitch: ')))
     stated = (*repairs, *contradictions, *findings(outliers))
     return SolvedRecordings(runs, nodes, stated, solution, outliers)

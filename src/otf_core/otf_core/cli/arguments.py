@@ -156,7 +156,13 @@ def add_judging_verbs(verb: AddVerb) -> None:
     add_parameters(sub, CalibrationConfig, ('standstill_speed',))
 
     sub = verb('compare', run_compare)
-    sub.add_argument('a', help='error_tables.json, or CSV of a direct measurement')
+    sub.add_argument(
+        'a',
+        help='error_tables.json, or CSV of a direct measurement with the head '
+        'axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad, one row a reading '
+        '(direction: forward or backward; units m, mm, um, rad, urad, arcsec by the head; columns '
+        'that the instrument lacks left out)',
+    )
     sub.add_argument('b', help='the same')
     sub.add_argument('--machine', help='machine.yaml, for direct measurements')
     sub.add_argument('--points', help='CSV with the header x,y,z; a grid if not given')

@@ -29,7 +29,26 @@ _otf() {{
 }}
 complete -o default -F _otf otf ./otf
 """
-SHELLS = ('bash', 'zsh')
+SHELLS = ('bash', 'zsh', 'fish')
+
+
+def fish_script(parser: Parser) -> str:
+    """Return a script for fish."""
+    lines = [
+        '# completion of otf',
+        f'complete -c otf -n __fish_use_subcommand -f -a "{" ".join(parser.verbs)}"',
+    ]
+    for name, verb in parser.verbs.items():
+        under = f'complete -c otf -n "__fish_seen_subcommand_from {name}"'
+        for action in verb._actions:
+            words = ' '.join(map(str, action.choices or ()))
+            long = [o[2:] for o in action.option_strings if o.startswith('--')]
+            takes = action.nargs != 0
+            listed = f' -x -a "{words}"' if words else ' -r' if takes else ''
+            lines += [f'{under} -l {option}{listed}' for option in long]
+            if words and not action.option_strings:
+                lines.append(f'{under} -f -a "{words}"')
+    return '\n'.join(lines) + '\n'
 
 
 def script(parser: Parser) -> str:
@@ -54,5 +73,6 @@ def run_completion(arguments: argparse.Namespace) -> int:
     """Print the script of a shell."""
     from otf_core.cli import _parser
 
-    say(script(_parser()))
+    made = fish_script if arguments.shell == 'fish' else script
+    say(made(_parser()))
     return 0

@@ -38,7 +38,7 @@ def as_shown(text: str, stream: TextIO) -> str:
     """
     if not stream.isatty():
         return text
-    proper = UNIT.sub('\N{MICRO SIGN}\\1', text)
+    proper = UNIT.sub('\N{MICRO SIGN}\\1', text).replace(' +/- ', ' \N{PLUS-MINUS SIGN} ')
     try:
         proper.encode(stream.encoding or 'ascii')
     except (UnicodeEncodeError, LookupError):

@@ -48,8 +48,8 @@ def asked(parser: Parser, argv: Sequence[str]) -> argparse.Namespace:
     verbs = parser.verbs
     word = next(iter(argv), '')
     if word and not word.startswith('-') and word not in verbs:
-        hint = did_you_mean(word, verbs)
-        parser.error(f'{word!r} is no VERB{hint} Possible: {", ".join(verbs)}')
+        hint = did_you_mean(word, verbs) or ';'
+        parser.error(f'unknown command {word!r}{hint} commands: {", ".join(verbs)}')
     arguments, left = parser.parse_known_args(argv)
     if left:
         verb = verbs[arguments.verb]

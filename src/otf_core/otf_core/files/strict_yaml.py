@@ -178,7 +178,9 @@ class Fields:
         self._taken.append(key)
         if key not in self._data:
             near = [k for k in self._data if get_close_matches(key, [k.lower()], cutoff=NEAR)]
-            self.fail(key, f'missing; is {near[0][:60]} meant?' if near else 'missing')
+            if near:
+                self.fail(near[0], f'unknown key; is {key} meant?')
+            self.fail(key, 'missing')
         return self._data.pop(key)
 
     def text(self, key: str) -> str:

@@ -12,7 +12,7 @@ import pytest
 from cli_cells import run, write_points
 
 from otf_core.cli import _parser
-from otf_core.cli.completion import script
+from otf_core.cli.completion import fish_script, script
 from otf_core.cli.verbs import EXAMPLES, VERBS
 
 ROOM = Path(__file__).resolve().parents[4] / 'bags/y-carries-the-table'
@@ -52,7 +52,18 @@ def test_the_shell_completes_verbs_options_and_choices():
     assert completed('./otf', 'calibrate', '--rev') == ['--reversal']
     assert completed('otf', 'calibrate', 'run', '--method', '') == ['otf', 'standstill']
     assert completed('otf', 'completion', 'z') == ['zsh']
+    assert completed('otf', 'completion', 'f') == ['fish']
     assert completed('otf', 'calibrate', 'ru') == []  # files, by the shell itself
+
+
+def test_fish_completes_verbs_options_and_choices():
+    lines = fish_script(_parser()).splitlines()
+    assert lines[1].startswith('complete -c otf -n __fish_use_subcommand -f -a "check ')
+    calibrate = [t for t in lines if '__fish_seen_subcommand_from calibrate"' in t]
+    assert any(t.endswith('-l method -x -a "otf standstill"') for t in calibrate)
+    assert any(t.endswith('-l machine -r') for t in calibrate)
+    assert any(t.endswith('-l overwrite') for t in calibrate)
+    assert any(t.endswith('from completion" -f -a "bash zsh fish"') for t in lines)
 
 
 @pytest.fixture

@@ -108,8 +108,11 @@ def test_monsters_in_a_noise_file(place, capsys, content):
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        (('calibrat', 'bag'), "otf: 'calibrat' is no VERB; did you mean calibrate? Possible: "),
-        (('xyz',), "otf: 'xyz' is no VERB Possible: check, info, "),
+        (
+            ('calibrat', 'bag'),
+            "otf: unknown command 'calibrat'; did you mean calibrate? commands: ",
+        ),
+        (('xyz',), "otf: unknown command 'xyz'; commands: check, info, "),
         (
             ('calibrate', 'bag', '--machine', 'm', '--out', 'o', '--piece-lenght', '1'),
             'otf calibrate: unknown option --piece-lenght; did you mean --piece-length? '
