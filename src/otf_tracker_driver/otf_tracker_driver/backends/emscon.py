@@ -92,7 +92,8 @@ class Emscon(Backend):
     @property
     def remark(self) -> str:  # type: ignore[override]
         """What the tracker does not keep."""
-        return ''.join(f'; WARNING: {text}' for text in self.health.warnings)
+        warnings = '; '.join(self.health.warnings)
+        return f'WARNING: {warnings}' if warnings else ''
 
     @property
     def preparing(self) -> str:
