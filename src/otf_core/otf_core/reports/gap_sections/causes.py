@@ -22,7 +22,8 @@ from otf_core.reports.section import Cell, Section, Table
 def section(diagnosis: Diagnosis) -> Section:
     """Return the section."""
     held = [w for cause in diagnosis.causes if (w := _held_words(diagnosis, cause))]
-    text = (*(line for cause in diagnosis.causes for line in _text(cause)), *held, '')
+    lines = [line for cause in diagnosis.causes for line in _text(cause)]
+    text = (*lines, *held, '') if lines else ()
     if not diagnosis.causes:
         reason = {
             'none': 'None: the run shows no more than its simulation.',
