@@ -58,6 +58,7 @@ def test_every_way_to_write_a_small_number_is_a_number(read, number):
     [
         ('w-b-X-Y-Z-t', '[w, b]', r"^\S*machine.yaml: chain: expected a text, got \['w', 'b'\]$"),
         ('name:', 'feed: 3\nname:', 'feed: unknown key; known here: name, .*, limits, .*signals$'),
+        ('chain:', 'chian:', r'chian: unknown key; is chain meant\?$'),
         ('name:', 'Name:', r'Name: unknown key; is name meant\?$'),
         ('target_offset', 'target_ofset', r'target_ofset: unknown key; is target_offset meant\?$'),
         ('  u_range: 0.5e-6\n', '', 'tracker: u_range: missing$'),

@@ -7,7 +7,7 @@ import math
 import re
 import reprlib
 import unicodedata
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -140,9 +140,11 @@ class Fields:
         Expected to be a mapping; anything else is a ConfigError.
     where : str
         File and key path, for messages.
+    known : collection of str
+        All keys that there are, if they are known: another one is named before a missing one.
     """
 
-    def __init__(self, data: Any, where: str) -> None:
+    def __init__(self, data: Any, where: str, known: Collection[str] = ()) -> None:
         if not isinstance(data, Mapping):
             kind = 'nothing' if data is None else type(data).__name__
             raise ConfigError(f'{where}: expected a mapping of keys to values, got {kind}')
@@ -154,6 +156,7 @@ class Fields:
         self._data = dict(data)
         self._where = where
         self._taken: list[str] = []
+        self._known = known
 
     @property
     def where(self) -> str:
@@ -178,6 +181,7 @@ class Fields:
         self._taken.append(key)
         if key not in self._data:
             near = [k for k in self._data if get_close_matches(key, [k.lower()], cutoff=NEAR)]
+            near = near or [k for k in self._data if self._known and k not in self._known]
             if near:
                 self.fail(near[0], f'unknown key; is {key} meant?')
             self.fail(key, 'missing')

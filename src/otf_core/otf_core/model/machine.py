@@ -202,7 +202,7 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
     ConfigError
         Names the key, what it holds and what was expected.
     """
-    top = Fields(data, where)
+    top = Fields(data, where, KEYS)
     name = top.line('name')
     stated = top.text('chain')
     try:
