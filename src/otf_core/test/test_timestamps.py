@@ -323,6 +323,30 @@ def test_a_bad_time_is_named_by_its_line(tmp_path):
         TextReading(table(tmp_path, stamps))
 
 
+def split_by_commas(tmp_path, digits, number=False, count=COUNT):
+    """A table between commas whose times hold one too, or a number of the sample behind them."""
+    rows = []
+    for k, (m, p) in enumerate(zip(moments(LATE, count), XYZ, strict=False)):
+        behind = str(100 + k) if number else part(m, digits)
+        rows.append(f'{m:%Y-%m-%d %H:%M:%S},{behind},{",".join(f"{1e3 * v:.4f}" for v in p)}')
+    (tmp_path / 'run.csv').write_text('\n'.join(['time,x_mm,y_mm,z_mm', *rows, '']))
+    return tmp_path / 'run.csv'
+
+
+@pytest.mark.parametrize('digits', [3, 6])
+def test_a_comma_before_the_milliseconds_between_commas(tmp_path, digits):
+    since, got = since_of(split_by_commas(tmp_path, digits))
+    np.testing.assert_array_equal(since, STEP * np.arange(COUNT))
+    np.testing.assert_allclose(got.received().xyz, XYZ, atol=1e-7)
+
+
+def test_a_number_behind_the_time_is_none_of_its_parts(tmp_path):
+    with pytest.raises(InputError, match='names 4 columns, the lines have 5'):
+        TextReading(split_by_commas(tmp_path, 3, number=True))
+    with pytest.raises(InputError, match='names 4 columns, the lines have 5'):
+        TextReading(split_by_commas(tmp_path, 3, count=20))  # within a second there is no telling
+
+
 @pytest.mark.parametrize('seed', range(40))
 def test_any_form_of_any_moment_is_that_moment(seed):
     rng = random.Random(seed)

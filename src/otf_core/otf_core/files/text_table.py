@@ -427,6 +427,9 @@ class _Reader:
             columns.pop()
             self.dialect = Dialect(self.dialect.separator, self.dialect.dated, width - 1)
             return names
+        if len(names) == width - 1 and self.dialect.separator == ',' and _with_parts(columns):
+            self.dialect = Dialect(self.dialect.separator, self.dialect.dated, width - 1)
+            return names
         line = self.every[at].strip()[:80]
         raise InputError(
             f'{self.where}: the head (line {at + 1}) names {len(names)} columns, the lines have '
@@ -435,6 +438,34 @@ class _Reader:
         )
 
 
+def _with_parts(columns: list[list[str]]) -> bool:
+    """Join, in place, full seconds and a column of their parts, between which a comma stood.
+
+    True if there is one such pair. The parts have one number of digits and begin again with every
+    second, which no other column does.
+    """
+    found = [k for k in range(len(columns) - 1) if _are_parts(columns[k], columns[k + 1])]
+    if len(found) != 1:
+        return False
+    k = found[0]
+    parts = columns.pop(k + 1)
+    columns[k] = [f'{a.strip()},{b.strip()}' for a, b in zip(columns[k], parts, strict=True)]
+    return True
+
+
+def _are_parts(whole: Sequence[str], parts: Sequence[str]) -> bool:
+    if not SECONDS.search(whole[0]) or len(parts[0].strip()) not in (3, 6, 9):
+        return False
+    digits = [part.strip() for part in parts]
+    if {len(part) for part in digits} != {len(digits[0])} or not all(map(str.isdigit, digits)):
+        return False
+    pairs = list(zip(whole, whole[1:], digits, digits[1:], strict=False))
+    within = [b < d for a, c, b, d in pairs if a == c]
+    turns = [d < b for a, c, b, d in pairs if a != c]
+    return len(turns) > 1 and all(turns) and all(within)
+
+
+SECONDS = re.compile(r':\d\d\s*$')
 GROUP_LINES = 4
 """Lines above the head that may name groups of columns."""
 LONGEST_WORD = 20
