@@ -16,6 +16,7 @@ from mcap.writer import CompressionType
 from otf_core.bags.bag import read_bag
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import OtfError
+from otf_core.inputs.nc_program import read_program
 from otf_core.inputs.plan_json import read_plan
 from otf_core.inputs.points_file import read_points
 from otf_core.model.machine import load_machine
@@ -57,6 +58,29 @@ def plan():
             'dwell': [0.0, 0.5, 0.0]}  # fmt: skip
 
 
+GCODE = b"""%
+G21 G90 G17 G54
+N10 G0 X0 Y0 Z0 (START)
+N20 G1 X50. F900 M3 S500
+N30 G3 X0 Y50 I-50 J0
+G91 G2 X10 Y10 R10
+G4 X2.5
+G1 Z-1.5
+M30
+%
+"""
+KLARTEXT = b"""0 BEGIN PGM A MM
+1 L X+50 Y+0 Z+0 FMAX M3
+2 CC X+0 Y+0
+3 C X+0 Y+50 DR+ F100
+4 CYCL DEF 9.0 DWELL TIME
+5 CYCL DEF 9.1 DWELL 2
+6 L IX+10 Z-5,5
+7 CR X+20 Y+60 R+20 DR-
+8 END PGM A MM
+"""
+
+
 def readers(folder):
     """Name of every kind of input: its good bytes, and what reads a file of it."""
     machine = folder / 'good.yaml'
@@ -71,6 +95,8 @@ def readers(folder):
         'error_tables.json': (json.dumps(tables()).encode(), load_tables),
         'noise.json': (json.dumps(NOISE).encode(), read_noise),
         'plan.json': (json.dumps(plan()).encode(), read_plan),
+        'program.nc': (GCODE, read_program),
+        'program.h': (KLARTEXT, read_program),
     }  # fmt: skip
     for name, options in (
         ('zstd.mcap', {'compression': CompressionType.ZSTD}),

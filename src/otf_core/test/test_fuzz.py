@@ -24,7 +24,7 @@ COUNTS = {'machine.yaml': 20, 'effects.yaml': 20}
 COUNT = 200
 KINDS = (
     'machine.yaml', 'effects.yaml', 'points.csv', 'error_tables.json', 'noise.json', 'plan.json',
-    'zstd.mcap', 'recovered plain.mcap', 'unchunked.mcap',
+    'program.nc', 'program.h', 'zstd.mcap', 'recovered plain.mcap', 'unchunked.mcap',
 )  # fmt: skip
 
 

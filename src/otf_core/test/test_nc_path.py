@@ -68,7 +68,7 @@ def test_any_plan_comes_back_from_its_program(tmp_path, name, seed):
     assert got.points.tobytes() == (driven(plan.path.points) + 0.0).tobytes()
 
 
-@every_dialect
+@pytest.mark.parametrize('name', ['heidenhain', 'linuxcnc'])
 def test_the_program_that_the_command_writes_is_known_to_info_and_read(tmp_path, name, capsys):
     machine = tmp_path / 'machine.yaml'
     machine.write_text(MACHINE)
@@ -247,6 +247,11 @@ def check_arc(points, radius, turn, plane=(0, 1)):
     assert chord.min() > 1e-4 and chord.max() <= 1e-3 + 1e-12
     assert abs(np.diff(angle)).max() <= np.radians(5.0) + 1e-12
     assert len(points) > 3
+
+
+def test_an_arc_that_no_machine_drives_is_refused_before_it_takes_memory(tmp_path):
+    with pytest.raises(ConfigError, match=r'line 2: .* is an arc of .* m: no machine drives it'):
+        read(tmp_path, 'G1 X50 Y0 Z0\nG2 I-9999999999\nM30\n')
 
 
 def test_more_than_half_a_turn_by_a_negative_radius(tmp_path):

@@ -314,21 +314,27 @@ def _code(value: Decimal) -> str:
 def without_comments(line: str) -> str | None:
     """Text of a block without comments in brackets and behind a semicolon; None: not closed."""
     kept: list[str] = []
-    depth = 0
-    for at, sign in enumerate(line):
+    depth = at = 0
+    while at < len(line):
+        sign = line[at]
         if depth == 0 and sign == ';':
             break
         if depth == 0 and sign == '"':  # what SINUMERIK shows: MSG("...")
-            closing = line.find('"', at + 1)
-            rest = line[closing + 1 :].lstrip().removeprefix(')') if closing > 0 else ''
-            return f'{"".join(kept).rstrip().removesuffix("(")} {without_comments(rest) or ""}'
-        if sign == '(' and (depth or not _calls(line[:at])):
+            at = line.find('"', at + 1)
+            if at < 0:
+                return None
+            while kept and kept[-1] in ' (':
+                kept.pop()
+            at += len(line[at + 1 :]) - len(line[at + 1 :].lstrip(' )'))
+            kept.append(' ')
+        elif sign == '(' and (depth or not _calls(line[max(at - 30, 0) : at])):
             depth += 1
         elif sign == ')' and depth:
             depth -= 1
             kept.append(' ')
         elif not depth:
             kept.append(sign)
+        at += 1
     return None if depth else ''.join(kept)
 
 

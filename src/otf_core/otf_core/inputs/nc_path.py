@@ -31,6 +31,8 @@ SHORTEST_CHORD = 1e-4
 """m; shorter chords are below what curves are recognised by."""
 MAX_RADIUS_STEP = 25e-6
 """m; end points of an arc may lie so much nearer to its centre than its start, by rounding."""
+LONGEST_ARC, MOST_CORNERS = 1000.0, 5_000_000
+"""m; no machine drives a longer arc. Corners of a path, its chords included."""
 APPROACH = 5
 """Moves before the first program stop that may be the approach to the start of the path."""
 MACHINE = 'machine coordinates'
@@ -251,6 +253,10 @@ class DrivenPath:
         if np.array_equal(start[list(plane)], end[list(plane)]):
             turn = -2.0 * math.pi if clockwise else 2.0 * math.pi
         length = radius * abs(turn)
+        if not length <= LONGEST_ARC:
+            refuse(self.where, line, word, f'is an arc of {length:.3g} m: no machine drives it')
+        if len(self.corners) > MOST_CORNERS:
+            refuse(self.where, line, word, f'is an arc after {MOST_CORNERS} chords: too many')
         count = max(math.ceil(length / CHORD), math.ceil(abs(turn) / CHORD_TURN), 3)
         count = max(1, min(count, int(length / SHORTEST_CHORD)))
         share = np.arange(1, count) / count
