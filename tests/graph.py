@@ -141,18 +141,18 @@ class Graph:
         """Call a Trigger service."""
         return self.call(Trigger, name)
 
-    def transition(self, label):
-        """Ask the driver for a lifecycle transition; True if it was made."""
+    def transition(self, label, node='tracker_driver'):
+        """Ask a node for a lifecycle transition; True if it was made."""
         request = ChangeState.Request(transition=Transition(label=label))
         lost = self._lost_answers()
-        made = self.call(ChangeState, 'tracker_driver/change_state', request).success
+        made = self.call(ChangeState, f'{node}/change_state', request).success
         if self._lost_answers() > lost:  # asked twice: the second time it may be made already
-            return self.lifecycle_state() == REACHED[label]
+            return self.lifecycle_state(node) == REACHED[label]
         return made
 
-    def lifecycle_state(self):
-        """Lifecycle state of the driver."""
-        return self.call(GetState, 'tracker_driver/get_state').current_state.label
+    def lifecycle_state(self, node='tracker_driver'):
+        """Lifecycle state of a node."""
+        return self.call(GetState, f'{node}/get_state').current_state.label
 
     def set_parameter(self, node, name, value):
         """Set a parameter of a node; returns whether it was accepted, and why not."""

@@ -9,7 +9,7 @@ import pytest
 from cells import write_machine
 
 from otf_calibrator.collector import SILENT, Collector, PathTaken
-from otf_calibrator.losses import Publisher, SequenceWatch
+from otf_calibrator.losses import Publisher, SequenceWatch, lost_words
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.publishers import GONE, GONE_BESIDE, Choice
 from otf_calibrator.session import LAST_SAMPLES, Session
@@ -328,6 +328,17 @@ def test_two_drivers_at_once_lose_nothing(collector):
     assert (len(collector.buffer), collector.lost, collector.remarks) == (900, 0, [])
 
 
+def test_end_of_a_second_drivers_stream_is_not_that_of_the_run(collector):
+    announce(collector, 'a', 0, 'STREAMING')
+    add(collector, 50)
+    announce(collector, 'b', 0, 'STREAMING')
+    announce(collector, 'a', 50, 'STREAMING')
+    announce(collector, 'b', 0, 'FINISHED', now=1.0)
+    assert not complete(collector, now=4.0)
+    announce(collector, 'b', 0, 'FINISHED', now=20.0)  # the first has been silent for long
+    assert complete(collector, now=40.0) == 'the stream has ended'
+
+
 def test_silence_after_the_path_completes_a_run_without_status(collector):
     add(collector, 100)
     assert not complete(collector, now=1000.0)  # half of the path: a pause
@@ -444,3 +455,66 @@ def test_publisher_that_comes_after_the_one_before_has_ended_goes_on_with_all_it
     assert chosen(choice, [two], 0.9 * GONE) == ([], [])
     assert chosen(choice, [], 1.1 * GONE) == ([two], [])
     assert chosen(choice, [two], 1.2 * GONE) == ([two], [])
+
+
+def restarted(collector, same):
+    """100 samples, a calibrator that was ended and comes back, then 50 more samples."""
+    announce(collector, 'a', 90, 'STREAMING')
+    add(collector, 100)
+    collector.taken_up()
+    announce(collector, 'a' if same else 'b', 250 if same else 60, 'STREAMING')
+    add(collector, 50, start=200)
+    collector.decide(2 * SILENT)
+    announce(collector, 'a' if same else 'b', 250 if same else 60, 'IDLE')
+
+
+def test_loss_while_the_calibrator_was_away_is_exact_if_the_driver_went_on(collector):
+    restarted(collector, same=True)
+    assert (collector.lost, collector.restarts.uncounted) == (100, False)
+    assert collector.restarts.remarks == [
+        'restarts of driver or calibrator leave out 0.20 s of the run (100 samples at 500 Hz)'
+    ]
+
+
+def test_loss_while_driver_and_calibrator_were_away_is_at_least_what_is_known(collector):
+    restarted(collector, same=False)
+    assert (collector.lost, collector.restarts.uncounted) == (10, True)
+    assert collector.restarts.samples == 100
+    assert lost_words(10, True) == 'at least 10 samples were lost on the way'
+
+
+def test_loss_of_a_tracker_without_status_is_what_the_stamps_leave_out(collector):
+    add(collector, 100)
+    collector.taken_up()
+    add(collector, 50, start=130)
+    assert collector.lost == 30
+
+
+def test_driver_that_was_started_again_leaves_out_what_the_stamps_say(collector):
+    announce(collector, 'a', 100, 'STREAMING')
+    add(collector, 100)
+    announce(collector, 'b', 0, 'STREAMING')
+    add(collector, 50, start=150)
+    assert (collector.lost, collector.restarts.samples) == (0, 50)
+    assert not collector.restarts.uncounted
+
+
+@pytest.mark.parametrize('late', [True, False])
+def test_loss_of_a_killed_driver_is_exact_once_the_next_one_has_found_its_count(collector, late):
+    if not late:
+        announce(collector, 'a', 90, 'STREAMING')
+        add(collector, 100)
+        collector.taken_up()
+        collector.published_before('a', 130)
+        announce(collector, 'b', 0, 'STREAMING')
+        assert (collector.lost, collector.restarts.uncounted) == (30, False)
+        return
+    restarted(collector, same=False)
+    collector.published_before('a', 130)
+    assert (collector.lost, collector.restarts.uncounted) == (30 + 10, False)
+
+
+def test_stream_that_came_and_went_while_the_calibrator_was_away_is_lost_as_a_whole(collector):
+    restarted(collector, same=False)
+    collector.published_before('between', 70)
+    assert (collector.lost, collector.restarts.uncounted) == (10 + 70, True)

@@ -8,6 +8,7 @@ import numpy as np
 import policies
 import pytest
 from cells import ERROR_SIZE
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, PointStamped
 
 from otf_core.model.kinematics import exact_position
@@ -102,3 +103,31 @@ def test_tables_are_read_anew_and_stay_if_they_cannot_be(graph, truth, tmp_path)
     assert not refused.success and 'the tables read before stay' in refused.message
     request = Compensate.Request(wanted=[Point(x=0.1, y=0.0, z=-0.1)])
     assert graph.call(Compensate, 'compensator/compensate', request).success
+
+
+def test_compensator_answers_only_while_it_is_active(graph, truth, tmp_path):
+    graph.start('compensator', tables_file=tmp_path / 'tables.json', auto_start=False)
+    found = graph.listen(DiagnosticArray, '/diagnostics', qos.DIAGNOSTICS)
+    request = Compensate.Request(wanted=[Point(x=0.1, y=0.1, z=-0.1)])
+
+    def ask():
+        return graph.call(Compensate, 'compensator/compensate', request)
+
+    assert graph.lifecycle_state('compensator') == 'unconfigured'
+    assert not ask().success and 'configure and activate it' in ask().message
+    assert not graph.trigger('compensator/reload').success
+    assert graph.transition('configure', 'compensator')
+    assert not ask().success
+    assert graph.transition('activate', 'compensator')
+    assert ask().success and len(ask().compensations) == 1
+    graph.wait(
+        lambda: found and {s.hardware_id for s in found[-1].status} == {truth.machine.name},
+        'diagnostics of the machine',
+    )
+    changed = graph.set_parameter('compensator', 'tables_file', str(tmp_path / 'none.json'))
+    assert changed.successful and 'at the next compensator/reload' in changed.reason
+    assert graph.transition('deactivate', 'compensator')
+    assert not ask().success
+    assert graph.transition('cleanup', 'compensator')
+    assert not graph.transition('configure', 'compensator')  # no such file
+    assert graph.lifecycle_state('compensator') == 'unconfigured'

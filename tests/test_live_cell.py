@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planner, simulated tracker and calibrator together, against the known errors of the machine."""
 
+import json
 from pathlib import Path as FilePath
 
 from cells import FAST, SHORT, share_left, write_truth
@@ -10,8 +11,9 @@ from nav_msgs.msg import Path
 
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import load_tables
-from otf_msgs.msg import ErrorTable, TrackerStatus
+from otf_msgs.msg import ErrorTable, ErrorTables, TrackerStatus
 from otf_ros import qos
+from otf_ros.convert import ns_from_time
 
 
 def start_all(graph, machine_file, truth, **driver):
@@ -43,6 +45,21 @@ def test_finds_the_true_errors_and_every_reader_gets_the_tables(graph, machine_f
         assert list(messages[0].value) == table.value.tolist()
         assert list(messages[0].u) == table.u.tolist()
         assert messages[0].run_id == result.run_id
+    together = graph.listen(ErrorTables, 'calibrator/error_tables', qos.RESULT)
+    graph.wait(lambda: together, 'all tables in one message')
+    (all_of_it,) = together
+    assert list(all_of_it.tables) == [messages[0] for messages in heard.values()]
+    for k, name in enumerate(all_of_it.squareness):
+        assert all_of_it.squareness_value[k] == tables.squareness[name].value
+        assert all_of_it.squareness_u[k] == tables.squareness[name].u
+    assert len(all_of_it.squareness) == 3 and all(all_of_it.squareness_identifiable)
+    stated = json.loads((folder / 'error_tables.json').read_text())['provenance']
+    (run,) = stated['runs']
+    assert (all_of_it.run_sha256, all_of_it.samples) == (run['sha256'], run['samples'])
+    assert ns_from_time(all_of_it.first) == run['first_stamp_ns']
+    assert ns_from_time(all_of_it.last) == run['last_stamp_ns']
+    assert all_of_it.machine_sha256 == stated['machines'][0]['sha256']
+    assert (all_of_it.run_id, all_of_it.output_directory) == (result.run_id, str(folder))
     assert (alignment[0].header.frame_id, alignment[0].child_frame_id) == ('machine', 'tracker')
 
     graph.wait((folder / 'samples').exists, 'the bag of the samples')

@@ -12,7 +12,8 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import layout
@@ -23,6 +24,8 @@ ROOT = Path(layout.ROOT)
 CORE_SUITE = 'src/otf_core/test'
 WHOLE_CELLS = f'{CORE_SUITE}/whole'
 DEVICES = 'tests/devices'
+PACKAGES = 'tests of the packages'
+"""Short ones of every package with nodes or messages, which ``colcon test`` runs as well."""
 NO_TESTS = 5  # pytest's exit code when nothing was collected
 
 # Runs with the variables of the core suite: fails if any part of ROS can be imported there.
@@ -42,6 +45,13 @@ class Check:
     title: str
     command: list[str]
     env: dict[str, str]
+    suite: str = ''
+    targets: tuple[str, ...] = ()
+
+    @property
+    def whole(self) -> list[str]:
+        """The command with all that it is for."""
+        return [*self.command, *self.targets]
 
 
 def core_environment() -> dict[str, str]:
@@ -50,9 +60,23 @@ def core_environment() -> dict[str, str]:
     return {**env, 'PYTHONPATH': str(ROOT / 'src/otf_core')}
 
 
-def shared_out(python: str, workers: int, *words: str) -> list[str]:
-    """Command that runs tests in so many processes, each taking more when it has none left."""
-    return [python, '-m', 'pytest', '-n', str(workers), '--dist', 'worksteal', *words]
+def shared_out(
+    python: str,
+    workers: int,
+    env: dict[str, str],
+    suite: str,
+    targets: Sequence[str] = (),
+    *words: str,
+) -> Check:
+    """Tests in so many processes, each taking more when it has none left."""
+    command = [python, '-m', 'pytest', '-n', str(workers), '--dist', 'worksteal', *words]
+    return Check(f'pytest {suite}', command, env, suite, tuple(targets) or (suite,))
+
+
+def package_tests() -> list[str]:
+    """Folders of the tests that need ROS and lie in their packages."""
+    found = sorted(p for p in ROOT.glob('src/*/test') if p != ROOT / CORE_SUITE)
+    return [str(p.relative_to(ROOT)) for p in found]
 
 
 def all_checks(workspace_env: dict[str, str]) -> list[Check]:
@@ -63,22 +87,11 @@ def all_checks(workspace_env: dict[str, str]) -> list[Check]:
         Check('ruff format --check', [python, '-m', 'ruff', 'format', '--check'], core),
         Check('mypy', [python, '-m', 'mypy'], core),
         Check('no ROS for the core suite', [python, '-c', PROOF], core),
-        Check(
-            f'pytest {CORE_SUITE}',
-            shared_out(python, 2, f'--ignore={WHOLE_CELLS}', CORE_SUITE),
-            core,
-        ),
-        Check(f'pytest {WHOLE_CELLS}', shared_out(python, 2, WHOLE_CELLS), core),
-        Check(
-            f'pytest {DEVICES}',
-            shared_out(node_python, 4, DEVICES),
-            workspace_env,
-        ),
-        Check(
-            'pytest tests',
-            shared_out(node_python, 3, f'--ignore={DEVICES}', 'tests'),
-            workspace_env,
-        ),
+        shared_out(python, 2, core, CORE_SUITE, (), f'--ignore={WHOLE_CELLS}'),
+        shared_out(python, 2, core, WHOLE_CELLS),
+        shared_out(node_python, 4, workspace_env, DEVICES),
+        shared_out(node_python, 2, workspace_env, PACKAGES, package_tests()),
+        shared_out(node_python, 3, workspace_env, 'tests', (), f'--ignore={DEVICES}'),
     ]
 
 
@@ -87,11 +100,12 @@ def chosen_checks(workspace_env: dict[str, str], arguments: list[str]) -> list[C
     paths = [word for word in arguments if Path(word.partition('::')[0]).exists()]
     other = [word for word in arguments if word not in paths]
     checks = []
-    for check in all_checks(workspace_env)[-4:]:
-        mine = [absolute(word) for word in paths if suite_of(word) == check.command[-1]]
+    for check in (check for check in all_checks(workspace_env) if check.suite):
+        mine = [absolute(word) for word in paths if suite_of(word) == check.suite]
         if mine or not paths:
-            targets = mine or check.command[-1:]
-            checks.append(Check(check.title, [*check.command[:-1], *other, *targets], check.env))
+            targets = tuple(mine) or check.targets
+            command = [*check.command, *other]
+            checks.append(replace(check, command=command, targets=targets))
     return checks
 
 
@@ -101,7 +115,7 @@ def suite_of(word: str) -> str:
     for suite in (WHOLE_CELLS, 'src/otf_core', DEVICES):
         if ROOT / suite == place or ROOT / suite in place.parents:
             return CORE_SUITE if suite == 'src/otf_core' else suite
-    return 'tests'
+    return PACKAGES if ROOT / 'src' in place.parents else 'tests'
 
 
 def absolute(word: str) -> str:
@@ -117,7 +131,7 @@ def run(arguments: list[str]) -> int:
     for check in checks:
         print(f'\n=== {check.title} ===', flush=True)
         start = time.monotonic()
-        code = subprocess.call(check.command, env=check.env, cwd=ROOT)
+        code = subprocess.call(check.whole, env=check.env, cwd=ROOT)
         results.append((check.title, code, time.monotonic() - start))
     print('\n=== summary ===')
     for title, code, seconds in results:

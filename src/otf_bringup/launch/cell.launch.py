@@ -17,14 +17,17 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
+from ament_index_python.packages import (
+    get_package_share_directory,
+    get_packages_with_prefixes,
+)
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, TextSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
-from otf_bringup.launching import ended, refuse_unknown
+from otf_bringup.launching import ended, refuse_unknown, switched_on
 from otf_core.config import PlannerConfig
 from otf_tracker_driver.backends import BACKENDS
 
@@ -48,6 +51,8 @@ ARGUMENTS = [
     ('planner', '', 'namespace of the path planner, if not that of the cell'),
     ('rate', '', 'samples per second, simulated or of an emScon tracker'),
 ]
+if 'diagnostic_aggregator' in get_packages_with_prefixes():
+    ARGUMENTS.append(('aggregate', 'false', 'sum up /diagnostics on /diagnostics_agg'))
 FILES = 'cell.launch.py', 'replay.launch.py'
 RESPAWN_DELAY = 0.3
 """s"""
@@ -103,10 +108,27 @@ def nodes(context, known):
             raise RuntimeError(f'nodes: {name!r} is unknown; possible: {", ".join(taken)}')
     if backend and backend.brings_path and 'tracker_driver' in wanted:
         del taken['path_planner']
-    viewers = VIEWERS if given['view'].lower() == 'true' else ()
+    viewers = VIEWERS if switched_on(given, 'view') else ()
     return [
         *(node(name, given, *taken[name]) for name in taken if name in wanted),
         *(node(name, given, [], {}) for name in viewers),
+        *aggregator(given),
+    ]
+
+
+def aggregator(given):
+    """Return the node that sums up what the others diagnose, if it is wanted."""
+    if 'aggregate' not in given or not switched_on(given, 'aggregate'):
+        return []
+    return [
+        Node(
+            package='diagnostic_aggregator',
+            executable='aggregator_node',
+            name='diagnostic_aggregator',
+            namespace=LaunchConfiguration('namespace'),
+            parameters=[str(CONFIG / 'diagnostic_aggregator.yaml')],
+            output='screen',
+        )
     ]
 
 
@@ -154,8 +176,13 @@ def parameter(text, kind):
 def node(name, given, taken, own):
     """Return a node that takes parameters from the launch arguments of the same names."""
     taken = [*taken, 'use_sim_time', 'machine_frame', 'tracker_frame']
-    parameters = {key: parameter(given[key], KINDS.get(key, str)) for key in taken}
-    respawn = given['respawn'].lower() == 'true'
+    parameters = {
+        key: switched_on(given, key)
+        if KINDS.get(key) is bool
+        else parameter(given[key], KINDS.get(key, str))
+        for key in taken
+    }
+    respawn = switched_on(given, 'respawn')
     return Node(
         package='otf_view' if name in VIEWERS else f'otf_{name}',
         executable=name,

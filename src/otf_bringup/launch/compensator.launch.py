@@ -2,25 +2,52 @@
 """The compensator alone, beside a robot or a control that asks it.
 
 ros2 launch otf_bringup compensator.launch.py tables_file:=calibrations/latest/error_tables.json
+ros2 launch otf_bringup compensator.launch.py tables_file:=TABLES.json auto_start:=false
 """
 
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch_ros.actions import LifecycleNode
 
 from launch import LaunchDescription
+from otf_bringup.launching import ended, refuse_unknown, switched_on
+
+ARGUMENTS = {
+    'tables_file': 'error_tables.json of a calibration',
+    'namespace': 'of node and topics',
+    'auto_start': 'configure and activate at start; false: wait for lifecycle transitions',
+}
+DEFAULTS = {'namespace': '', 'auto_start': 'true'}
+FILES = ('compensator.launch.py',)
 
 
 def generate_launch_description():
     return LaunchDescription([
-        DeclareLaunchArgument('tables_file', description='error_tables.json of a calibration'),
-        DeclareLaunchArgument('namespace', default_value='', description='of node and topics'),
-        Node(
+        *(
+            DeclareLaunchArgument(name, default_value=DEFAULTS.get(name), description=text)
+            for name, text in ARGUMENTS.items()
+        ),
+        OpaqueFunction(function=compensator),
+    ])  # fmt: skip
+
+
+def compensator(context):
+    """Return the node."""
+    given = context.launch_configurations
+    refuse_unknown(list(ARGUMENTS), context.argv, FILES)
+    return [
+        LifecycleNode(
             package='otf_compensator',
             executable='compensator',
             name='compensator',
-            namespace=LaunchConfiguration('namespace'),
-            parameters=[{'tables_file': LaunchConfiguration('tables_file')}],
+            namespace=given['namespace'],
+            parameters=[
+                {
+                    'tables_file': given['tables_file'],
+                    'auto_start': switched_on(given, 'auto_start'),
+                }
+            ],
             ros_arguments=['--enclave', '/otf/compensator'],
-        ),
-    ])  # fmt: skip
+            output='screen',
+            on_exit=ended,
+        )
+    ]

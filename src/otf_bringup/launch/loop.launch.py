@@ -15,7 +15,7 @@ from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 
 from launch import LaunchDescription
-from otf_bringup.launching import ended, refuse_unknown
+from otf_bringup.launching import ended, refuse_unknown, switched_on
 from otf_core.cli.options import CLI_UNITS
 from otf_core.config import LoopConfig
 
@@ -59,7 +59,7 @@ def loop(context, known):
     words = ['--machine', given['machine_file'], '--out', given['out']]
     words += ['--compensate', given['compensate']]
     words += [word for info in INFOS for word in option(info, given[info.name])]
-    if given['overwrite'].lower() == 'true':
+    if switched_on(given, 'overwrite'):
         words.append('--overwrite')
     return [
         ExecuteProcess(

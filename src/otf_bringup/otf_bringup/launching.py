@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all launch files share: unknown arguments are refused, and an end is not passed over."""
 
+import logging
 import sys
 from difflib import get_close_matches
 
 from launch.actions import Shutdown
+
+SWITCH = {'true': True, 'yes': True, 'on': True, '1': True,
+          'false': False, 'no': False, 'off': False, '0': False}  # fmt: skip
+CAUGHT = 'Caught exception in launch (see debug for traceback): '
+ALL_ENDS = ', so all ends'
 
 
 def refuse_unknown(known, words, files):
@@ -28,12 +34,42 @@ def refuse_unknown(known, words, files):
             raise RuntimeError(f'launch argument {name!r} is unknown{hint} --show-args lists all')
 
 
+def switched_on(given, name):
+    """Tell whether a launch argument is on; RuntimeError if its word says neither.
+
+    Parameters
+    ----------
+    given : mapping of str to str
+        Launch arguments.
+    name : str
+    """
+    word = given[name].strip().lower()
+    if word not in SWITCH:
+        raise RuntimeError(f'{name}: {given[name]!r}; give true or false')
+    return SWITCH[word]
+
+
+class Ended(RuntimeError):
+    """A process has failed: it ends the launch with exit code 1, as only an exception can."""
+
+
+class _WithoutFalseAlarm(logging.Filter):
+    """Takes the words about an exception off the message on an end that is as it should be."""
+
+    def filter(self, record):
+        text, mark = record.getMessage(), ALL_ENDS
+        if text.startswith(CAUGHT) and mark in text:
+            record.msg, record.args = text.removeprefix(CAUGHT), ()
+        return True
+
+
 def ended(event, context, hint=''):
     """End all where one process ends by itself; with an error where that was one."""
     if context.is_shutdown:
         return []
     if event.returncode:
-        raise RuntimeError(
-            f'{event.process_name} ended with exit code {event.returncode}, so all ends{hint}'
+        logging.getLogger('launch').addFilter(_WithoutFalseAlarm())
+        raise Ended(
+            f'{event.process_name} ended with exit code {event.returncode}{ALL_ENDS}{hint}'
         )
     return [Shutdown(reason=f'{event.process_name} has ended')]

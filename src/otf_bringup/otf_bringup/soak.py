@@ -51,7 +51,14 @@ OFF = 5.0
 """s; for so long nobody listens at the tracker's port."""
 SETTLES = 8.0
 """s; what has piled up is read, published and heard."""
-KILLED = ('tracker_driver', 'calibrator', 'path_planner')
+KILLED = (
+    ('tracker_driver',),
+    ('calibrator',),
+    ('path_planner',),
+    ('tracker_driver', 'calibrator'),
+)
+FOREIGN = ('path in millimetres', 'second planner')
+"""What others do in the graph."""
 START = 60.0
 """s; until the first samples come."""
 LAP = 280.0
@@ -111,14 +118,26 @@ class Soak:
         spin(lasting)
         node.interrupt(signal.SIGCONT)
 
-    def kill(self, name: str) -> None:
-        """End a node in the middle of whatever it does, and start it again."""
-        (node,) = (node for node in self.nodes if node.name.endswith(name))
-        node.interrupt(signal.SIGKILL)
-        node.wait()
-        self.nodes.remove(node)
+    def kill(self, *names: str) -> None:
+        """End nodes in the middle of whatever they do, and start them again."""
+        killed = [node for node in self.nodes if node.name.endswith(names)]
+        for node in killed:
+            node.interrupt(signal.SIGKILL)
+        for node in killed:
+            node.wait()
+            self.nodes.remove(node)
         time.sleep(RESPAWN)
-        self.start(name)
+        for name in names:
+            self.start(name)
+
+    def start_second_planner(self) -> None:
+        """Start a planner that somebody has started by mistake: another path on the same topic."""
+        given = {**self._given['path_planner'], 'levels': 1, 'passes': 1}
+        words = ['-r', '__node:=second_planner']
+        label, module = 'second-planner', module_of('path_planner')
+        self.nodes.append(
+            NodeProcess(label, module, given, self._folder, self._environment, words)
+        )
 
 
 def soak(
@@ -146,12 +165,17 @@ def soak(
     graph.tracker.switch(True)
     spin(max(SETTLES, seconds - OFF))
     rows.append((f'tracker off for {OFF:.0f} s', ear.end(), _lost(ear, spin)))
-    for name in KILLED:
+    for names in KILLED:
         spin(5.0)
         ear.begin()
-        graph.kill(name)
+        graph.kill(*names)
         spin(seconds)
-        rows.append((f'kill -9 of {name}', ear.end(), _lost(ear, spin)))
+        rows.append((f'kill -9 of {" and ".join(names)}', ear.end(), _lost(ear, spin)))
+    for name, begin in zip(FOREIGN, (ear.stray_path, graph.start_second_planner), strict=True):
+        ear.begin()
+        begin()
+        spin(seconds)
+        rows.append((name, ear.end(), _lost(ear, spin)))
     return rows
 
 
@@ -181,7 +205,8 @@ def table(rows: list[tuple[str, Heard, int]]) -> str:
 def run(given: argparse.Namespace, folder: Path) -> int:
     """Soak and print the table; returns the exit code: 0, or 4 if anything was lost."""
     machine = Path(given.machine).absolute()
-    seconds = 60.0 * given.minutes / (len(FAULTS) + len(STOPPED) + 1 + len(KILLED))
+    count = len(FAULTS) + len(STOPPED) + 1 + len(KILLED) + len(FOREIGN)
+    seconds = 60.0 * given.minutes / count
     planning = PlannerConfig(passes=min(20, max(1, round(60 * given.minutes / LAP))))
     with EndRequest() as end, free_domain() as domain, running_ros([], domain):
         ear, executor = Ear(), SingleThreadedExecutor()

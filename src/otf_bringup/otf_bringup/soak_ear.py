@@ -6,12 +6,15 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
+import numpy as np
 from geometry_msgs.msg import PointStamped
+from nav_msgs.msg import Path
 from rclpy.node import Node
 
+from otf_core.model.path import NominalPath
 from otf_msgs.msg import CalibrationResult, TrackerGap, TrackerStatus
 from otf_ros import qos
-from otf_ros.convert import ns_from_time
+from otf_ros.convert import ns_from_time, path_to_message
 from otf_ros.drain import Drain
 
 WORDS = 90
@@ -54,6 +57,7 @@ class Ear(Node):
         self._announced: dict[str, int] = {}
         self._stream = ''
         self._early = 0
+        self._path = self.create_publisher(Path, 'planner/path', qos.PATH)
         self.create_subscription(TrackerStatus, 'tracker/status', self._on_status, qos.STATUS)
         self.create_subscription(TrackerGap, 'tracker/gap', self._on_gap, qos.EVENTS)
         self.create_subscription(
@@ -65,6 +69,11 @@ class Ear(Node):
     def streaming(self) -> bool:
         """True once samples have come."""
         return self._last_ns > 0
+
+    def stray_path(self) -> None:
+        """Publish a path that no machine of this size can drive."""
+        corners = NominalPath(np.array([[0.0, 0, 0], [600.0, 0, 0], [600.0, 500.0, 0]]))
+        self._path.publish(path_to_message(corners, self.get_clock().now().to_msg()))
 
     def begin(self) -> None:
         """Begin with another fault."""

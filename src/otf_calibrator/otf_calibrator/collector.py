@@ -19,6 +19,7 @@ from enum import Enum
 
 import numpy as np
 
+from otf_calibrator.losses import Restarts
 from otf_calibrator.other_path import OtherPath
 from otf_calibrator.stream import LATE, Stream
 from otf_core.bags.clock import Clock
@@ -34,6 +35,8 @@ SILENT = 0.5
 """s; trackers that stream at once take turns faster: a clock so long unheard has stopped."""
 SAME_RUN_NS = 600_000_000_000
 """ns; a driver that was started again so much later does not go on with the run."""
+STRAY = 10.0
+"""s; what a second driver states of its stream counts once the first is silent for so long."""
 UNDER_WAY = 0.1
 """s; what was published before a request has arrived so long after it."""
 MOTION = 0.01
@@ -88,6 +91,8 @@ class Collector:
         Of the samples, as far as the graph knows.
     missed : int
         Samples of the run that the transport lost by its own count.
+    restarts : Restarts
+        What the stamps leave out where driver or calibrator were started again.
     watcher : PathWatcher or None
         Of the samples so far; None without a path.
     """
@@ -108,11 +113,17 @@ class Collector:
         self.run = 0
         self.publishers = 1
         self.missed = 0
+        self.restarts = Restarts()
+        self._taken_up = False
         self._lap_taken = False
         self.watcher: PathWatcher | None = None
         self._stream = Stream()
         self._lost_before = 0
         self._left: dict[str, int] = {}
+        self._ended: dict[str, int] = {}
+        self._counted: set[str] = set()
+        self._strays: set[str] = set()
+        self._told = 0.0
         self._clock: Clock[tuple[float, float, float]] = Clock(self._off)
         self._held_since = 0.0
         self._heard = 0.0
@@ -128,7 +139,14 @@ class Collector:
     @property
     def lost(self) -> int:
         """Samples that were published and have not arrived."""
-        return max(0, self._lost_before + self._stream.lost, self.missed)
+        unsaid = 0 if self._stream.name else self.restarts.samples
+        return max(0, self._lost_before + self._stream.lost, self.missed, unsaid)
+
+    def taken_up(self) -> None:
+        """The samples so far are those of a calibrator that was ended in the run."""
+        self._taken_up = True
+        if len(self.buffer):
+            self.restarts.expect()
 
     def lost_for_sure(self, now: float) -> int:
         """Samples lost, less those that may be on their way: the driver is ahead of them."""
@@ -295,12 +313,17 @@ class Collector:
         now : float
             s, monotonic.
         """
-        if not name:
+        if not name or (name in self._strays and now - self._told < STRAY):
             return
-        before = self._stream
+        before, self._told = self._stream, now
+        self._strays.discard(name)
+        if self._taken_up and before.name and name != before.name and not before.ended:
+            self.restarts.uncounted = before.name not in self._counted
+        self._taken_up = False
         if name in self._left:  # the one before goes on: what is lost of which is unknown
             self._lost_before -= self._left.pop(name)
             self._left[before.name] = 0
+            self._strays.add(before.name)
             self._stream = Stream(unknown=published)
         elif before.name and name != before.name and before.ended:
             begin = self._begin_held if self._clock.persists else self._begin
@@ -308,14 +331,39 @@ class Collector:
         elif before.name and name != before.name:
             # it was started again: the first sample tells whether the run goes on
             self._left[before.name] = before.lost
+            self._ended[before.name] = before.unknown + before.received
             self._lost_before += before.lost
             self._stream = Stream(received=self.held, taken_over=True)
+            if not self.taken and len(self.buffer):
+                self.restarts.expect()
         stream = self._stream
         stream.name, stream.announced, stream.finished = name, published, finished
         if streaming:
             stream.ended = False
         elif not stream.ended:
             stream.ended, stream.ended_at = True, now
+
+    def published_before(self, name: str, published: int) -> None:
+        """Take what a driver has found of the stream of one that was killed before it.
+
+        Parameters
+        ----------
+        name : str
+            Of that stream.
+        published : int
+            Samples that it had published.
+        """
+        if name == self._stream.name:
+            self._stream.announced = max(self._stream.announced, published)
+            self._counted.add(name)
+        elif name in self._ended and name in self._left:
+            lost = max(0, published - self._ended[name])
+            self._lost_before += lost - self._left[name]
+            self._left[name] = lost
+            self.restarts.uncounted = False
+        elif self.restarts.uncounted and name not in self._counted:
+            self._lost_before += published  # nobody here has ever heard of it
+            self._counted.add(name)
 
     def first_lap(self) -> tuple[Samples, NominalPath] | None:
         """Return the samples so far, and the part of the path they are of, after one lap; once."""
@@ -366,6 +414,8 @@ class Collector:
             self._next = True
         if self.taken:
             return
+        if len(self.buffer):
+            self.restarts.sample(stamp_ns, self.buffer)
         self.buffer.append(stamp_ns, x, y, z)
         if self.watcher:
             self.watcher.add(stamp_ns, x, y, z)
@@ -421,6 +471,7 @@ class Collector:
     def _forget(self) -> None:
         self.buffer.clear()
         self.screening, self.remarks, self.missed = Screening(), [], 0
+        self.restarts = Restarts()
         if not self._stream.name:
             self._stream = Stream()
         self._lost_before, self._left = -self._stream.lost, dict.fromkeys(self._left, 0)

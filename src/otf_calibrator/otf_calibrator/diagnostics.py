@@ -8,12 +8,15 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
+from otf_calibrator.losses import lost_words
 from otf_calibrator.session import Session
 from otf_core.bags.journal import Journal
 from otf_ros.diagnostics import PERIOD, Diagnostics, Finding, Level, disk, memory
 
 
-def tell(node: Node, session: Session, folder: Callable[[], str]) -> Diagnostics:
+def tell(
+    node: Node, session: Session, folder: Callable[[], str], machine: Callable[[], str]
+) -> Diagnostics:
     """Publish what a calibrator finds.
 
     Parameters
@@ -22,6 +25,8 @@ def tell(node: Node, session: Session, folder: Callable[[], str]) -> Diagnostics
     session : Session
     folder : callable
         Returns where results go.
+    machine : callable
+        Returns the name of the machine.
     """
     before = [0]
 
@@ -33,10 +38,15 @@ def tell(node: Node, session: Session, folder: Callable[[], str]) -> Diagnostics
 
     def losses() -> Finding:
         lost = session.collector.lost_for_sure(time.monotonic())
-        values = {'lost': lost, 'on their way': session.collector.lost - lost}
+        restarts = session.collector.restarts
+        values = {
+            'lost': lost,
+            'on their way': session.collector.lost - lost,
+            'left out at restarts': restarts.samples,
+        }
         if not lost:
             return Finding(Level.OK, 'nothing is lost', values)
-        return Finding(Level.WARN, f'{lost} samples were lost on the way', values)
+        return Finding(Level.WARN, lost_words(lost, restarts.uncounted), values)
 
     def work() -> Finding:
         if session.busy:
@@ -52,7 +62,7 @@ def tell(node: Node, session: Session, folder: Callable[[], str]) -> Diagnostics
         'journal': lambda: journal(session.intake.journal),
         'memory': memory,
     }
-    return Diagnostics(node, lambda: '', tasks)
+    return Diagnostics(node, machine, tasks)
 
 
 def journal(kept: Journal | None) -> Finding:

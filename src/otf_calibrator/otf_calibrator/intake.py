@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from otf_calibrator.beside import Beside
 from otf_calibrator.collector import Collector, PathTaken
-from otf_calibrator.losses import SequenceWatch
+from otf_calibrator.losses import SequenceWatch, lost_words
 from otf_calibrator.publishers import Choice
 from otf_calibrator.request import Request
 from otf_core.bags.cdr import DecodedPoints, decode_path
@@ -114,10 +114,23 @@ class Intake:
             if self.journal:
                 self.journal.points(samples.stamp_ns, samples.xyz, POINT.frame)
 
-    def gap(self, message: bytes) -> None:
-        """Take a break of the stream, as the driver states it; again after a restart."""
-        if self.journal and message not in self._gaps:
-            self._gaps.add(message)
+    def gap(self, stream: str, published: int, message: bytes) -> None:
+        """Take a break of the stream, as the driver states it; again after a restart.
+
+        Parameters
+        ----------
+        stream : str
+            Of a driver that was killed before this one; empty where none was.
+        published : int
+            Samples that it had published.
+        message : bytes
+        """
+        if message in self._gaps:
+            return
+        self._gaps.add(message)
+        if stream:
+            self._collector.published_before(stream, published)
+        if self.journal:
             self.journal.event(GAP, message)
 
     def sorted_out(
@@ -246,10 +259,12 @@ class Intake:
 
     def remarks(self) -> tuple[str, ...]:
         """What the reader of a result should know of the samples, beside what was left out."""
+        said = self._collector.restarts.remarks
         if not self._apart:
-            return ()
-        place = f' on {OTHER_POINT.name} of the journal' if self.journal else ' and not kept'
+            return tuple(said)
+        place = f' on {OTHER_POINT.name} of the journal' if self.journal else ' not kept'
         return (
+            *said,
             f'{self._apart} samples of a second publisher on {POINT.name} are no part of the run; '
             f'they are{place}: end that publisher',
         )
@@ -259,7 +274,7 @@ class Intake:
         said = [self.journal.trouble] if self.journal and self.journal.trouble else []
         collector = self._collector
         if collector.missed:
-            said.append(f'{collector.missed} samples were lost on the way')
+            said.append(lost_words(collector.missed, collector.restarts.uncounted))
         return [*said, *self.remarks(), *collector.remarks, *collector.screening.remarks()]
 
     def close(self) -> None:
@@ -298,6 +313,7 @@ class Intake:
                 else:
                     self.status(status(content), content)
             self.journal = journal
+            self._collector.taken_up()
             watcher, count = self._collector.watcher, len(self._collector.buffer)
             if watcher is not None and watcher.end == count:
                 watcher.stays()  # the journal of a run that was over holds no more

@@ -37,6 +37,7 @@ from otf_core.reports.with_effects import write_reports, write_with_effects
 from otf_core.tracking.alignment import Followed
 
 Writer = Callable[[Path], object]
+FilesWriter = Callable[[Path, dict[str, str]], object]
 A = TypeVar('A')
 Look = Callable[[Samples], Followed | None]
 Wake = Callable[[], None]
@@ -221,13 +222,15 @@ class Worker:
         base = _base(request.files)
         folder = free_folder(base, result.run_id)
         try:
-            with OutputFolder(folder).filled('calibrator') as partial:
-                write(partial)
-            point_latest(base / 'latest', folder.name)
+            out = OutputFolder(folder)
+            with out.filled('calibrator') as partial:
+                write(partial, out.missing)
         except OtfError as error:
             problem = f'files not written: {error}'
             return Calibrated(request, recording, result, None, report, problem)
-        return Calibrated(request, recording, result, folder, report, _kept(request.files, folder))
+        problems = [out.missing_words, _latest(base, folder), _kept(request.files, folder)]
+        problem = '; '.join(text for text in problems if text)
+        return Calibrated(request, recording, result, folder, report, problem)
 
     def _solve(self, recording: Recording, request: Request, progress: Progress) -> Solved:
         files = request.files
@@ -235,13 +238,21 @@ class Worker:
         return self._solver.solve(task, progress)
 
 
-def _written(found: Solved) -> tuple[CalibrationResult, Writer, Writer]:
-    """The result, what writes its files, and what adds the report to them."""
+def _written(found: Solved) -> tuple[CalibrationResult, FilesWriter, Writer]:
+    """The result, what writes its files as far as they fit, and what adds the report to them."""
     if isinstance(found, CalibrationResult):
-        write = functools.partial(write_calibration, found, report=False)
-        return found, write, lambda folder: write_report(folder, facts_of(found))
-    write = functools.partial(write_with_effects, found, report=False)
-    return found.result, write, functools.partial(write_reports, found)
+        return (
+            found,
+            lambda folder, missing: write_calibration(
+                found, folder, report=False, missing=missing
+            ),
+            lambda folder: write_report(folder, facts_of(found)),
+        )
+    return (
+        found.result,
+        lambda folder, missing: write_with_effects(found, folder, report=False, missing=missing),
+        functools.partial(write_reports, found),
+    )
 
 
 def _write_samples(outcome: Calibrated, folder: Path) -> None:
@@ -311,6 +322,15 @@ def _kept(files: CalibratorConfig, folder: Path) -> str:
         add_run(Path(files.history_directory).expanduser(), folder / 'error_tables.json')
     except OtfError as error:
         return f'not added to the history: {error}'
+    return ''
+
+
+def _latest(base: Path, folder: Path) -> str:
+    """Let ``latest`` show the folder; what went wrong, or ''."""
+    try:
+        point_latest(base / 'latest', folder.name)
+    except OtfError as error:
+        return f'not shown as latest: {error}'
     return ''
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import traceback
+from collections.abc import Collection
 from concurrent.futures import Future
 
 from geometry_msgs.msg import PointStamped
@@ -40,6 +41,12 @@ POINT, PATH, STATUS = 'tracker/point', 'planner/path', 'tracker/status'
 GAP = 'tracker/gap'
 READ = {POINT: qos.MEASUREMENT, PATH: qos.PATH, STATUS: qos.STATUS, GAP: qos.EVENTS}
 
+AT_CALIBRATION = {
+    'machine_file', 'output_directory', 'history_directory', 'method', 'save_bag', 'report',
+    'effects', *(info.name for info in CalibrationConfig.infos()),
+}  # fmt: skip
+"""Parameters that are read when a calibration begins."""
+
 
 class Calibrator(Node):
     """From ``planner/path`` and ``tracker/point`` to the topics below ``calibrator/``.
@@ -55,10 +62,12 @@ class Calibrator(Node):
         super().__init__('calibrator')
         groups = CalibratorConfig, CalibrationConfig
         self._settings = NodeParameters(self, *groups, read_only=['journal_directory'])
+        self._settings.tell_when(_when)
         check_files(files := self._read_settings()[0])
         self._settings.check_also(CalibratorConfig, check_files)
         wake = self.create_guard_condition(self._tick).trigger
         topic = self.resolve_topic_name(POINT)
+        self._machine = load_machine(files.machine_file)
         self._session = Session(
             self._read_settings,
             self.get_logger().warning,
@@ -75,7 +84,12 @@ class Calibrator(Node):
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
         services.offer(self, 'calibrator/reset', self._session.forget)
         services.offer(self, 'calibrator/diagnose', self._session.diagnose)
-        tell(self, self._session, lambda: self._read_settings()[0].output_directory)
+        tell(
+            self,
+            self._session,
+            lambda: self._read_settings()[0].output_directory,
+            lambda: self._machine.name,
+        )
         self._action = CalibrateAction(self, self._session, lambda: self._results.latest)
         create_timer(self, PERIOD, self._tick)
         # last: samples may come at once
@@ -96,7 +110,8 @@ class Calibrator(Node):
         sender = senders(self, PATH)
         try:
             path = convert.path_from_message(message)
-            check_path(path, load_machine(self._read_settings()[0].machine_file))
+            self._machine = load_machine(self._read_settings()[0].machine_file)
+            check_path(path, self._machine)
         except OtfError as error:
             self.get_logger().error(f'planner/path of {sender} ignored: {error}')
             return
@@ -115,7 +130,9 @@ class Calibrator(Node):
         self._session.intake.status(status_of(message), serialize_message(message))
 
     def _on_gap(self, message: TrackerGap) -> None:
-        self._session.intake.gap(serialize_message(message))
+        self._session.intake.gap(
+            message.stream_before, message.published_before, serialize_message(message)
+        )
 
     def _on_points(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
         intake = self._session.intake
@@ -171,6 +188,11 @@ class Calibrator(Node):
         """Publish what a diagnosis gave."""
         self._results.publish_gap(outcome, answer)
         self._state.diagnosed(outcome, answer)
+
+
+def _when(names: Collection[str]) -> str:
+    """When parameters count, if not at once."""
+    return 'counts at the next calibration' if AT_CALIBRATION & set(names) else ''
 
 
 def main(args: list[str] | None = None) -> int:

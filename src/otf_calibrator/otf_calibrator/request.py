@@ -21,7 +21,8 @@ class Request:
     """What is to be calibrated.
 
     ``remarks`` and ``screening`` say what happened to the samples, ``journal`` where they are
-    written; the run has ended if the request is ``final``.
+    written; the run has ended if the request is ``final``; more may be
+    lost than known if ``lost_at_least``.
     """
 
     samples: Samples
@@ -33,4 +34,5 @@ class Request:
     screening: Screening = field(default_factory=Screening)
     journal: Path | None = None
     final: bool = True
+    lost_at_least: bool = False
     signals: Mapping[SignalSpec, Signal] = field(default_factory=dict)

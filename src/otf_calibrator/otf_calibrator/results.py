@@ -13,6 +13,7 @@ from otf_calibrator.diagnosis_job import Answer
 from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.intake import Intake
 from otf_calibrator.job import Calibrated
+from otf_calibrator.losses import lost_words
 from otf_calibrator.session import Ahead
 from otf_calibrator.shared_tracker import SharedTracker
 from otf_core.calibration.first_sight import FirstSight
@@ -22,7 +23,7 @@ from otf_core.errors import Cancelled, OtfError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
 from otf_msgs.msg import CalibrationResult as ResultMessage
-from otf_msgs.msg import ErrorTable, GapReport, VolumeErrors
+from otf_msgs.msg import ErrorTable, ErrorTables, GapReport, VolumeErrors
 from otf_ros import convert_gap, convert_result, qos
 
 try:
@@ -48,6 +49,7 @@ class ResultPublishers:
             name: node.create_publisher(ErrorTable, f'calibrator/error_table/{name}', qos.RESULT)
             for name in MOTIONS
         }
+        self._all = node.create_publisher(ErrorTables, 'calibrator/error_tables', qos.RESULT)
         self._result = node.create_publisher(ResultMessage, 'calibrator/result', qos.RESULT)
         self._provisional = node.create_publisher(
             ResultMessage, 'calibrator/provisional', qos.RESULT
@@ -65,14 +67,20 @@ class ResultPublishers:
         """Publish a calibration, tables first, the result last; return all warnings."""
         now = self._clock.now().to_msg()
         result, lost = outcome.result, outcome.request.lost
-        for name, table in convert_result.tables_to_messages(result, now).items():
+        tables = convert_result.tables_to_messages(result, now)
+        for name, table in tables.items():
             self._tables[name].publish(table)
+        method = outcome.request.files.method
+        together = convert_result.all_tables_to_message(result, tables.values(), now, method)
+        together.output_directory = str(outcome.folder or '')
+        self._all.publish(together)
         self._alignment.publish(self._place(result.T_machine_tracker, now))
         self._grid(result, now, provisional=False)
-        message = convert_result.result_to_message(result, now, outcome.request.files.method)
+        message = convert_result.result_to_message(result, now, method)
         message.samples_lost, message.output_directory = lost, str(outcome.folder or '')
+        message.samples_lost_is_lower_bound = outcome.request.lost_at_least
         warnings = [*result.warnings, outcome.problem]
-        warnings.append(f'{lost} samples were lost on the way' if lost else '')
+        warnings.append(lost_words(lost, outcome.request.lost_at_least) if lost else '')
         message.warnings = [text for text in warnings if text]
         self._tell(message)
         self._shared.tell(outcome)

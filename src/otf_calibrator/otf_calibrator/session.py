@@ -183,6 +183,7 @@ class Session:
             copy.deepcopy(collector.screening),
             self.intake.journal.folder if self.intake.journal else None,
             final,
+            collector.restarts.uncounted,
             self.intake.beside.of(samples),
         )
 

@@ -12,6 +12,9 @@ from otf_core.config import Parameters, parameter
 class CompensatorConfig(Parameters):
     """Which tables; read at start and at every ``compensator/reload``."""
 
+    auto_start: bool = parameter(
+        True, 'configure and activate at start; false: wait for lifecycle transitions'
+    )
     tables_file: str = parameter(
         '', 'error_tables.json of a calibration, such as calibrations/latest/error_tables.json; '
         'required',

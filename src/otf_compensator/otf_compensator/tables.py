@@ -35,6 +35,13 @@ class Tables:
     file : str
         error_tables.json.
 
+    Attributes
+    ----------
+    machine : str
+        Name of the machine.
+    words : str
+        What they are, in a sentence.
+
     Raises
     ------
     ConfigError
@@ -47,8 +54,8 @@ class Tables:
                 'parameter tables_file: missing; give the path of an error_tables.json'
             )
         self._predictor = Predictor.of(file)
-        machine = self._predictor.tables.machine
-        self.words = f'error tables of {machine.name} from {file}; u holds {self._predictor.holds}'
+        self.machine = self._predictor.tables.machine.name
+        self.words = f'error tables of {self.machine} from {file}; u holds {self._predictor.holds}'
 
     def notes(self, wanted: Sequence[Vector]) -> list[str]:
         """Say which positions lie outside the axis ranges.

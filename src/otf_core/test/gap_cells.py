@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Synthetic runs for tests of where a gap lies and of its report: plain arrays, no simulation."""
 
 from itertools import pairwise, product

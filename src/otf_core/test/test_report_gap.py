@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report of a diagnosis: complete, self-contained, safe, readable without any cause."""
 
 import functools

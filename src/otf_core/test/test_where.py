@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a gap lies, on plain arrays with a known structure in them."""
 
 import re

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, TransformStamped, Vector3
@@ -14,11 +16,13 @@ from otf_core.calibration.volume import motion_sizes
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.volume import VolumeErrors
+from otf_core.version import __version__
 from otf_msgs.msg import CalibrationResult as ResultMessage
 from otf_msgs.msg import ErrorTable
+from otf_msgs.msg import ErrorTables as TablesMessage
 from otf_msgs.msg import VolumeErrors as VolumeMessage
 from otf_ros import frames
-from otf_ros.convert import header, transform_to_message
+from otf_ros.convert import header, time_from_ns, transform_to_message
 
 MACHINE_STATES = {
     NOT_STATED: ResultMessage.LIMITS_NOT_STATED,
@@ -53,6 +57,43 @@ def tables_to_messages(result: CalibrationResult, stamp: Time) -> dict[str, Erro
             gauge=STRAIGHTNESS_GAUGE if name.is_straightness else ZERO_GAUGE,
         )
     return messages
+
+
+def all_tables_to_message(
+    result: CalibrationResult, tables: Iterable[ErrorTable], stamp: Time, method: str
+) -> TablesMessage:
+    """Return all errors of one calibration; where its files are is left empty.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+    tables : iterable of ErrorTable
+        As of ``tables_to_messages``.
+    stamp : Time
+    method : str
+    """
+    machine, run = result.tables.machine, result.origin[0]
+    squareness = {name: result.tables.squareness[name] for name in SQUARENESS}
+    return TablesMessage(
+        header=header(stamp),
+        run_id=result.run_id,
+        machine=machine.name,
+        chain=str(machine.chain),
+        method=method,
+        passed=not result.failed_gates,
+        tables=list(tables),
+        squareness=list(squareness),
+        squareness_value=[found.value for found in squareness.values()],
+        squareness_u=[found.u for found in squareness.values()],
+        squareness_identifiable=[name not in result.not_identifiable for name in squareness],
+        alignment=transform_to_message(result.T_machine_tracker),
+        software=f'otf_core {__version__}',
+        first=time_from_ns(run.first_ns),
+        last=time_from_ns(run.last_ns),
+        samples=run.samples,
+        run_sha256=run.sha256,
+        machine_sha256=machine.file_sha256,
+    )
 
 
 def alignment_to_message(T_machine_tracker: RigidTransform, stamp: Time) -> TransformStamped:

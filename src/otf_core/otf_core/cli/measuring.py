@@ -16,6 +16,7 @@ from otf_core.live.stages import CALIBRATE, DIAGNOSE
 
 if TYPE_CHECKING:
     from otf_core.calibration.result import CalibrationResult
+    from otf_core.files.output import OutputFolder
     from otf_core.pieces.runs import Recording
     from otf_core.reports.calibration_facts import Facts
 
@@ -78,9 +79,17 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
                 report=arguments.report,
                 certificate=arguments.certificate,
                 facts=facts,
+                missing=out.missing,
             )
+    _note_missing(out)
     _answer_calibration(arguments, facts, files)
     return _judged(arguments, result)
+
+
+def _note_missing(out: OutputFolder) -> None:
+    """Say which files did not fit on the disk."""
+    if out.missing:
+        note(f'otf: warning: {out.missing_words}')
 
 
 def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list[Path]) -> None:
@@ -131,7 +140,9 @@ def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationCo
                 residuals_csv=arguments.residuals_csv,
                 report=arguments.report,
                 certificate=arguments.certificate,
+                missing=out.missing,
             )
+    _note_missing(out)
     _answer_calibration(arguments, facts_of(done.result), files)
     return _judged(arguments, done.result)
 

@@ -2,14 +2,14 @@
 """manifest.json (``otf-manifest/1``): which files of a folder this program wrote, by their hash.
 
 A file that is not listed, or was changed since, is somebody else's and is never deleted. A folder
-inside may have a manifest of its own.
+inside may have a manifest of its own. ``missing`` names files that did not fit on the disk.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +29,15 @@ def file_digest(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def write_manifest(manifest: Path, files: Iterable[Path], verb: str) -> None:
-    """List files that lie in the folder of the manifest or below it."""
+def write_manifest(
+    manifest: Path, files: Iterable[Path], verb: str, missing: Mapping[str, str] | None = None
+) -> None:
+    """List files that lie in the folder of the manifest or below it, and what is missing there."""
     folder = manifest.parent
     entries = {f.relative_to(folder).as_posix(): file_digest(f) for f in sorted(files)}
     data = {'schema': SCHEMA, 'verb': verb, 'version': __version__, 'sha256': entries}
+    if missing:
+        data['missing'] = dict(missing)
     write_text(manifest, json.dumps(data, indent=1) + '\n')
 
 

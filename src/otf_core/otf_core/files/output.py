@@ -5,6 +5,9 @@ Every verb uses the same two steps: ``OutputFolder(...)`` checks at once, ``fill
 empty folder beside the final one and gives it the final name if the block succeeds. A folder that
 holds results is replaced only with ``overwrite``, and only if all its files are listed in its
 manifest and unchanged: what this program did not write, it does not delete.
+
+One exception from the whole: where the disk is full, a result without its larger files is better
+than none. Who writes may leave them out (``writing.write_if_it_fits``); the manifest names them.
 """
 
 from __future__ import annotations
@@ -20,8 +23,10 @@ from pathlib import Path
 from otf_core.errors import ConfigError
 from otf_core.files.manifest import MANIFEST, foreign, written_files
 from otf_core.files.manifest import write_manifest as _write_manifest
-from otf_core.files.writing import ensure_folder, whole_file
+from otf_core.files.writing import ensure_folder, unwritable, whole_file
 
+RESERVED = 8192
+"""Space kept for the manifest while the other files are written, byte."""
 SHOWN = 3
 """Foreign files named in a message."""
 
@@ -93,6 +98,11 @@ class OutputFolder:
     occupied : str
         Begins the message if something is there.
 
+    Attributes
+    ----------
+    missing : dict of str to str
+        Files that were left out, and why; filled by who writes.
+
     Raises
     ------
     ConfigError
@@ -108,6 +118,7 @@ class OutputFolder:
         occupied: str = 'holds files already',
     ) -> None:
         self.path, self._overwrite, self._occupied = Path(path), overwrite, occupied
+        self.missing: dict[str, str] = {}
         self._final = _resolved(self.path)
         self._check_content()
         _check_inputs(self.path, self._final, inputs)
@@ -169,17 +180,27 @@ class OutputFolder:
         """
         base = self._final if self._inside else ensure_folder(self._final.parent)
         new = base / f'.{self._final.name}.{uuid.uuid4().hex[:12]}.new'
+        reserve = new.with_suffix('.reserve')
         try:
             new.mkdir()
+            reserve.write_bytes(bytes(RESERVED))
             yield new
-            _write_manifest(new / MANIFEST, written_files(new), verb)
+            reserve.unlink()
+            _write_manifest(new / MANIFEST, written_files(new), verb, self.missing)
             if not self._inside:  # there, the folder is filled by what lies aside
                 self._check_content()
             self._put_in_place(new)
         except OSError as error:
-            raise _refuse(self.path, f'cannot be written ({error.strerror or error})') from None
+            raise unwritable(self.path, error) from None
         finally:
+            reserve.unlink(missing_ok=True)
             shutil.rmtree(new, ignore_errors=True)
+
+    @property
+    def missing_words(self) -> str:
+        """What was left out, in words; empty if nothing was."""
+        whys = sorted(set(self.missing.values()))
+        return f'{", ".join(whys)}: {", ".join(self.missing)} not written' if whys else ''
 
     def clear(self) -> None:
         """Delete the results that are there; ``overwrite`` has been checked."""

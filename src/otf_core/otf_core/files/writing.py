@@ -3,14 +3,59 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 
 from otf_core.errors import ConfigError
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class DiskFull(ConfigError):
+    """A file does not fit on its disk."""
+
+
+def unwritable(path: str | Path, error: OSError) -> ConfigError:
+    """Error about a file that cannot be written."""
+    kind = DiskFull if error.errno in FULL else ConfigError
+    return kind(f'{path}: cannot be written ({error.strerror or error})')
+
+
+def write_if_it_fits(
+    missing: dict[str, str] | None, name: str, write: Callable[[], object]
+) -> bool:
+    """Write a file; where the disk is full leave it out and say so.
+
+    Parameters
+    ----------
+    missing : dict of str to str, or None
+        Takes the name and why it is missing; None: it may not be missing.
+    name : str
+    write : callable
+
+    Returns
+    -------
+    bool
+        Whether it is there.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be written for another reason.
+    """
+    try:
+        write()
+    except DiskFull:
+        if missing is None:
+            raise
+        missing[name] = 'the disk is full'
+        return False
+    return True
 
 
 def unreadable(path: str | Path, error: OSError) -> ConfigError:
@@ -51,12 +96,12 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         os.close(handle)
         os.chmod(name, 0o644)
     except OSError as error:
-        raise ConfigError(f'{path}: cannot be written ({error.strerror})') from None
+        raise unwritable(path, error) from None
     try:
         yield Path(name)
         os.replace(name, path)
     except OSError as error:
-        raise ConfigError(f'{path}: cannot be written ({error.strerror})') from None
+        raise unwritable(path, error) from None
     finally:
         Path(name).unlink(missing_ok=True)
 

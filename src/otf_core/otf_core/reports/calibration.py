@@ -10,7 +10,7 @@ of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node)
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
 from otf_core.config import OTF, STANDSTILL
 from otf_core.effects.stated_effect import effects_to_list
 from otf_core.files.csv_points import tidy
-from otf_core.files.writing import ensure_folder, write_text
+from otf_core.files.writing import ensure_folder, write_if_it_fits, write_text
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
@@ -35,7 +35,12 @@ from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_report import calibration_html, calibration_sections
 from otf_core.reports.calibration_summary import calibration_summary
 from otf_core.reports.certificate import certificate_html
-from otf_core.reports.residuals import write_residuals
+from otf_core.reports.residuals import (
+    RESIDUALS_FILE,
+    RESIDUALS_TEXT,
+    write_residuals,
+    write_residuals_text,
+)
 from otf_core.reports.reversal import reversal_csv, reversal_to_dict
 from otf_core.reports.section import sections_to_text
 from otf_core.threads import in_one_thread
@@ -169,8 +174,9 @@ def write_calibration(
     report: bool = True,
     certificate: bool = False,
     facts: Facts | None = None,
+    missing: dict[str, str] | None = None,
 ) -> list[Path]:
-    """Write all files of a calibration; error_tables.json last.
+    """Write all files of a calibration, the most important first.
 
     Parameters
     ----------
@@ -187,6 +193,9 @@ def write_calibration(
         Write certificate.html.
     facts : Facts, optional
         Worked out if not given.
+    missing : dict of str to str, optional
+        Takes names of files that are left out as the disk is full, and why; error_tables.json
+        never is.
 
     Returns
     -------
@@ -200,19 +209,30 @@ def write_calibration(
     folder = ensure_folder(folder)
     facts = facts or facts_of(result, verb)
     lines = list(facts.lines)
-    write_text(folder / 'error_tables.csv', _tidy_rows(result, lines))
-    write_text(folder / 'reversal.csv', reversal_csv(result.reversal, result.tables))
-    residuals = write_residuals(result.runs, folder, text=residuals_csv)
-    write_text(folder / 'summary.txt', format_result(result, facts) + '\n')
-    if report:
-        write_report(folder, facts)
-    if certificate:
-        write_text(folder / CERTIFICATE_FILE, certificate_html(facts))
     data = result_to_dict(result, verb, facts)
     write_text(folder / TABLES_FILE, json.dumps(data, indent=1) + '\n')
-    pages = [n for n, on in ((REPORT_FILE, report), (CERTIFICATE_FILE, certificate)) if on]
-    names = (TABLES_FILE, 'error_tables.csv', 'reversal.csv', *pages)
-    return [*(folder / name for name in names), *residuals, folder / 'summary.txt']
+    wanted: dict[str, Callable[[], object]] = {
+        'error_tables.csv': lambda: write_text(
+            folder / 'error_tables.csv', _tidy_rows(result, lines)
+        ),
+        'summary.txt': lambda: write_text(
+            folder / 'summary.txt', format_result(result, facts) + '\n'
+        ),
+        'reversal.csv': lambda: write_text(
+            folder / 'reversal.csv', reversal_csv(result.reversal, result.tables)
+        ),
+    }
+    if report:
+        wanted[REPORT_FILE] = lambda: write_report(folder, facts)
+    if certificate:
+        wanted[CERTIFICATE_FILE] = lambda: write_text(
+            folder / CERTIFICATE_FILE, certificate_html(facts)
+        )
+    wanted[RESIDUALS_FILE] = lambda: write_residuals(result.runs, folder)
+    if residuals_csv:
+        wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(result.runs, folder)
+    written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
+    return [folder / TABLES_FILE, *(folder / name for name in written)]
 
 
 def write_report(folder: Path, facts: Facts) -> None:

@@ -48,15 +48,15 @@ def residual_arrays(runs: Sequence[RunResult]) -> dict[str, NDArray[np.generic]]
     }
 
 
-def write_residuals(runs: Sequence[RunResult], folder: Path, *, text: bool = False) -> list[Path]:
-    """Write residuals.npz, and with ``text`` residuals.csv, which takes a hundred times longer."""
-    arrays, files = residual_arrays(runs), [folder / RESIDUALS_FILE]
-    with whole_file(files[0]) as partial, partial.open('wb') as file:
-        np.savez(file, allow_pickle=False, **arrays)
-    if text:
-        files.append(folder / RESIDUALS_TEXT)
-        write_csv(files[1], *_table(arrays))
-    return files
+def write_residuals(runs: Sequence[RunResult], folder: Path) -> None:
+    """Write residuals.npz."""
+    with whole_file(folder / RESIDUALS_FILE) as partial, partial.open('wb') as file:
+        np.savez(file, allow_pickle=False, **residual_arrays(runs))
+
+
+def write_residuals_text(runs: Sequence[RunResult], folder: Path) -> None:
+    """Write residuals.csv, which takes a hundred times longer."""
+    write_csv(folder / RESIDUALS_TEXT, *_table(residual_arrays(runs)))
 
 
 def _table(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[str, Array]:

@@ -9,7 +9,8 @@ from pathlib import Path
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.effects import AppliedEffect
 from otf_core.effects.effects_yaml import write_effects
-from otf_core.reports.calibration import facts_of, write_calibration, write_report
+from otf_core.files.writing import write_if_it_fits
+from otf_core.reports.calibration import TABLES_FILE, facts_of, write_calibration, write_report
 
 PLAIN_FOLDER = 'plain'
 EFFECTS_FILE = 'effects_taken_off'
@@ -22,10 +23,12 @@ def write_with_effects(
     residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = False,
+    missing: dict[str, str] | None = None,
 ) -> list[Path]:
     """Write the calibration, the effects taken off, and the plain calibration in ``plain/``.
 
     Without effects taken off there is no folder ``plain``: the tables are the plain ones.
+    ``missing`` as of ``write_calibration``.
 
     Returns
     -------
@@ -33,10 +36,13 @@ def write_with_effects(
     """
     folder = Path(folder)
     files = []
-    if done.applied[0]:
-        files = write_calibration(done.plain, folder / PLAIN_FOLDER, report=report)[:1]
     written = write_calibration(
-        done.result, folder, residuals_csv=residuals_csv, report=report, certificate=certificate
+        done.result,
+        folder,
+        residuals_csv=residuals_csv,
+        report=report,
+        certificate=certificate,
+        missing=missing,
     )
     machine = done.result.tables.machine
     for number, applied in enumerate(done.applied):
@@ -44,6 +50,18 @@ def write_with_effects(
             name = f'{EFFECTS_FILE}_run_{number + 1}' if number else EFFECTS_FILE
             files.append(folder / f'{name}.yaml')
             write_effects(files[-1], applied, machine)
+    if done.applied[0]:
+        plain = folder / PLAIN_FOLDER
+        lost: dict[str, str] | None = None if missing is None else {}
+        if write_if_it_fits(
+            missing,
+            PLAIN_FOLDER,
+            lambda: write_calibration(done.plain, plain, report=report, missing=lost),
+        ):
+            files.append(plain / TABLES_FILE)
+        for name, why in (lost or {}).items():
+            assert missing is not None
+            missing[f'{PLAIN_FOLDER}/{name}'] = why
     return [*written, *files]
 
 

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conversions are exact; parameters say when they act."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from otf_core.config import Parameters, parameter
+from otf_core.model.path import NominalPath
+from otf_ros import convert
+from otf_ros.params import NodeParameters
+from otf_ros.testing import node_on_bench
+
+
+@dataclass(frozen=True)
+class Speed(Parameters):
+    feed: float = parameter(0.25, 'feed', 'm/s', 0.0, 5.0)
+    passes: int = parameter(2, 'laps', '', 1, 20)
+
+
+class Mover(Node):
+    def __init__(self):
+        super().__init__('mover')
+        self.settings = NodeParameters(self, Speed)
+        self.settings.tell_when(lambda names: 'counts later' if 'feed' in names else '')
+
+
+def changed(node, name, value) -> SetParametersResult:
+    return node.set_parameters_atomically([Parameter(name, value=value)])
+
+
+def test_stamps_and_paths_come_back_as_they_were():
+    stamp_ns = 1_795_611_511_123_456_789
+    assert convert.ns_from_time(convert.time_from_ns(stamp_ns)) == stamp_ns
+    path = NominalPath(np.random.default_rng(1).uniform(0.0, 0.5, (20, 3)))
+    message = convert.path_to_message(path, Time(sec=1))
+    assert message.header.frame_id == 'machine'
+    np.testing.assert_array_equal(convert.path_from_message(message).points, path.points)
+
+
+def test_parameter_that_acts_later_says_when_and_others_say_nothing():
+    with node_on_bench(Mover, feed=0.5) as bench:
+        node = bench.node
+        assert node.settings.read(Speed) == Speed(0.5, 2)
+        later = changed(node, 'feed', 1)
+        assert (later.successful, later.reason) == (True, 'counts later')
+        assert changed(node, 'passes', 3).reason == ''
+        refused = changed(node, 'feed', 9.0)
+        assert not refused.successful and 'feed' in refused.reason
+        assert node.settings.read(Speed) == Speed(1.0, 3)
