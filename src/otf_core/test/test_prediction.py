@@ -331,3 +331,8 @@ def test_the_summary_says_what_u_holds(tmp_path, uncertainty, not_stated, words)
     found = predict(tmp_path / 'tables.json', np.array([[0.1, 0.1, -0.1]]))
     assert words in found.summary
     assert found.summary.startswith('1 point: ')
+
+
+def test_points_in_inches_are_refused_with_the_cure(command, capsys):
+    assert command.run([(0.3 / 0.0254, 0.1 / 0.0254, -0.1 / 0.0254)]) == 2
+    assert 'or inches: write x_in,y_in,z_in into the header' in capsys.readouterr().err

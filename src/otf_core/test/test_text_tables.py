@@ -16,6 +16,7 @@ from otf_core.inputs.points_file import read_points
 from otf_core.inputs.recordings import Given, read_recording
 from otf_core.inputs.text_points import TextReading
 from otf_core.model.provenance import origins, provenance
+from otf_core.tracking import no_match
 
 DOCS = Path(__file__).resolve().parents[3] / 'docs' / 'commands.md'
 
@@ -186,3 +187,19 @@ def test_the_grammar_in_the_docs_is_that_of_these_texts():
     assert sorted(shown) == sorted(known)
     lines = ['| in a table | is |', '|---|---|', *(f'| {k} | {done} |' for k, done, _ in KINDS)]
     assert '\n'.join(lines) in DOCS.read_text(encoding='utf-8')
+
+
+@pytest.mark.parametrize(
+    ('ratio', 'words'),
+    [
+        (1000.0, 'the points seem to be in mm'),
+        (0.001, 'the path seems to be in mm'),
+        (39.5, 'the points seem to be in inches:'),
+        (1 / 39.2, 'the path seems to be in inches:'),
+        (1 / 25.3, 'the points seem to be in inches, not mm:'),
+        (7.0, ''),
+    ],
+)
+def test_a_track_in_another_unit_than_its_path_has_it_named(ratio, words):
+    said = no_match.unit_by_size(ratio)
+    assert words in said and bool(words) == bool(said)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from otf_core.errors import InputError
+from otf_core.files.units import unit_hint, unit_words
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import Recording, blamed
@@ -33,9 +34,12 @@ def check_path(path: NominalPath, machine: Machine) -> None:
     reach = np.abs(points).max() / max(np.abs([machine.lower, machine.upper]).max(), 1e-9)
     if max(float(np.max(travel / size)), float(reach)) > BEYOND:
         worst = int(np.argmax(travel))
+        reached = float(np.abs(points).max())
+        unit = unit_hint(reached, float(np.abs([machine.lower, machine.upper]).max())) or 'mm'
         raise InputError(
             f'path: spans {travel[worst]:g} m in {machine.axis_names[worst]} where '
-            f'{machine.name} travels {size[worst]:g} m; the path seems to be in mm, expected m'
+            f'{machine.name} travels {size[worst]:g} m; the path seems to be in '
+            f'{unit_words(unit)}, expected m'
         )
     outside = np.maximum(machine.lower - low, high - machine.upper)
     worst = int(np.argmax(outside))

@@ -56,6 +56,10 @@ class Prediction(Evaluated):
         )
 
 
+LIKE_MM = 'mm: divide them by 1000, or write x_mm,y_mm,z_mm into the header'
+LIKE_INCHES = 'inches: write x_in,y_in,z_in into the header'
+
+
 def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
     """Refuse points that no such machine can reach; tell of those outside its axes."""
     machine, (low, high) = tables.machine, table_ranges(tables)
@@ -64,12 +68,16 @@ def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
     absurd = out > ABSURD * (high - low)
     if absurd.any():
         point, k = (int(i) for i in np.argwhere(absurd)[0])
-        scaled = np.all((1e-3 * q >= low - 0.1) & (1e-3 * q <= high + 0.1))
+        scaled = [
+            words
+            for factor, words in ((1e-3, LIKE_MM), (0.0254, LIKE_INCHES))
+            if np.all((factor * q >= low - 0.1) & (factor * q <= high + 0.1))
+        ]
         x, y, z = q[point]
         raise ConfigError(
             f'{where}: point {point + 1} ({x:g}, {y:g}, {z:g}) lies {out[point, k]:g} m outside '
             f'the range of axis {machine.axis_names[k]}, {low[k]:g} m to {high[k]:g} m; '
-            'points are in m' + (', and these look like mm: divide them by 1000' if scaled else '')
+            'points are in m' + (f', and these look like {" or ".join(scaled)}' if scaled else '')
         )
     count = int(np.sum(np.any(out > 1e-6, axis=1)))
     if not count:

@@ -63,11 +63,7 @@ def why_no_match(samples: Samples, track: Track, guide: Guide, tolerance: float)
             f'beam, and leave such samples out'
         )
     if not 0.3 < ratio < 3:
-        factor = 1000.0 if ratio > 1 else 0.001
-        fits = 0.5 < ratio / factor < 2
-        which = 'points seem' if ratio > 1 else 'path seems'
-        unit = f'; the {which} to be in mm, expected m' if fits else ''
-        return f'the measured track is {ratio:.3g} times as large as the path{unit}'
+        return f'the measured track is {ratio:.3g} times as large as the path{unit_by_size(ratio)}'
     match = mirrored(track, guide, tolerance)
     if match is not None and match.explained > WHOLE:
         return MIRRORED
@@ -75,6 +71,24 @@ def why_no_match(samples: Samples, track: Track, guide: Guide, tolerance: float)
         f'no run of measured corners fits the path within match_tolerance '
         f'({1e3 * tolerance:g} mm): do bag and path belong together?'
     )
+
+
+def unit_by_size(ratio: float) -> str:
+    """Unit that explains how large the track is beside the path, in words; empty: none does."""
+    factor = max(ratio, 1.0 / ratio)
+    large, small = ('points seem', 'path seems') if ratio > 1 else ('path seems', 'points seem')
+    if 0.5 < factor / 1000.0 < 2.0:
+        return f'; the {large} to be in mm, expected m'
+    if abs(factor / INCHES_IN_M - 1.0) < SAME_UNIT:
+        return f'; the {large} to be in inches: state it in the head, as in x_in,y_in,z_in'
+    if abs(factor / MM_IN_INCH - 1.0) < SAME_UNIT:
+        return f'; the {small} to be in inches, not mm: state it in the head, as in x_in,y_in,z_in'
+    return ''
+
+
+MM_IN_INCH, INCHES_IN_M = 25.4, 1000 / 25.4
+SAME_UNIT = 0.05
+"""By which the size of a track and of its path may differ."""
 
 
 def _resembles(samples: Samples, guide: Guide, tolerance: float) -> str:
