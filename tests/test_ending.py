@@ -1,18 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes and demo end cleanly: exit code 0, no traceback, no process left."""
 
+import json
 import os
+import pty
+import re
 import signal
 import subprocess
 import sys
 import time
+import urllib.request
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cells import FAST, SHORT, write_machine
 from graph import PATIENCE
 
+from otf_bringup import demo as demonstration
+from otf_bringup import view
 from otf_bringup.processes import module_of
+from otf_core.model.machine import load_machine
+from otf_core.model.tables import tables_to_dict
+from otf_core.sim.cell import random_tables
+from otf_msgs.msg import CalibrationResult
+
+SMALL = {
+    axis: {'min': low, 'max': high, 'table_pitch': 0.05}
+    for axis, low, high in (('X', 0.0, 0.15), ('Y', 0.0, 0.12), ('Z', -0.1, 0.0))
+}
+"""Axes of a machine that a run crosses in seconds."""
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -155,9 +173,7 @@ def test_demo_tells_which_node_failed(tmp_path):
 
 
 def test_demo_on_a_small_machine_ends_with_tables_grid_errors_and_diagnosis(tmp_path):
-    ranges = {'X': (0.0, 0.15), 'Y': (0.0, 0.12), 'Z': (-0.1, 0.0)}
-    axes = {k: {'min': a, 'max': b, 'table_pitch': 0.05} for k, (a, b) in ranges.items()}
-    machine_file = write_machine(tmp_path, axes=axes)
+    machine_file = write_machine(tmp_path, axes=SMALL)
     arguments = ['--machine', str(machine_file), '--seed', '2', '--diagnose']
     with start_demo(tmp_path / 'demo', *arguments) as demo:
         said = demo.stdout.read()
@@ -165,6 +181,50 @@ def test_demo_on_a_small_machine_ends_with_tables_grid_errors_and_diagnosis(tmp_
     parts = ['ECZ', 'after compensation', 'Files: ', 'Diagnosis: none. No gap', 'Took']
     assert sorted(parts, key=said.find) == parts and parts[0] in said, said
     assert (tmp_path / 'demo/calibrations/latest/error_tables.json').exists()
+
+
+def test_page_of_the_demo_stays_with_its_report_until_a_key(tmp_path):
+    machine_file = write_machine(tmp_path, axes=SMALL)
+    command = [sys.executable, '-m', 'otf_bringup', '--out', str(tmp_path / 'demo')]
+    command += ['--machine', str(machine_file), '--seed', '2', '--view']
+    ours, theirs = pty.openpty()
+    plain = {k: v for k, v in os.environ.items() if k not in ('DISPLAY', 'WAYLAND_DISPLAY')}
+    with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=plain) as demo:
+        os.close(theirs)
+        said = ''
+        while 'Enter ends it' not in said:
+            said += os.read(ours, 4096).decode(errors='replace')
+        address = re.search(r'the report at (http://\S+)/report.html', said)[1]
+        time.sleep(2 * view.TO_READ)  # it does not end by itself
+        ended, found = demo.poll(), {}
+        for place in ('/', '/report.html', '/state.json'):
+            with suppress(OSError), urllib.request.urlopen(address + place, timeout=10) as answer:
+                found[place] = answer.read()
+        os.write(ours, b'\n')
+        assert demo.wait(PATIENCE) in (0, 4), said  # 4: a busy computer lost samples
+    assert ended is None and b'"report":"report.html"' in found['/state.json']
+    assert b'</html>' in found['/'] and b'</html>' in found['/report.html']
+    os.close(ours)
+
+
+def test_page_of_the_demo_is_not_waited_for_where_nobody_can_press_a_key(monkeypatch, capsys):
+    monkeypatch.setattr(view, 'TO_READ', 0.0)
+    view.keep_open('http://nowhere/')
+    assert capsys.readouterr().out == ''
+
+
+def test_demo_states_samples_that_were_lost_in_words(tmp_path, capsys):
+    machine = load_machine(write_machine(tmp_path, axes=SMALL))
+    tables = random_tables(machine, 1e-5, np.random.default_rng(1))
+    head = {'noise_and_misfit_alone': {'U': {'mean': 1e-6, 'max': 2e-6}}}
+    (tmp_path / 'error_tables.json').write_text(
+        json.dumps({**tables_to_dict(tables), 'headline': head})
+    )
+    (tmp_path / 'summary.txt').write_text('')
+    for lost, stated in ((0, False), (56, True)):
+        found = CalibrationResult(output_directory=str(tmp_path), samples=944, samples_lost=lost)
+        demonstration._report(tables, found)
+        assert ('56 samples (5.6 %) were lost' in capsys.readouterr().out) == stated
 
 
 def test_demo_refuses_a_wrong_machine(tmp_path):

@@ -56,7 +56,7 @@ def a_run():
     square = {'C0Y': (-20e-6, 1e-6)}
     words = ('<script>document.title = "broken"</script>',)
     run.set_solved(
-        Solved(True, True, 'so far so good', 5e-5, 1e-6, 1e-6, solved, square, words),
+        Solved(True, True, 'so far, 5 um', 5e-5, 1e-6, 1e-6, solved, square, words),
         RigidTransform(np.eye(3), np.array([0.1, -0.4, 0.0])),
     )
     run.volume = VolumeErrors(CORNERS, np.full((4, 3), 1e-5), np.full((4, 3), 1e-6), True)
@@ -86,6 +86,26 @@ def test_server_answers_page_state_and_events_and_nothing_else():
             server.events.put('scene', None)
             answer.readline()
             assert answer.readline() == b'event: scene\n'
+
+
+def test_report_of_the_result_is_served_once_there_is_one_and_no_other_file(tmp_path):
+    with served() as server:
+        assert not server.offer(None) and not server.offer(tmp_path)  # not yet
+        with asked(server, '/report.html') as answer:
+            assert answer.status == 404
+        assert 'report' not in server.events.everything()
+        (tmp_path / 'report.html').write_text('µm', encoding='utf-8')
+        (tmp_path / 'error_tables.json').write_text('{}')
+        assert server.offer(tmp_path)
+        with asked(server, '/report.html') as answer:
+            assert (answer.status, answer.read().decode()) == (200, 'µm')
+        assert json.loads(server.events.everything()) == {'report': 'report.html'}
+        for other in ('/error_tables.json', '/../report.html', '/x/report.html'):
+            with asked(server, other) as answer:
+                assert answer.status == 404
+        (tmp_path / 'report.html').unlink()
+        with asked(server, '/report.html') as answer:
+            assert answer.status == 404
 
 
 def test_every_reader_but_too_many_gets_the_end():
@@ -127,8 +147,9 @@ def test_browser_shows_the_run(tmp_path):
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     shown = re.sub(r'<(script|style)>.*?</\1>', '', done.stdout, flags=re.DOTALL)
     words = ' '.join(re.sub(r'<[^>]*>', ' ', shown).split())
-    for expected in ('this is the last', 'collecting samples 42 % about 1 min 15 s left', '1,234',
-                     '0.3 of 0.9 m', 'EXX 12.3 ± 0.5', 'EAZ not known', 'C0Y -20.0 ± 1.0',
+    for expected in ('this is the last they reported', '1,234', '7 (0.6 %)', '0.3 of 0.9 m',
+                     'collecting samples 42 % about 1 min 15 s left', 'so far, 5 µm',
+                     'EXX 12.3 ± 0.5', 'EAZ not known', 'C0Y -20.0 ± 1.0',
                      '20.0 µm', '0.100, -0.400, 0.000 m', '&lt;b&gt;go', 'so far'):  # fmt: skip
         assert expected in words, words
     assert '<title>On-the-fly calibration' in done.stdout

@@ -34,7 +34,7 @@ from otf_core.model.kinematics import displacement, exact_position
 from otf_core.model.machine import load_machine
 from otf_core.model.tables import ErrorTables, load_tables, tables_to_dict
 from otf_core.sim.cell import random_tables
-from otf_msgs.msg import GapReport
+from otf_msgs.msg import CalibrationResult, GapReport
 
 ERROR_SIZE = 1e-4
 """m; mean volumetric error of the simulated machine."""
@@ -103,16 +103,20 @@ def _run(options: argparse.Namespace) -> int:
         with ended_together(nodes):
             from otf_bringup.monitor import follow
 
-            if options.view:
-                print(f'Live view: {view.open_page(nodes[0])}\n', flush=True)
+            address = view.open_page(nodes[0]) if options.view else ''
+            if address:
+                print(f'Live view: {address}\n', flush=True)
             result, gap = follow(domain, nodes, options.diagnose)
-            time.sleep(view.TO_READ * options.view)
+            took = time.monotonic() - started
+            if result.run_id:
+                _report(truth, result)
+            if result.run_id and gap:
+                _report_gap(gap)
+            if address:
+                view.keep_open(address)
     if not result.run_id:
         raise DemoError(f'calibration failed: {result.message}\nlogs: {out / "log"}')
-    _report(truth, Path(result.output_directory))
-    if gap:
-        _report_gap(gap)
-    print(f'Took {time.monotonic() - started:.0f} s.')
+    print(f'Took {took:.0f} s.')
     return int(result.status or (gap.status if gap else 0))
 
 
@@ -160,8 +164,9 @@ def _start(
     return nodes
 
 
-def _report(truth: ErrorTables, folder: Path) -> None:
-    """Print verdicts, headline, and what is left of the errors on the same grid."""
+def _report(truth: ErrorTables, result: CalibrationResult) -> None:
+    """Print verdicts, headline, what is left of the errors on the same grid, what was lost."""
+    folder = Path(result.output_directory)
     found = load_tables(folder / 'error_tables.json')
     q = lattice(truth.machine)
     before = exact_position(truth, q) - q
@@ -182,6 +187,13 @@ def _report(truth: ErrorTables, folder: Path) -> None:
         f'alone holds here: mean {micro_significant(alone["mean"])}, largest '
         f'{micro_significant(alone["max"])}.'
     )
+    if result.samples_lost:
+        share = 100 * result.samples_lost / (result.samples + result.samples_lost)
+        print(
+            f'{result.samples_lost} samples ({share:.1f} %) were lost on the way to the '
+            f'calibrator: this computer is too slow for ten times the speed of the machine. The '
+            f'others count.'
+        )
     print(f'Report: {folder / "report.html"}; all numbers: summary.txt beside it')
 
 

@@ -14,7 +14,7 @@ from otf_bringup.processes import NodeProcess
 PATIENCE = 30.0
 """s until the page has to be there."""
 TO_READ = 1.0
-"""s; so long the end of a run is shown before the nodes end."""
+"""s; so long the end of a run is shown where nobody can press a key."""
 
 
 def open_page(page: NodeProcess) -> str:
@@ -39,6 +39,20 @@ def open_page(page: NodeProcess) -> str:
             return found[1]
         time.sleep(0.1)
     return ''
+
+
+def keep_open(address: str) -> None:
+    """Leave the page as it is until Enter or Ctrl-C; where no terminal is, for a moment only."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        time.sleep(TO_READ)
+        return
+    place = f'The page stays at {address}, the report at {address}report.html'
+    sys.stdout.write(f'\n{place}; Enter ends it.\n')
+    sys.stdout.flush()
+    try:
+        sys.stdin.readline()
+    except KeyboardInterrupt:
+        sys.stdout.write('\n')
 
 
 def _has_screen() -> bool:

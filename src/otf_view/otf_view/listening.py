@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path as FilePath
 
 from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path
@@ -36,12 +37,15 @@ class Ears:
     run : LiveRun
     news : int
         Grows whenever path, errors on the grid or result change.
+    folder : Path or None
+        Of the files of the last result.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self.run = LiveRun()
         self.news = 0
+        self.folder: FilePath | None = None
         self._solved_ns = -1
         self._points: Glance | None = None
         subscribe = node.create_subscription
@@ -84,6 +88,7 @@ class Ears:
         self._on_solved(message, provisional=True)
 
     def _on_result(self, message: CalibrationResult) -> None:
+        self.folder = FilePath(message.output_directory) if message.output_directory else None
         self._on_solved(message, provisional=False)
 
     def _on_solved(self, message: CalibrationResult, provisional: bool) -> None:

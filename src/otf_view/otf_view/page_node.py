@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from rclpy.node import Node
 
 from otf_core.live.snapshot import now, scene
@@ -32,6 +34,7 @@ class Page(Node):
         self._ears = Ears(self)
         self._server = PageServer(config.host, config.port)
         self._shown = -1
+        self._offered: Path | None = None
         self._update()
         create_timer(self, PERIOD, self._update)
         self.get_logger().info(f'live view at {self._server.url}')
@@ -47,6 +50,8 @@ class Page(Node):
             self._shown = self._ears.news
             self._server.events.put('scene', scene(run))
         self._server.events.put('now', now(run))
+        if self._ears.folder != self._offered and self._server.offer(self._ears.folder):
+            self._offered = self._ears.folder  # the report is written after the result is out
 
 
 def main(args: list[str] | None = None) -> int:

@@ -12,6 +12,7 @@ import threading
 import time
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
 from otf_core.errors import ConfigError
@@ -25,6 +26,8 @@ GRACE = 1.0
 """s; so long readers may take to hear of the end."""
 SLOWEST = 10.0
 """s; a reader that takes nothing for so long is left."""
+REPORT = 'report.html'
+"""Of the result, once there is one: beside the page, under its own name."""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 POLICY += "; connect-src 'self'; img-src data:; frame-ancestors 'none'"
 
@@ -92,7 +95,9 @@ class PageServer:
     def __init__(self, host: str, port: int) -> None:
         self.events = Events()
         self._readers = threading.BoundedSemaphore(MOST_READERS)
-        kind = type('Handler', (_Handler,), {'events': self.events, 'readers': self._readers})
+        self._offered: dict[str, Path] = {}
+        own = {'events': self.events, 'readers': self._readers, 'offered': self._offered}
+        kind = type('Handler', (_Handler,), own)
         try:
             self._server = _Server((host, port), kind)
         except OSError as error:
@@ -103,6 +108,15 @@ class PageServer:
         self.url = f'http://{host}:{self._server.server_address[1]}/'
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.2,))
         self._thread.start()
+
+    def offer(self, folder: Path | None) -> bool:
+        """Serve the report of a result folder and tell readers; False if there is none yet."""
+        file = folder / REPORT if folder else None
+        if file is None or not file.is_file():
+            return False
+        self._offered[f'/{REPORT}'] = file
+        self.events.put('report', REPORT)
+        return True
 
     def close(self) -> None:
         """Tell readers that this is the end, and stop."""
@@ -128,6 +142,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     events: Events
     readers: threading.BoundedSemaphore
+    offered: dict[str, Path]
     protocol_version = 'HTTP/1.1'
     timeout = SLOWEST
 
@@ -139,6 +154,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(self.events.everything(), 'application/json')
         elif place == '/events':
             self._stream()
+        elif place in self.offered:
+            self._file(self.offered[place])
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
 
@@ -148,6 +165,14 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header('Cache-Control', 'no-store')
         self.send_header('Content-Security-Policy', POLICY)
         self.send_header('X-Content-Type-Options', 'nosniff')
+
+    def _file(self, file: Path) -> None:
+        try:
+            text = file.read_text(encoding='utf-8')
+        except OSError:
+            self.send_error(HTTPStatus.NOT_FOUND)
+        else:
+            self._answer(text, 'text/html; charset=utf-8')
 
     def _answer(self, text: str, kind: str) -> None:
         content = text.encode()

@@ -47,9 +47,9 @@ class FirstSight:
     def words(self) -> str:
         """One sentence."""
         return (
-            f'the tracker is found and the target follows the path, '
-            f'{1e6 * self.distance:.3g} um from it in the mean on {100 * self.share:.0f} % '
-            f'of its length; errors come after the first lap'
+            f'the tracker is found and the target follows the path; provisional, of the first '
+            f'{100 * self.share:.0f} % of the path: {1e6 * self.distance:.3g} um from it in the '
+            f'mean, nothing compensated yet; errors come after the first lap'
         )
 
 

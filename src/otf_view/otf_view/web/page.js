@@ -16,7 +16,8 @@ const ROWS = [
 let scene = null, now = null, last = false;
 
 const byId = id => document.getElementById(id);
-const text = (id, words) => { byId(id).textContent = words; };
+const micro = words => words.replace(/(^|[^\w])u(m|rad)(?!\w)/g, '$1µ$2').replace(/\+\/-/g, '±');
+const text = (id, words) => { byId(id).textContent = micro(words); };
 
 function badge(id, kind, words) {
   byId(id).className = 'badge ' + kind;
@@ -45,7 +46,8 @@ function showNow() {
     : `${now.travelled.toFixed(1)} of ${now.length.toFixed(1)} m`);
   text('samples', now.samples.toLocaleString('en'));
   text('rate', now.rate === null ? '–' : `${Math.round(now.rate)} per second`);
-  text('lost', now.lost.toLocaleString('en'));
+  const share = now.samples + now.lost ? 100 * now.lost / (now.samples + now.lost) : 0;
+  text('lost', now.lost.toLocaleString('en') + (now.lost ? ` (${share.toFixed(1)} %)` : ''));
   byId('lost').className = now.lost ? 'bad' : '';
   text('distance', um(now.distance_um));
   text('place', now.tracker === null ? 'not known yet'
@@ -85,7 +87,7 @@ function showSolved() {
   text('alert', solved.message);
   byId('solved').className = solved.ok ? '' : 'bad';
   for (const words of solved.warnings) {
-    byId('warnings').appendChild(document.createElement('li')).textContent = words;
+    byId('warnings').appendChild(document.createElement('li')).textContent = micro(words);
   }
   if (byId('motions').hidden) return;
   const figures = [['from the path, as it is', um(solved.mae_before_um)],
@@ -143,10 +145,15 @@ function listen() {
   source.onerror = () => { if (!last) badge('link', 'bad', 'no connection; trying again'); };
   source.addEventListener('scene', e => { scene = JSON.parse(e.data); showSolved(); draw(); });
   source.addEventListener('now', e => { now = JSON.parse(e.data); showNow(); draw(); });
+  source.addEventListener('report', e => {
+    byId('report').href = JSON.parse(e.data);
+    byId('offered').hidden = false;
+  });
   source.addEventListener('ended', () => {
     last = true;
     source.close();
-    badge('link', 'wait', 'the nodes have ended; this is the last they said');
+    badge('link', 'wait', 'the nodes have ended; this is the last they reported');
+    byId('offered').hidden = true;  // nobody serves it any more
   });
 }
 
