@@ -44,9 +44,12 @@ def test_a_data_frame_holds_what_the_csv_holds(calibrated, tmp_path):
     assert list(frame.axis) == [r['axis'] for r in rows]
     assert list(frame.unit) == [r['unit'] for r in rows]
     assert [str(v).lower() for v in frame.identifiable] == [r['identifiable'] for r in rows]
-    for name in ('position', 'value', 'u', 'U', 'k'):
+    for name in ('position', 'value', 'u', 'U', 'k', 'U_with_typical'):
         stated = [float(r[name]) if r[name] else np.nan for r in rows]
         np.testing.assert_allclose(frame[name], stated, rtol=1e-12, atol=1e-15, err_msg=name)
+    offset = tuple(calibrated.tables.machine.target_offset.tolist())
+    stated = [tuple(map(float, r['target_offset'].split())) or None for r in rows]
+    assert list(frame.target_offset) == stated and set(stated) == {None, offset}
     assert frame.attrs['target_offset'] == calibrated.tables.machine.target_offset.tolist()
     assert isinstance(frame, pandas.DataFrame)
 

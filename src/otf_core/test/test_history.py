@@ -20,6 +20,7 @@ from otf_core.history.judged import Standing, history_of
 from otf_core.history.series import series_of
 from otf_core.history.store import add_event, add_run, read_store
 from otf_core.model.evaluation import mean_length, without_rigid_motion
+from otf_core.model.expanded import micro_significant
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import load_tables, tables_from_dict
@@ -235,6 +236,23 @@ def test_where_nothing_changed_but_one_run_follows_an_event_it_is_not_judged(fou
     assert h.standing is Standing.UNJUDGED and h.due is None
     assert 'collision (2026-02-15), and no run since' in head_of(h)[2]
     assert [e['followed'] for e in history_to_dict(h)['events']] == [True, False]
+
+
+def test_what_is_not_declared_is_stated_beside_the_drift(found, tmp_path):
+    h = history(tmp_path, found, [0.0, 0.0], 22)
+    wide = found.data['headline']['expected_after_compensation']['U']['mean']
+    share = f'up to about {micro_significant(2**0.5 * wide)} in the volume'
+    page = history_page([h]).replace('\u00a0', ' ').replace('µ', 'u')
+    assert share in format_history(h) and share in page
+    assert f'U = {micro_significant(wide)}' in page
+    assert 'hold at the target offset (20, -30, -150) mm only' in format_history(h)
+    declared = {**found.data, 'headline': {'expected_after_compensation': {
+        'U': {'mean': wide}, 'systematic': 'declared'}}}  # fmt: skip
+    (tmp_path / 'declared.json').write_text(json.dumps(declared))
+    add_run(tmp_path / 'other', tmp_path / 'declared.json', '2026-01-01')
+    assert 'typical size' not in format_history(
+        history_of(read_store(tmp_path / 'other'), 'small')
+    )
 
 
 def test_one_run_alone_is_not_judged(found, tmp_path):

@@ -27,7 +27,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-COLUMNS = ('error', 'axis', 'position', 'value', 'unit', 'u', 'identifiable', 'U', 'k')
+COLUMNS = (
+    'error', 'axis', 'position', 'value', 'unit', 'u', 'identifiable', 'U', 'k', 'U_with_typical',
+    'target_offset',
+)  # fmt: skip
 WIDTH, HEIGHT = 2.6, 2.2
 """inch; of a panel of the figure."""
 
@@ -67,17 +70,13 @@ def table_html(result: CalibrationResult) -> str:
     """The same as rows, and squareness; what else there is in a line."""
     head, verdicts = result.headline, result.verdicts
     lines = [*head.words[:2], verdicts.measurement_words, verdicts.machine_words]
-    factors = coverage_factors(result.tables, result.budget_with_typical)
-    spread = np.sqrt(np.diag(result.covariance_with_typical))[: len(SQUARENESS)]
     rows = []
-    for name, u in zip(SQUARENESS, spread, strict=True):
-        value = result.tables.squareness[name].value
-        shown = (
-            'not seen'
-            if name in result.not_identifiable
-            else micro_with_expanded(value, factors[name] * float(u), 'rad')
-        )
-        rows.append((f'squareness {name}', shown))
+    for name in SQUARENESS:
+        value, wide = result.tables.squareness[name].value, float(result.expanded[name][0])
+        seen = name not in result.not_identifiable
+        shown = micro_with_expanded(value, wide, 'rad') if seen else 'not seen'
+        bound = result.offset_bound.words(name)
+        rows.append((f'squareness {name}', f'{shown}, {bound}' if bound else shown))
     unseen = [n for n in result.not_identifiable if n not in SQUARENESS]
     if unseen:
         rows.append(('not seen', ', '.join(unseen)))
@@ -107,14 +106,29 @@ def data_frame(result: CalibrationResult) -> Any:
         known = table.node_identifiable
         flags = np.ones(len(table.position), bool) if known is None else known
         rows += [
-            (str(motion), motion.axis, tidy(p), v, motion.unit, u, bool(seen), _expanded(k, u), k)
-            for p, v, u, seen in zip(table.position, table.value, table.u, flags, strict=True)
+            (
+                str(motion),
+                motion.axis,
+                tidy(p),
+                v,
+                motion.unit,
+                u,
+                bool(seen),
+                _expanded(k, u),
+                k,
+                float(whole),
+                _offset(result, motion),
+            )
+            for p, v, u, seen, whole in zip(
+                table.position, table.value, table.u, flags, result.expanded[motion], strict=True
+            )
         ]
     for name in SQUARENESS:
         entry, k = tables.squareness[name], factors[name]
         seen = name not in result.not_identifiable
-        wide = _expanded(k, entry.u)
-        rows.append((name, '', math.nan, entry.value, 'rad', entry.u, seen, wide, k))
+        wide, whole = _expanded(k, entry.u), float(result.expanded[name][0])
+        rows.append((name, '', math.nan, entry.value, 'rad', entry.u, seen, wide, k, whole,
+                     _offset(result, name)))  # fmt: skip
     frame = module.DataFrame(rows, columns=list(COLUMNS))
     frame.attrs = {
         'machine': tables.machine.name,
@@ -123,6 +137,12 @@ def data_frame(result: CalibrationResult) -> Any:
         'run_id': result.run_id,
     }
     return frame
+
+
+def _offset(result: CalibrationResult, name: str) -> tuple[float, ...] | None:
+    """Target offset at which alone a value holds, m; None: at any."""
+    bound = result.offset_bound
+    return tuple(map(float, bound.offset)) if name in bound.contains else None
 
 
 def _expanded(k: float, u: float) -> float:
@@ -141,9 +161,6 @@ def figure(result: CalibrationResult) -> Any:
         squeeze=False,
         layout='constrained',
     )
-    factors = coverage_factors(tables, result.budget_with_typical)
-    places = table_places(tables)
-    spread = np.sqrt(np.diag(result.covariance_with_typical))
     for row, axis in zip(panels, names, strict=True):
         for panel, motion in zip(row, (m for m in MOTIONS if m.axis == axis), strict=True):
             table = tables.motions[motion]
@@ -154,7 +171,7 @@ def figure(result: CalibrationResult) -> Any:
                 panel.set(xticks=[], yticks=[])
                 panel.text(0.5, 0.5, 'not seen', ha='center', transform=panel.transAxes)
                 continue
-            wide = factors[motion] * spread[places[motion]]
+            wide = result.expanded[motion]
             low, high = 1e6 * (table.value - wide), 1e6 * (table.value + wide)
             panel.fill_between(1e3 * table.position, low, high, alpha=0.3, linewidth=0)
             panel.plot(1e3 * table.position, 1e6 * table.value, marker='o', markersize=3)

@@ -249,8 +249,9 @@ class CalibrationResult:
             ``error`` (EXX ... ECZ, C0Y, B0Z, A0Z), ``axis``, ``position`` (m; NaN for squareness),
             ``value`` (m or rad, actual minus nominal), ``unit`` (of the value), ``u`` (standard
             uncertainty of what the budget holds), ``identifiable``, ``U`` and its ``k``: as in
-            error_tables.csv. ``attrs`` hold machine, chain, run_id and target_offset (m), at
-            which alone the values hold where rotations were not seen.
+            error_tables.csv. ``U_with_typical`` is U with typical systematic contributions where
+            none are declared, ``target_offset`` the offset (m) at which alone a value holds, None
+            if at any. ``attrs`` hold machine, chain, run_id and target_offset.
 
         Raises
         ------

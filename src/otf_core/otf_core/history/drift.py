@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from otf_core.history.change import LEVEL, Change, by_motion, change_of, chi_square, probability
 from otf_core.history.series import Series
+from otf_core.model.expanded import COVERAGE_FACTOR
 
 Array = NDArray[np.float64]
 
@@ -27,8 +28,6 @@ SMALLEST = 1e-9
 """Relative size of eigenvalues that count as zero."""
 CHANCE = 0.05
 """Probability of a false alarm of a drift."""
-FACTOR = 1.96
-"""k of intervals of 95 %."""
 
 
 @dataclass(frozen=True)
@@ -203,13 +202,13 @@ def due(drift: Drift, last: Drift, limit: float) -> Due:
         By the line where the runs lie on one; else without a date, and no earlier than at the pace
         of the line or of the last step, whichever is faster.
     """
-    line = drift.volume + FACTOR * drift.u_volume
+    line = drift.volume + COVERAGE_FACTOR * drift.u_volume
     if drift.bent:
-        pace = max(line, last.volume + FACTOR * last.u_volume)
+        pace = max(line, last.volume + COVERAGE_FACTOR * last.u_volume)
         why = f'a straight line does not describe {", ".join(drift.bent)}'
         return Due(limit, None, limit / max(pace, 1e-300), None, why)
     earliest = limit / max(line, 1e-300)
     if not drift.significant:
         return Due(limit, None, earliest, None)
-    low = drift.volume - FACTOR * drift.u_volume
+    low = drift.volume - COVERAGE_FACTOR * drift.u_volume
     return Due(limit, limit / drift.volume, earliest, limit / low if low > 0 else None)

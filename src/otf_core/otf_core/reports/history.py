@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from itertools import pairwise
@@ -15,15 +16,21 @@ from numpy.typing import NDArray
 
 from otf_core.files.writing import write_text
 from otf_core.history.change import Change
-from otf_core.history.drift import FACTOR, Due
+from otf_core.history.drift import Due
 from otf_core.history.judged import History, Standing, Step
 from otf_core.history.store import StoredEvent
+from otf_core.model.expanded import (
+    COVERAGE_FACTOR,
+    micro_figure,
+    micro_significant,
+    micro_unit,
+    micro_with_expanded,
+)
 from otf_core.model.motions import unit_of
-from otf_core.model.quantities import quantity
+from otf_core.prediction.absorbed import OffsetBound
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import around, dates
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.quantities import micro_unit
 from otf_core.reports.section import Cell, Picture, Section, State, Table
 
 Array = NDArray[np.float64]
@@ -59,7 +66,7 @@ def _probability(p: float) -> str:
 
 def _pair(value: float, u: float, times: float = 1.0) -> str:
     """Value and expanded uncertainty (95 %) with two digits of it, um."""
-    return quantity(times * value, 0.5 * FACTOR * times * u, 'm')
+    return micro_with_expanded(times * value, times * COVERAGE_FACTOR * u)
 
 
 def _change(change: Change) -> dict[str, Any]:
@@ -305,6 +312,8 @@ def format_history(history: History) -> str:
         *(f'WARNING {words}' for words in series.warnings),
         *(_step_words(history, step) for step in history.steps),
         *drift_words(history),
+        *_undeclared(history),
+        *_offset_words(history),
     ]
     return '\n'.join(lines)
 
@@ -350,7 +359,7 @@ def _change_chart(history: History, name: str, changes: Sequence[Change]) -> str
 
 def _error_chart(history: History) -> str:
     """Size of the errors themselves."""
-    size, spread = 1e6 * history.error, 1e6 * FACTOR * history.u_error
+    size, spread = 1e6 * history.error, 1e6 * COVERAGE_FACTOR * history.u_error
     return _chart(history, 'volumetric error', size, (size - spread, size + spread), ())
 
 
@@ -367,7 +376,13 @@ def _marks_words(history: History) -> str:
 
 def _sections(history: History, *, alone: bool) -> list[Section]:
     state = () if alone else (state_words(history),)  # the headline says it of one machine
-    words = (*state, *history.series.warnings, *drift_words(history))
+    words = (
+        *state,
+        *history.series.warnings,
+        *drift_words(history),
+        *_undeclared(history),
+        *_offset_words(history),
+    )
     head = ('measured', 'volume (um)', 'expected (um)', 'what happened', 'changed')
     runs = history.series.runs
     rows: list[tuple[Cell, ...]] = [
@@ -387,7 +402,7 @@ def _sections(history: History, *, alone: bool) -> list[Section]:
     def pictures() -> Sequence[Picture]:
         error = (
             'Mean length of the error vectors in the volume by every run, best rigid motion taken '
-            'out, with its uncertainty (area, 95 %). '
+            'out, with its uncertainty by what is declared (area, 95 %). '
         )
         change = (
             'Change since the first run, root mean square over the axis (line), and twice what is '
@@ -416,10 +431,47 @@ def _sections(history: History, *, alone: bool) -> list[Section]:
     ]
 
 
+def _stated(history: History) -> tuple[float, str] | None:
+    """Mean expanded uncertainty that the latest tables state first, m, and of what kind it is."""
+    head = history.series.runs[-1].content.extra.get('headline')
+    if not isinstance(head, dict):
+        return None
+    expected = head['expected_after_compensation']
+    return float(expected['U']['mean']), str(expected['systematic'])
+
+
+def _offset_words(history: History) -> list[str]:
+    """Which values hold at one target offset only, by the latest tables."""
+    found = history.series.runs[-1].content.extra.get('target_offset_bound')
+    if not isinstance(found, dict) or not found['contains']:
+        return []
+    return [OffsetBound(np.array(found['offset']), found['contains']).sentence]
+
+
+def _undeclared(history: History) -> list[str]:
+    """What the uncertainties leave out, where the latest tables do not declare all of it."""
+    stated = _stated(history)
+    if stated is None or stated[1] == 'declared':
+        return []
+    share = micro_significant(math.sqrt(2.0) * stated[0])
+    return [
+        f'Changes are judged by what the runs declare, and they do not declare all systematic '
+        f'contributions (tracker scale, air, temperature ...): of typical size these alone make '
+        f'two runs differ by up to about {share} in the volume, where tracker, place or weather '
+        f'were others'
+    ]
+
+
 def _tiles(history: History) -> tuple[tuple[str, str, str], ...]:
     """Numbers of one machine: error, last change, next calibration."""
-    error = _pair(float(history.error[-1]), float(history.u_error[-1]))
-    tiles = [('volumetric error, latest run', error, 'mean in the volume, 95 %')]
+    stated = _stated(history)
+    error, remark = float(history.error[-1]), 'mean in the volume'
+    shown = f'{1e6 * error:.1f} um'
+    if stated is not None:
+        wide, systematic = stated
+        shown = micro_figure(error, wide)
+        remark += f', U = {micro_significant(wide)} (systematic contributions {systematic})'
+    tiles = [('volumetric error, latest run', shown, remark)]
     if history.steps:
         step = history.steps[-1].volume
         expected = f'{1e6 * step.expected:.2f} um expected without change'
