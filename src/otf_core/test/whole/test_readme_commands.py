@@ -65,7 +65,7 @@ def test_first_block_runs_as_printed(folder):
 
 def test_diagnosis_of_the_block_names_what_its_comment_says(folder):
     gap = json.loads((folder / 'diagnosis' / 'gap.json').read_text())
-    assert [cause['effect'] for cause in gap['causes']] == ['backlash']
+    assert [cause['effect'] for cause in gap['causes']] == ['thermal_axis_expansion']
 
 
 @pytest.mark.parametrize('name', ['results/error_tables.json', 'diagnosis/gap.json'])
