@@ -95,7 +95,7 @@ def _note_missing(out: OutputFolder) -> None:
 def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list[Path]) -> None:
     """Print a calibration."""
     from otf_core.reports.calibration_report import calibration_sections
-    from otf_core.reports.calibration_summary import calibration_summary
+    from otf_core.reports.calibration_sections.first_screen import calibration_summary
     from otf_core.reports.section import sections_to_dict, sections_to_text
 
     sections = calibration_sections(facts)

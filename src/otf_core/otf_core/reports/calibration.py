@@ -33,7 +33,7 @@ from otf_core.prediction.volumetric import volumetric_error
 from otf_core.reports.budget import BudgetLine, budget_lines, budget_to_dict, expanded
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_report import calibration_html, calibration_sections
-from otf_core.reports.calibration_summary import calibration_summary
+from otf_core.reports.calibration_sections.first_screen import calibration_summary
 from otf_core.reports.certificate import certificate_html
 from otf_core.reports.residuals import (
     RESIDUALS_FILE,

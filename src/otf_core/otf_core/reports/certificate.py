@@ -16,9 +16,8 @@ from otf_core.reports.calibration_pictures import (
     error_sizes,
     volume_pictures,
 )
-from otf_core.reports.calibration_sections.limits import MOODS
-from otf_core.reports.calibration_sections.motions import role
-from otf_core.reports.calibration_sections.overview import badges, running_words
+from otf_core.reports.calibration_sections.error_motions import role
+from otf_core.reports.calibration_sections.first_screen import MOODS, badges, running_words
 from otf_core.reports.circumstances import measured
 from otf_core.reports.drawing.scene import SCRIPT
 from otf_core.reports.page import Heading, page_html

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sections of the report of a calibration: a file each, and its line in ``calibration_report``.
+"""Sections of the report of a calibration: a file for each question of its reader.
 
-A section is a function of ``Facts`` named ``section``; None where it has nothing to say.
+A section is a function of ``Facts`` named ``..._section``; None where it has nothing to say. Its
+line in ``reports.calibration_report`` puts it in its place.
 """

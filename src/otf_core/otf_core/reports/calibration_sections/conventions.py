@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conventions and gauge in words: signs, reference points, what u and U are."""
+"""What the numbers mean and where they come from: effects, conventions, versions."""
 
 from __future__ import annotations
 
+import platform
+from dataclasses import asdict
+
+import numpy as np
+import scipy
+
 from otf_core.calibration.result import GAUGE, CalibrationResult
+from otf_core.effects.stated_effect import FOUND, effects_to_list, format_effects
 from otf_core.prediction.absorbed import offset_words
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.circumstances import measured
 from otf_core.reports.quantities import dof_words, listed
-from otf_core.reports.section import Section
+from otf_core.reports.section import Section, Table
 from otf_core.version import __version__
 
 CONVENTION = (
@@ -19,12 +26,36 @@ FILES = (
     'files: position in m; value, u and U in m for EX, EY, EZ, in rad for EA, EB, EC and '
     'squareness'
 )
-
-
 PLACE_OF_B = (
     'place of b in the chain as stated, not verifiable: it decides what is called squareness, '
     'straightness and positioning, and no data show it'
 )
+
+
+def effects_section(facts: Facts) -> Section | None:
+    """What was found and done about effects; None where nobody asked for them."""
+    stated, sentence = facts.result.effects, facts.result.effects_sentence
+    said = (sentence,) if sentence else ()
+    if not stated:
+        return Section('effects', 'Effects', said, text=(*said, '')) if said else None
+    rows = []
+    for one in stated:
+        how = 'found by a diagnosis' if one.how == FOUND else 'named in a file'
+        for name, value in one.parameters.items():
+            u = one.u.get(name)
+            known = 'as given' if u is None else f'{u:.3g}'
+            unit = one.units.get(name, '')
+            rows.append((one.effect.replace('_', ' '), how, name, f'{value:.5g}', known, unit))
+    words = (
+        *said,
+        'These effects were taken off the runs first, so the tables do not hold them. Without '
+        'them the tables are in the folder plain beside this report.',
+    )
+    head = ('Effect', 'How', 'Parameter', 'Value', 'u, k = 1', 'Unit (SI)')
+    table = Table(head, tuple(rows), numbers=(3, 4))
+    data = {'effects': effects_to_list(stated)}
+    return Section('effects', 'Effects taken off', words, data, (table,),
+                   (*said, format_effects(stated), ''))  # fmt: skip
 
 
 def reference_words(result: CalibrationResult) -> str:
@@ -47,8 +78,8 @@ def reference_words(result: CalibrationResult) -> str:
     )
 
 
-def section(facts: Facts) -> Section:
-    """Return the section."""
+def conventions_section(facts: Facts) -> Section:
+    """Conventions and gauge in words: signs, reference points, what u and U are."""
     machine, origin = facts.machine, facts.result.origin
     carried = {
         'table': ', '.join(machine.chain.table_side) or 'none',
@@ -85,3 +116,45 @@ def section(facts: Facts) -> Section:
         '',
     )
     return Section('conventions', 'Conventions and gauge', words, {'gauge': GAUGE}, text=text)
+
+
+def provenance_section(facts: Facts) -> Section:
+    """Versions, hashes, configuration, and how to repeat it."""
+    result, about = facts.result, facts.provenance
+    rows = [
+        ('run id', result.run_id),
+        ('written', str(about['written'])),
+        ('software', f'otf_core {about["software"]["version"]}, numpy {np.__version__}, scipy '
+         f'{scipy.__version__}, Python {platform.python_version()}'),
+        ('command', f'{about["verb"]}, method {about["method"]}'),
+    ]  # fmt: skip
+    rows += [(f'SHA-256 of run {r["name"]}', r['sha256']) for r in about.get('runs', [])]
+    rows += [
+        (f'SHA-256 of machine.yaml, {m["name"]}', m['sha256'] or 'not read from a file')
+        for m in about.get('machines', [])
+    ]
+    settings = tuple((name, f'{value}') for name, value in asdict(result.config).items())
+    words = ['How to repeat it: ' + repeat_command(facts)]
+    tables = (
+        Table(('', ''), tuple(rows), title='Provenance'),
+        Table(('Parameter', 'Value (SI)'), settings, folded='Parameters of the method'),
+    )
+    return Section('provenance', 'Versions and how to repeat it', tuple(words),
+                   {'run_id': result.run_id, 'provenance': dict(about)}, tables)  # fmt: skip
+
+
+def repeat_command(facts: Facts) -> str:
+    """The command that gives the same tables from the same recordings."""
+    bags = ' '.join(o.name or 'BAG' for o in facts.result.origin) or 'BAG'
+    config = facts.result.config
+    given = [
+        f'--{name.replace("_", "-")} {value}'
+        for name, value in asdict(config).items()
+        if value != getattr(type(config)(), name)
+    ]
+    method = facts.provenance['method']
+    options = ' '.join([f'--method {method}', *given])
+    return (
+        f'./otf calibrate {bags} --machine machine.yaml --out DIR {options}; the same bags, '
+        f'machine.yaml and version give the same tables and the same run id.'
+    )

@@ -1,0 +1,396 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the axes: motions, squareness, forward and backward travel, all nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.calibration.result import GAUGE, CalibrationResult
+from otf_core.files.csv_points import tidy
+from otf_core.model.expanded import figure, micro_with_expanded, significant, with_expanded
+from otf_core.model.frames import XYZ
+from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS, ErrorMotion
+from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.calibration_pictures import STATE_KINDS
+from otf_core.reports.drawing.panel import Panel
+from otf_core.reports.drawing.panel import words as svg_words
+from otf_core.reports.drawing.scale import Scale, around
+from otf_core.reports.quantities import dof_words, micro, micro_unit
+from otf_core.reports.reversal import backlash_words, format_reversal
+from otf_core.reports.section import Cell, Picture, Section, Table
+
+Array = NDArray[np.float64]
+
+LIMIT_HEIGHT_RATIO = 4.0
+"""Height of a limit, in that of what is drawn, up to which it is drawn."""
+ROLES = {True: 'positioning', False: 'straightness'}
+ANGLES = {'C0Y': ('+X', '+Y', 1.0), 'B0Z': ('+X', '+Z', -1.0), 'A0Z': ('+Y', '+Z', 1.0)}
+"""Directions between which a squareness error changes the angle, and the sign of the change."""
+TILTS = {'C0Y': '+Y to -X', 'B0Z': '+Z to +X', 'A0Z': '+Z to -Y'}
+"""What a positive value does."""
+ARCSEC = np.pi / 648000
+DERIVED = (
+    'Derived from continuous travel, not an ISO 230-2 test: there are no targets approached at '
+    'standstill and no five repetitions, so A and R, which need the repeatability, are not given.'
+)
+FEW_DATA_BELOW = 100
+"""Samples around a node below which they are called few."""
+
+
+def role(motion: ErrorMotion) -> str:
+    """What a motion is called."""
+    if motion.is_translation:
+        return ROLES[motion.is_positioning]
+    return 'roll' if motion.along == motion.place else f'rotation about {XYZ[motion.along]}'
+
+
+def motions_section(facts: Facts) -> Section:
+    """All 18 error motions: pictures with bands, and one line of numbers each."""
+    rows = tuple(_motion_row(facts, name) for name in MOTIONS)
+    head = ('Motion', 'Is', 'Unit', 'Nodes', 'Smallest', 'Largest', 'Span', 'Mean u, k = 1',
+            'Largest U, 95 %', 'k', 'dof')  # fmt: skip
+    table = Table(head, rows, numbers=tuple(range(3, 11)))
+    words = (
+        *_largest_motions(facts),
+        'One picture for each error motion, over the position of its axis. Scales differ.',
+    )
+    text = ('motion  unit  nodes       min       max  largest U  holds',
+            *(_motion_line(facts, name) for name in MOTIONS),
+            '', f'Gauge: {GAUGE}.', spacing_words(facts.result), '')  # fmt: skip
+    return Section('motions', 'Error motions', words, _motion_data(facts), (table,), text,
+                   draw=lambda: _motion_pictures(facts))  # fmt: skip
+
+
+def _largest_motions(facts: Facts) -> list[str]:
+    """The motions that reach farthest from their zero, and where."""
+    found = []
+    for unit, kind in (('m', 'displacement'), ('rad', 'rotation')):
+        known = [n for n in facts.by_name if n in MOTIONS and facts.by_name[n].unit == unit]
+        if not known:
+            continue
+        name = max(known, key=lambda n: float(np.abs(facts.tables.motions[n].value).max()))
+        motion, table = ErrorMotion.of(name), facts.tables.motions[name]
+        k = int(np.abs(table.value).argmax())
+        wide = float(facts.result.expanded[name][k])
+        at = tidy(1e3 * float(table.position[k]))
+        value = micro_with_expanded(float(table.value[k]), wide, unit)
+        found.append(
+            f'Largest {kind}: {name}, {role(motion)}, {value} at {motion.axis} '
+            f'{at:g} mm (U, 95 %).'
+        )
+    return found
+
+
+def _motion_data(facts: Facts) -> dict[str, object]:
+    return {
+        name: {'min': float(t.value.min()), 'max': float(t.value.max()), 'unit': name.unit,
+               'mean_u': float(t.u.mean()), 'identifiable': t.identifiable}
+        for name in MOTIONS
+        for t in [facts.tables.motions[name]]
+    }  # fmt: skip
+
+
+def _motion_row(facts: Facts, name: ErrorMotion) -> tuple[str, ...]:
+    table, line = facts.tables.motions[name], facts.by_name.get(name)
+    start = (str(name), role(name), micro_unit(name.unit), str(len(table.position)))
+    if not table.identifiable:
+        return (*start, 'not known', *[''] * 6)
+    low, high = float(table.value.min()), float(table.value.max())
+    k = line.k if line else 0.0
+    dof = '' if line is None else dof_words(line.dof)
+    whole = facts.result.expanded[name]
+    wide = 1e6 * float(whole.max())
+    sizes = (figure(1e6 * size, wide) for size in (low, high, high - low))
+    mean = figure(1e6 * float(whole.mean()) / max(k, 1.0), wide)
+    return (*start, *sizes, mean, significant(wide), f'{k:.2f}', dof)
+
+
+def _motion_line(facts: Facts, name: ErrorMotion) -> str:
+    table = facts.tables.motions[name]
+    row = f'{name:<8}{micro_unit(name.unit):<6}{len(table.position):>5}'
+    if not table.identifiable:
+        return row + '   not identifiable in these data'
+    wide = 1e6 * float(facts.result.expanded[name].max())
+    low, high = (figure(1e6 * float(v), wide) for v in (table.value.min(), table.value.max()))
+    row += f'{low:>10}{high:>10}{significant(wide):>11}'
+    return f'{row}  {facts.result.offset_bound.words(name)}'.rstrip()
+
+
+def spacing_words(result: CalibrationResult) -> str:
+    """What straight lines between the nodes cost."""
+    wish, taken = result.table_costs[1], result.table_costs[result.fraction]
+    worst = max(wish.motions, key=lambda name: wish.motions[name])
+    unit = micro_unit(ErrorMotion.of(worst).unit)
+    costs = (
+        f'straight lines between nodes cost {1e6 * wish.grid:.2f} um on the grid '
+        f'(most in {worst}: {1e6 * wish.motions[worst]:.2f} {unit})'
+    )
+    if result.fraction == 1:
+        return f'Nodes stand table_pitch apart; {costs}.'
+    return (
+        f'Nodes stand at 1/{result.fraction} of table_pitch, where straight lines cost '
+        f'{1e6 * taken.grid:.2f} um on the grid; at table_pitch {costs}.'
+    )
+
+
+def _motion_pictures(facts: Facts) -> Sequence[Picture]:
+    panels = tuple(
+        _motion_panel(facts, ErrorMotion(direction, axis))
+        for direction in DIRECTIONS
+        for axis in facts.machine.axis_names
+    )
+    both = (
+        'Forward (dashed) and backward (dotted) travel where they differ. '
+        if facts.both_ways
+        else ''
+    )
+    limits = (
+        'Dashed level lines: a band as high as the limit of the span. '
+        if facts.machine.limits
+        else ''
+    )
+    caption = (
+        f'The last letter is the axis that moves; a wide page has its motions one below the '
+        f'other. Line with nodes: mean of both senses of travel; band: U (95 %), pointwise. '
+        f'{both}{limits}'
+        f'Rings: nodes that the data do not determine, continued smoothly.'
+    )
+    return [Picture(panels, caption, columns=3)]
+
+
+def _motion_panel(facts: Facts, name: ErrorMotion) -> str:
+    table = facts.tables.motions[name]
+    unit = 'µm' if name.is_translation else 'µrad'
+    heading = f'{name} {role(name)}'
+    along = Scale(*_ends(1e3 * table.position), f'{name.axis} (mm)')
+    if not table.identifiable:
+        panel = Panel(along, Scale(-1.0, 1.0, f'{name} ({unit})', marks=1))
+        marks = [svg_words(190.0, 100.0, 'not identifiable in these data', 'middle soft')]
+        return panel.draw(marks, f'{name}: not identifiable', heading)
+    x, y = 1e3 * table.position, 1e6 * table.value
+    u = 1e6 * facts.result.expanded[name]
+    reversal = facts.result.reversal.motions.get(name)
+    half = 0.5e6 * reversal.value if reversal is not None and reversal.identifiable else None
+    sides = [y] if half is None else [y, y + half, y - half]
+    reach = np.concatenate([*sides, y - u, y + u])
+    limit, edges = _limit_band(facts, name, np.concatenate(sides), reach)
+    scale = around(np.concatenate([reach, edges]), f'{name} ({unit})')
+    heading += limit
+    panel = Panel(along, scale)
+    marks = [panel.band(x, y - u, y + u, 'after band')]
+    if scale.low < 0 < scale.high:
+        marks.append(panel.level(0.0, 'soft'))
+    marks += [panel.level(float(edge), f'{_state_kind(facts, name)} dash') for edge in edges]
+    if half is not None:
+        marks.append(panel.line(x, y + half, 'before dash'))
+        marks.append(panel.line(x, y - half, 'before dot'))
+    marks += [panel.line(x, y, 'after'), panel.dots(x, y, 'after node')]
+    known = table.node_identifiable
+    if known is not None and not known.all():
+        marks.append(panel.rings(x[~known], y[~known]))
+    return panel.draw(marks, f'{name} over {name.axis}, with uncertainty', heading)
+
+
+def _limit_band(facts: Facts, name: ErrorMotion, values: Array, reach: Array) -> tuple[str, Array]:
+    """Words on the limit of a motion, and the edges (0 or 2,) of a band as high as it.
+
+    The limit is on the span, so the band lies about the middle of the values (n,); where it is
+    much higher than what is drawn, ``reach`` (n,), it is in words alone.
+    """
+    limits = facts.machine.limits
+    limit = limits.values.get(name) if limits else None
+    if limit is None:
+        return '', np.zeros(0)
+    wide, middle = 1e6 * limit, 0.5 * (values.max() + values.min())
+    words = f', limit {wide:g} {micro_unit(name.unit)}'
+    if wide > LIMIT_HEIGHT_RATIO * np.ptp(reach):
+        return f'{words}, beyond the scale', np.zeros(0)
+    return words, middle + 0.5 * wide * np.array([-1.0, 1.0])
+
+
+def _state_kind(facts: Facts, name: ErrorMotion) -> str:
+    """Class of the limit of a motion by its state."""
+    verdict = facts.result.machine_verdict
+    found = [one.state for one in verdict.judged if one.name == name] if verdict else []
+    return STATE_KINDS.get(found[0], '') if found else ''
+
+
+def _ends(position: Array) -> tuple[float, float]:
+    low, high = float(position[0]), float(position[-1])
+    return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+def squareness_words(name: str, value: float, wide: float) -> str:
+    """Say a squareness error as an angle, to the last stated digit of its U.
+
+    C0Y > 0 tilts +Y to -X, B0Z > 0 tilts +Z to +X, A0Z > 0 tilts +Z to -Y.
+
+    Parameters
+    ----------
+    name : str
+        C0Y, B0Z or A0Z.
+    value, wide : float, rad
+        The error and its expanded uncertainty.
+    """
+    one, other, sign = ANGLES[name]
+    change = sign * value
+    mark = '-' if change < 0 else '+'
+    return (
+        f'angle between {one} and {other} is 90 deg {mark} '
+        f'{figure(1e6 * abs(change), 1e6 * wide)} urad '
+        f'({figure(abs(change) / ARCSEC, wide / ARCSEC)} arcsec)'
+    )
+
+
+def squareness_section(facts: Facts) -> Section:
+    """Squareness errors as angles in words, in both habits of sign."""
+    result, bound = facts.result, facts.result.offset_bound
+    rows: list[tuple[Cell, ...]] = []
+    text = ['squareness, urad: value +/- U of the headline; u of the files, k = 1']
+    data, angles = {}, []
+    for name in SQUARENESS:
+        entry = facts.tables.squareness[name]
+        if name in result.not_identifiable:
+            rows.append((name, 'not known', '', '', '', '', ''))
+            angles.append(f'{name}: not identifiable in these data.')
+            text.append(f'{name}  not identifiable in these data')
+            continue
+        wide = float(result.expanded[name][0])
+        larger = ANGLES[name][2] * entry.value
+        said, holds = squareness_words(name, entry.value, wide), bound.words(name)
+        data[name] = {'value': entry.value, 'u': entry.u, 'U': wide, 'larger_than_90': larger,
+                      'words': said, 'holds': holds}  # fmt: skip
+        figures = [figure(1e6 * v, 1e6 * wide) for v in (entry.value, larger)]
+        rows.append((name, *figures, significant(1e6 * wide), significant(1e6 * entry.u),
+                     holds or 'at any target offset'))  # fmt: skip
+        angles.append(f'{name}: {said}{f", {holds}" if holds else ""}.')
+        text.append(
+            f'{name}  {with_expanded(1e6 * entry.value, 1e6 * wide):<20}'
+            f'u {significant(1e6 * entry.u):<8}{said}{f"; {holds}" if holds else ""}'
+        )
+    words = (
+        *angles,
+        'Two habits of sign are in use. Here and in all files the value is a right-handed '
+        f'rotation: a positive value tilts {"; ".join(f"{n}: {t}" for n, t in TILTS.items())}. In '
+        'the other habit a positive value means an angle larger than 90 degrees; the two differ '
+        'for B0Z alone.',
+    )
+    head = ('', 'Value (urad)', 'Larger than 90 deg positive (urad)', 'U (urad)',
+            'u in the files, k = 1 (urad)', 'Holds')  # fmt: skip
+    table = Table(head, tuple(rows), numbers=(1, 2, 3, 4))
+    return Section('squareness', 'Squareness', words, data, (table,), (*text, ''))
+
+
+def reversal_section(facts: Facts) -> Section:
+    """Forward and backward travel, and figures in the manner of ISO 230-2 derived from them."""
+    reversal = facts.result.reversal
+    text = (format_reversal(reversal), '')
+    if not facts.both_ways:
+        said = (
+            f'Reversal model: {reversal.model}. The data do not tell forward from backward '
+            f'travel, so no figures after ISO 230-2 can be derived.',
+        )
+        return Section('reversal', 'Forward and backward', said,
+                       {'model': reversal.model}, text=text)  # fmt: skip
+    rows: list[tuple[str, ...]] = []
+    data = {}
+    for axis in facts.machine.axis_names:
+        name = f'E{axis}{axis}'
+        table, mean = reversal.motions[name], facts.tables.motions[name].value
+        if not table.identifiable or not facts.tables.motions[name].identifiable:
+            rows.append((axis, 'not known', '', '', '', ''))
+            continue
+        forward, backward = mean + 0.5 * table.value, mean - 0.5 * table.value
+        both = np.concatenate([forward, backward])
+        at = int(np.argmax(np.abs(table.value)))
+        found = {'E': float(np.ptp(both)), 'M': float(np.ptp(mean)),
+                 'B': float(abs(table.value[at])), 'B_mean': float(table.value.mean()),
+                 'u_B': float(table.u[at])}  # fmt: skip
+        data[axis] = found
+        rows.append((axis, *(micro(v) for v in found.values())))
+    stay = 'stay on the side of their last travel' if reversal.held else 'lie between both sides'
+    at_target = backlash_words(reversal)
+    words = (
+        f'Reversal model: {reversal.model}; axes that stand {stay}. A reversal value is the error '
+        f'in forward travel (towards larger positions) less that in backward travel.',
+        *([f'{at_target[:1].upper()}{at_target[1:]}.'] if at_target else []),
+        DERIVED,
+    )
+    head = ('Axis', 'E, bidirectional systematic deviation', 'M, range of the mean',
+            'B, largest reversal value', 'Mean reversal value', 'u of B, k = 1')  # fmt: skip
+    tables = (
+        Table(head, tuple(rows), numbers=(1, 2, 3, 4, 5), title='Derived, ISO 230-2 style (um)'),
+        _reversal_table(facts),
+    )
+    return Section('reversal', 'Forward and backward', words,
+                   {'model': reversal.model, 'derived': data}, tables, text)  # fmt: skip
+
+
+def _reversal_table(facts: Facts) -> Table:
+    rows = []
+    for name, table in facts.result.reversal.motions.items():
+        if table.identifiable:
+            low, high = float(table.value.min()), float(table.value.max())
+            rows.append((name, micro(low), micro(high), micro(float(table.u.mean()))))
+        else:
+            rows.append((name, 'not known', '', ''))
+    head = ('Motion', 'Smallest', 'Largest', 'Mean u, k = 1')
+    return Table(head, tuple(rows), numbers=(1, 2, 3), folded='Reversal values of all motions',
+                 title='Forward less backward (um, urad)')  # fmt: skip
+
+
+def nodes_section(facts: Facts) -> Section:
+    """Every node of every table."""
+    counts = {axis: node_counts(facts, axis) for axis in facts.machine.axis_names}
+    tables = tuple(_node_table(facts, name, counts[name.axis]) for name in MOTIONS)
+    words = (
+        'Position in mm, value, u (k = 1) and U (95 %) in um or urad, as in error_tables.csv '
+        '(there in m and rad). n_obs: samples nearer to this node than to its neighbours.',
+    )
+    return Section('nodes', 'All nodes', words, {}, tables)
+
+
+def node_counts(facts: Facts, axis: str) -> NDArray[np.int64]:
+    """Samples used around every node of an axis, shape (k,)."""
+    position = facts.tables.motions[f'E{axis}{axis}'].position
+    edges = np.concatenate([[-np.inf], 0.5 * (position[1:] + position[:-1]), [np.inf]])
+    k = facts.machine.axis_names.index(axis)
+    q = np.concatenate([run.q[:, k] for run in facts.result.runs])
+    count = np.concatenate([run.pieces.count for run in facts.result.runs])
+    found = np.histogram(q, edges, weights=count)[0]
+    return np.asarray(found, dtype=np.int64)
+
+
+def _node_flag(seen: bool, identifiable: bool, count: int) -> str:
+    if not identifiable:
+        return 'unobservable'
+    if not seen:
+        return 'not determined, continued'
+    return 'few data' if count < FEW_DATA_BELOW else 'ok'
+
+
+def _node_table(facts: Facts, name: ErrorMotion, counts: NDArray[np.int64]) -> Table:
+    table, line = facts.tables.motions[name], facts.by_name.get(name)
+    k = line.k if line else 0.0
+    coverage = (f'{k:.2f}', dof_words(line.dof)) if line else ('-', '-')
+    known = table.node_identifiable
+    flags = np.ones(len(table.position), dtype=bool) if known is None else known
+    rows = tuple(
+        (
+            f'{tidy(1e3 * float(x)):.6g}',
+            micro(float(v), 3),
+            micro(float(u), 3),
+            micro(k * float(u), 3),
+            *coverage,
+            str(int(n)),
+            _node_flag(bool(seen), table.identifiable, int(n)),
+        )
+        for x, v, u, n, seen in zip(
+            table.position, table.value, table.u, counts, flags, strict=True
+        )
+    )
+    head = ('Position (mm)', 'Value', 'u (k = 1)', 'U', 'k', 'v_eff', 'n_obs', 'Flag')
+    return Table(head, rows, numbers=tuple(range(7)), folded=f'{name} ({micro_unit(name.unit)})')

@@ -1,0 +1,332 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The measurement: conditions, residuals along the path, samples, drift, fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincc
+
+from otf_core.budget.budget import NOISE
+from otf_core.calibration.result import RunResult
+from otf_core.model.frames import XYZ
+from otf_core.model.path import leg_bounds
+from otf_core.model.provenance import moment
+from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.calibration_pictures import trackers
+from otf_core.reports.circumstances import run_table, stated
+from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step
+from otf_core.reports.drawing.panel import Panel
+from otf_core.reports.drawing.scale import Scale, around
+from otf_core.reports.drawing.scene import TURNED, Dots, Item, Strokes, box, scene
+from otf_core.reports.quantities import dof_words, listed, micro, millimetres, whole_dof
+from otf_core.reports.section import Picture, Section, Table
+
+Array = NDArray[np.float64]
+
+DRAWN_RUNS = 3
+"""Runs that are drawn."""
+DRAWN_STRETCHES = 900
+"""Parts of a path that are drawn in space."""
+NO_DATE = 'the stamps tell no date: they count from some other start'
+DRIFT_PARTS, LEGS_PER_PART = 8, 6
+"""Parts of a run; legs of a part from which it is used."""
+INFORMATION_SHARE = 1e-3
+"""Smallest share of the information of a direction that has to be there."""
+
+
+def conditions_section(facts: Facts) -> Section:
+    """Conditions and instrument: what was driven, when, with what, and what nobody stated."""
+    result, given = facts.result, facts.machine.stated
+    tables, said = stated(facts.machine)
+    tables += [run_table(n, run) for n, run in enumerate(result.runs, start=1)]
+    data = {'instrument': dict(given.instrument), 'conditions': dict(given.conditions)}
+    text = tuple(_run_line(number, run) for number, run in enumerate(result.runs, start=1))
+    return Section('conditions', 'Conditions and instrument', said, data, tuple(tables), text)
+
+
+def _run_line(number: int, run: RunResult) -> str:
+    where, offset = (
+        ', '.join(map(millimetres, vector))
+        for vector in (run.T_machine_tracker.translation, run.target_offset)
+    )
+    return (
+        f'run {number}{f" ({run.name})" if run.name else ""}: {run.samples} samples, '
+        f'{100 * run.coverage:.1f} % driven, tracker at ({where}) mm, target offset ({offset}) mm'
+    )
+
+
+def path_section(facts: Facts) -> Section:
+    """The path with what the tables leave: in space and over time."""
+    fit = facts.result.fit
+    words = (
+        f'Mean distance of the measured track from the path: {micro(fit.path_mae_before)} um '
+        f'after aligning it, {micro(fit.path_mae_after)} um after compensation; root mean square '
+        f'of what is left {micro(fit.residual_rms)} um. These are the data the tables were '
+        f'fitted to.',
+    )
+    data = {'mae_before': fit.path_mae_before, 'mae_after': fit.path_mae_after,
+            'residual_rms': fit.residual_rms}  # fmt: skip
+    return Section('path', 'Path and residuals', words, data,
+                   draw=lambda: _path_pictures(facts))  # fmt: skip
+
+
+def _path_pictures(facts: Facts) -> Sequence[Picture]:
+    runs = facts.result.runs
+    found = []
+    for number, run in enumerate(runs[:DRAWN_RUNS], start=1):
+        name = f'Run {number}. ' if len(runs) > 1 else ''
+        space = Picture(
+            (_path_in_space(facts, run),),
+            f'{name}Path coloured by the length of the residual across it, after compensation.',
+            hint=TURNED,
+            title='In space' if number == 1 else '',
+        )
+        time = Picture(
+            _residual_over_time(run),
+            f'{name}One dot a leg of the path: root mean square distance from the path, aligned '
+            f'(left) and compensated (right).',
+            columns=2,
+            title='Over time' if number == 1 else '',
+        )
+        found += [space, time]
+    if len(runs) > DRAWN_RUNS:
+        found.append(Picture((), f'{len(runs) - DRAWN_RUNS} further runs are not drawn.'))
+    return found
+
+
+def _path_in_space(facts: Facts, run: RunResult) -> str:
+    low, high = facts.machine.lower, facts.machine.upper
+    length = 1e6 * np.linalg.norm(run.residual, axis=0)
+    items: list[Item] = [*box(low, high), *trackers(facts)]
+    if run.pieces.standstill:
+        size, points, ends = length, run.q, None
+    else:
+        size, ends = _stretches(run, length)
+        points = ends[:, 0]
+    step = heat_step(size)
+    classes = heat_classes(size, step)
+    for level in range(LEVELS):
+        own = classes == level
+        if own.any():
+            kind = f'heat h{level}'
+            items.append(Dots(kind, points[own]) if ends is None else Strokes(kind, ends[own]))
+    key = heat_key(step, float(size.max()), 'µm')
+    return scene(items, low, high, 'path in space, coloured by the residual') + key
+
+
+def _stretches(run: RunResult, length: Array) -> tuple[Array, Array]:
+    """Root mean square residual and ends, (n, 2, 3), of parts of legs."""
+    bounds = leg_bounds(run.pieces.leg)
+    share = max(1, round(len(length) / DRAWN_STRETCHES))
+    sizes, ends = [], []
+    for a, b in bounds:
+        cuts = np.linspace(a, b, max(1, (b - a) // share) + 1).astype(int)
+        for c, d in pairwise(cuts):
+            sizes.append(np.sqrt(np.mean(length[c:d] ** 2)))
+            ends.append((run.q[c], run.q[min(d, b - 1)]))
+    return np.array(sizes), np.array(ends)
+
+
+def _residual_over_time(run: RunResult) -> tuple[str, ...]:
+    bounds = leg_bounds(run.pieces.leg)
+    middle = np.array([run.pieces.time[a:b].mean() for a, b in bounds])
+    along = Scale(0.0, max(float(run.pieces.time.max()), 1e-3), 'time since the first sample (s)')
+    panels = []
+    for values, kind, what in (
+        (run.aligned, 'before', 'before compensation'),
+        (run.residual, 'after', 'after compensation'),
+    ):
+        square = np.sum(values**2, axis=0)
+        rms = 1e6 * np.sqrt([square[a:b].mean() for a, b in bounds])
+        panel = Panel(along, around(rms, 'rms of a leg (µm)', zero=True))
+        panels.append(panel.draw([panel.dots(middle, rms, kind)], f'residual {what}', what))
+    return tuple(panels)
+
+
+def data_quality_section(facts: Facts) -> Section:
+    """What became of the samples: gaps, outliers, excluded, repeated, clock."""
+    rows, data = [], []
+    for number, run in enumerate(facts.result.runs, start=1):
+        pieces, lost = run.pieces, run.lost
+        rest = run.samples - pieces.used - pieces.outliers
+        rows.append(
+            (
+                f'{number} {run.name}'.strip(),
+                str(run.samples),
+                str(pieces.used),
+                str(pieces.outliers),
+                str(rest),
+                str(lost.samples),
+                str(lost.gaps),
+                f'{lost.longest:.3f}',
+                f'{run.rate:.1f}',
+            )
+        )
+        sizes = {'lost': lost.samples, 'gaps': lost.gaps, 'longest_gap': lost.longest}
+        data.append({'run': run.name, 'samples': run.samples, 'used': pieces.used,
+                     'outliers': pieces.outliers, 'excluded': rest, 'rate': run.rate,
+                     **sizes})  # fmt: skip
+    head = ('Run', 'Samples', 'Used', 'Outliers', 'Excluded', 'Missing by the stamps', 'Gaps',
+            'Longest (s)', 'Rate (Hz)')  # fmt: skip
+    clocks = tuple(
+        f'Clock of {o.name or "the run"}: '
+        + (f'{moment(o.first_ns)} to {moment(o.last_ns)}' if moment(o.first_ns) else NO_DATE)
+        + f', {(o.last_ns - o.first_ns) * 1e-9:.3f} s.'
+        for o in facts.result.origin
+    )
+    words = (
+        'Excluded: at standstill, near corners and off the path. Repeated samples and those '
+        'without a beam are dropped while a recording is read, before they are counted here.',
+        *_reading_remarks(facts),
+        *clocks,
+    )
+    table = Table(head, tuple(rows), numbers=tuple(range(1, 9)))
+    return Section('data', 'Data quality', words, {'runs': data}, (table,))
+
+
+def _reading_remarks(facts: Facts) -> tuple[str, ...]:
+    """What was repaired or left out while recordings were read."""
+    said = [f'While reading {run.name or "the run"}: {remark}.'
+            for run in facts.result.runs for remark in run.remarks]  # fmt: skip
+    return tuple(said) or ('While reading nothing was repaired or left out.',)
+
+
+def drift(run: RunResult) -> tuple[Array, Array, Array]:
+    """Time (n,), s, mean displacement and its standard uncertainty (n, 3), m, by part of a run.
+
+    In parts of the run, equal in time, the mean displacement d of all residuals r = a . d across
+    the path is estimated by least squares; legs are the independent units of its uncertainty.
+    """
+    bounds, pieces = leg_bounds(run.pieces.leg), run.pieces
+    gram = np.array([np.einsum('cpi,cpj->ij', *[run.axes[:, a:b]] * 2) for a, b in bounds])
+    right = np.array(
+        [np.einsum('cpi,cp->i', run.axes[:, a:b], run.residual[:, a:b]) for a, b in bounds]
+    )
+    middle = np.array([pieces.time[a:b].mean() for a, b in bounds])
+    edges = np.linspace(0.0, float(pieces.time.max()) + 1e-9, DRIFT_PARTS + 1)
+    found = []
+    for low, high in pairwise(edges):
+        own = (middle >= low) & (middle < high)
+        total = gram[own].sum(axis=0)
+        strength = np.linalg.eigvalsh(total)
+        if own.sum() < LEGS_PER_PART or strength[0] <= INFORMATION_SHARE * strength[-1]:
+            continue
+        value = np.linalg.solve(total, right[own].sum(axis=0))
+        rest = right[own] - gram[own] @ value
+        cover = np.linalg.inv(total)
+        cover = cover @ (rest.T @ rest) @ cover * own.sum() / (own.sum() - 1)
+        found.append((float(middle[own].mean()), value, np.sqrt(np.diag(cover))))
+    if not found:
+        return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+    time, value, u = (np.array(part) for part in zip(*found, strict=True))
+    return time, value, u
+
+
+def drift_section(facts: Facts) -> Section:
+    """Drift between start and end of a run, as the residuals show it."""
+    rows: list[tuple[str, ...]] = []
+    data, found = [], []
+    for number, run in enumerate(facts.result.runs, start=1):
+        time, value, u = drift(run)
+        name = f'{number} {run.name}'.strip()
+        if len(time) < 2:
+            rows.append((name, 'too few legs', '', '', ''))
+            continue
+        change, wide = value[-1] - value[0], 2.0 * np.hypot(u[-1], u[0])
+        parts = [f'{1e6 * c:.2f} +/- {1e6 * w:.2f}' for c, w in zip(change, wide, strict=True)]
+        rows.append((name, *parts, f'{time[-1] - time[0]:.0f}'))
+        found += [f'{a} in run {name}' for a, c, w in zip(XYZ, change, wide, strict=True)
+                  if abs(c) > w]  # fmt: skip
+        data.append({'run': run.name, 'change': change.tolist(), 'U': wide.tolist(),
+                     'time': float(time[-1] - time[0])})  # fmt: skip
+    said = f'Larger than U: along {listed(found)}.' if found else 'No drift beyond U.'
+    words = (
+        said,
+        _moved_words(facts),
+        'Change of the mean residual from the first to the last part of the run (closure of start '
+        'and end), with U (k = 2). It also holds what the model lacks at the places driven then; '
+        'a steady drift shows as a slope in the picture.',
+    )
+    head = ('Run', 'Along X (um)', 'Along Y (um)', 'Along Z (um)', 'Over (s)')
+    table = Table(head, tuple(rows), numbers=(1, 2, 3, 4))
+    return Section('drift', 'Drift between start and end', words, {'runs': data}, (table,),
+                   draw=lambda: _drift_pictures(facts.result.runs))  # fmt: skip
+
+
+def _moved_words(facts: Facts) -> str:
+    """Whether tracker or target moved against the machine in mid-run."""
+    result = facts.result
+    said = [w for w in (*result.warnings, *result.failed_gates) if w.startswith('moved: ')]
+    return ' '.join(f'{w[:1].upper()}{w[1:]}.' for w in said) or (
+        'Not moved: no step of tracker or target was found during a run. Steps below about 5 um, '
+        'and right at start and end, would not be seen.'
+    )
+
+
+def _drift_pictures(runs: Sequence[RunResult]) -> Sequence[Picture]:
+    time, value, u = drift(runs[0])
+    if len(time) < 2:
+        return ()
+    along = Scale(0.0, float(runs[0].pieces.time.max()), 'time since the first sample (s)')
+    parts = []
+    for k, axis in enumerate(XYZ):
+        y, wide = 1e6 * value[:, k], 2e6 * u[:, k]
+        scale = around(np.concatenate([y - wide, y + wide, [0.0]]), 'mean residual (µm)')
+        panel = Panel(along, scale)
+        kind = axis.lower()
+        marks = [panel.level(0.0, 'soft'), panel.ranges(time, y - wide, y + wide, f'{kind} thin'),
+                 panel.line(time, y, kind), panel.dots(time, y, kind)]  # fmt: skip
+        parts.append(panel.draw(marks, f'drift along {axis}', f'along {axis}'))
+    return [Picture(tuple(parts), 'Mean residual by part of the first run; strokes: U (k = 2).',
+                    columns=3)]  # fmt: skip
+
+
+def fit_section(facts: Facts) -> Section:
+    """Size and quality of the fit."""
+    fit, result = facts.result.fit, facts.result
+    budget = result.budget
+    dof = dict(zip(budget.names, budget.freedoms.tolist(), strict=True))[NOISE]
+    chance = float(gammaincc(0.5 * dof, 0.5 * dof * fit.variance_ratio))
+    two, three = component_rms(facts)
+    condition = facts.condition_number
+    times = [c.correlation_time for run in result.runs for c in run.noise]
+    rows = (
+        ('samples', f'{fit.samples}'),
+        ('samples used', f'{fit.used}, in {fit.pieces} path pieces'),
+        ('outliers', f'{fit.outliers} ({100 * fit.outliers / fit.samples:.2f} %)'),
+        ('effective degrees of freedom of the noise level (N_eff - rank)', dof_words(dof)),
+        ('unknowns, the gauge being fixed', f'{fit.unknowns}'),
+        ('rank', f'{fit.rank}'),
+        ('condition number of the covariance (scaled)', f'{condition:.3g}'),
+        ('s0, residuals over the noise assumed', f'{math.sqrt(fit.variance_ratio):.3f}'),
+        ('chi-square p (chance of larger residuals by noise alone)', f'{chance:.3f}'),
+        ('factor on the covariance for what remains', f'{fit.inflation:.3f}'),
+        ('residual rms', f'{micro(fit.residual_rms)} um'),
+        ('residual rms in the plane of the beam (a2), across it (a3)', f'{two} um, {three} um'),
+        ('correlation time of the noise', _time_range(times)),
+        ('iterations', f'{fit.iterations}'),
+    )
+    data = {
+        'samples': fit.samples, 'used': fit.used, 'outliers': fit.outliers, 'pieces': fit.pieces,
+        'unknowns': fit.unknowns, 'rank': fit.rank, 'condition': condition,
+        's0': math.sqrt(fit.variance_ratio), 'chi_square_p': chance, 'dof': whole_dof(dof),
+        'residual_rms': fit.residual_rms,
+    }  # fmt: skip
+    return Section('fit', 'Fit', (), data, (Table(('', ''), rows),))
+
+
+def component_rms(facts: Facts) -> tuple[str, str]:
+    """Root mean square residual of the first two directions across the path, um."""
+    rows = np.concatenate([run.residual for run in facts.result.runs], axis=1)
+    a, b = (float(np.sqrt(np.mean(row**2))) for row in rows[:2])
+    return micro(a), micro(b)
+
+
+def _time_range(times: list[float]) -> str:
+    low, high = (f'{value:.2f}' for value in (min(times), max(times)))
+    return f'{low} s' if low == high else f'{low} to {high} s'

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Uncertainty: the budget by source, and correlations between the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.budget.budget import (
+    EFFECTS,
+    MISFIT,
+    NOISE,
+    SMOOTHNESS,
+    STRAIGHT,
+    TYPICAL_SOURCE,
+)
+from otf_core.budget.systematic import SYSTEMATIC
+from otf_core.model.declared import KEYS
+from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.presets import TYPICAL
+from otf_core.model.quantities import quantity, scaled
+from otf_core.prediction.volumetric import table_places
+from otf_core.reports.budget import GRID, LISTED, STRONG, BudgetLine, correlations, format_budget
+from otf_core.reports.calibration_facts import Facts
+from otf_core.reports.drawing.bars import Bar, bars
+from otf_core.reports.drawing.panel import svg
+from otf_core.reports.drawing.panel import words as svg_words
+from otf_core.reports.drawing.typography import text
+from otf_core.reports.quantities import dof_words, listed, micro
+from otf_core.reports.section import Picture, Section, Table
+
+Array = NDArray[np.float64]
+
+TYPE_A = (NOISE, MISFIT, SMOOTHNESS)
+"""Evaluated from the observations (GUM 2.3.2); all others are type B."""
+SHARED = {NOISE: 'within 1 s', MISFIT: 'along a line', SMOOTHNESS: 'between nodes', STRAIGHT: 'no',
+          EFFECTS: 'yes, whole run'}  # fmt: skip
+"""Over what a contribution is common to several observations."""
+TABLE_NAMES = (*SQUARENESS, *MOTIONS)
+CELL_SIZE, NAME_WIDTH = 17.0, 42.0
+"""px; size of a cell, room for names."""
+VERY_STRONG = 0.8
+"""Coefficient above which a pair is counted once more."""
+UNFOLDED_PAIRS = 6
+"""Pairs that are not folded away."""
+POWER_ITERATIONS = 60
+"""Of the power method that finds the worst combination."""
+
+
+def budget_section(facts: Facts) -> Section:
+    """The uncertainty budget: every quantity as a bar, every source as a row."""
+    result, budget = facts.result, facts.result.budget
+    words = [
+        'Standard uncertainties (k = 1) by source, root mean square over the nodes of a table '
+        '(those that the gauge fixes left out) or over a grid of the driven volume; squares add '
+        'up. The share of a colour in a bar is its share of the variance.',
+    ]
+    if budget.not_stated:
+        words.append(
+            f'Not declared in machine.yaml: {listed(budget.not_stated)}; typical values stand for '
+            f'them as one source (presets {listed(TYPICAL)}).'
+        )
+    grid = facts.by_name[GRID]
+    most = max(grid.parts, key=lambda name: grid.parts[name])
+    share = 100.0 * grid.parts[most] ** 2 / max(grid.u**2, 1e-300)
+    words.insert(0, f'The largest contribution in the volume is {most}: {share:.0f} % of the '
+                    f'variance.')  # fmt: skip
+    rows = tuple(_source_row(facts, name, grid) for name, part in grid.parts.items() if part > 0)
+    head = ('Source', 'Type', 'Distribution', 'Standard uncertainty stated',
+            'Sensitivity (um per unit)', 'In the volume (um)', 'Share (%)', 'dof',
+            'Correlated')  # fmt: skip
+    tables = (
+        Table(head, rows, numbers=(5, 6, 7), title='Error vector in the volume'),
+        _quantity_table(facts),
+    )
+    data = {line.name: {'u': line.u, 'k': line.k, 'sources': line.parts} for line in facts.lines}
+    return Section('budget', 'Uncertainty budget', tuple(words), data, tables,
+                   (format_budget(result.tables, budget, list(facts.lines)),),
+                   draw=lambda: _budget_pictures(facts))  # fmt: skip
+
+
+def _source_row(facts: Facts, name: str, grid: BudgetLine) -> tuple[str, ...]:
+    budget, part = facts.result.budget, grid.parts[name]
+    freedoms = dict(zip(budget.names, budget.freedoms.tolist(), strict=True))
+    share = 100.0 * part**2 / max(grid.u**2, 1e-300)
+    stated, sensitivity = _stated_words(facts, name, part)
+    return (
+        name,
+        'A' if name in TYPE_A else 'B',
+        'normal',
+        stated,
+        sensitivity,
+        micro(part, 3),
+        f'{share:.1f}',
+        dof_words(freedoms.get(name, np.inf)),
+        SHARED.get(name, 'yes, all observations'),
+    )
+
+
+def _stated_words(facts: Facts, name: str, part: float) -> tuple[str, str]:
+    """What machine.yaml states for a source, and what the volume gets per unit of it."""
+    if name == TYPICAL_SOURCE:
+        return f'typical: presets {listed(TYPICAL)}', '-'
+    keys = next((s.keys for s in SYSTEMATIC if s.source == name), ())
+    declared = facts.machine.uncertainty
+    values = {k: declared.values[k] for k in keys if declared and declared.values.get(k)}
+    if not values:
+        return 'from the data', '-'
+    words = ', '.join(
+        f'{key.replace("_", " ")} {quantity(value, None, KEYS[key][0])}'
+        for key, value in values.items()
+    )
+    if len(values) > 1:
+        return words, '-'
+    (key, value), *_ = values.items()
+    factor, unit = scaled(KEYS[key][0], value)
+    return words, f'{1e6 * part / (factor * value):.3g} per {unit}'
+
+
+def _quantity_table(facts: Facts) -> Table:
+    names = [n for n in facts.by_name[GRID].parts if any(line.parts[n] for line in facts.lines)]
+    rows = tuple(
+        (
+            'volume' if line.name == GRID else line.name,
+            'um' if line.unit == 'm' else 'urad',
+            micro(line.k * line.u, 3),
+            micro(line.u, 3),
+            f'{line.k:.2f}',
+            dof_words(line.dof),
+            *(micro(line.parts[n], 3) for n in names),
+        )
+        for line in facts.lines
+    )
+    head = ('', 'Unit', 'U, 95 %', 'u, k = 1', 'k', 'dof', *names)
+    return Table(head, rows, numbers=tuple(range(2, len(head))), folded='All numbers',
+                 title='By quantity and source')  # fmt: skip
+
+
+def _budget_pictures(facts: Facts) -> Sequence[Picture]:
+    names = [n for n in facts.by_name[GRID].parts if any(line.parts[n] for line in facts.lines)]
+    parts = []
+    for unit, label in (('m', 'µm'), ('rad', 'µrad')):
+        rows = [_quantity_bar(line, names, label) for line in facts.lines if line.unit == unit]
+        if rows:
+            parts.append(bars(rows, f'uncertainty in {label}', names=52.0))
+    key = ''.join(
+        f'<span class="s{k}"><span class="key"></span>{text(n)}</span> '
+        for k, n in enumerate(names)
+    )
+    caption = 'Standard uncertainty, k = 1: left in micrometres, right in microradians.'
+    legend = f'<p class="soft keys">{key}</p>'
+    return [Picture(tuple(parts), caption, columns=2, key=legend)]
+
+
+def _quantity_bar(line: BudgetLine, names: Sequence[str], label: str) -> Bar:
+    shares = tuple(
+        (1e6 * line.parts[n] ** 2 / max(line.u, 1e-300), f'share s{k}')
+        for k, n in enumerate(names)
+    )
+    name = 'volume' if line.name == GRID else line.name
+    return Bar(name, shares, f'{micro(line.u, 3)} {label}')
+
+
+def correlations_section(facts: Facts) -> Section:
+    """Correlations between tables: pairs, a picture of all of them, the worst combination."""
+    covariance = facts.result.covariance
+    strong = correlations(facts.tables, covariance)
+    strongest = [c for c in strong if abs(c.r) > VERY_STRONG]
+    share, members = worst_combination(facts)
+    listed_members = listed(f'{name} ({100 * part:.0f} %)' for name, part in members)
+    said = (
+        f'The combination that is known worst: {listed_members}; it holds {100 * share:.0f} % of '
+        f'the whole variance of the tables (um and urad counted alike).',
+        f'{len(strong)} pairs of tables are correlated by at least {STRONG}, {len(strongest)} by '
+        f'more than {VERY_STRONG}; of two tables the pair of nodes with the strongest correlation '
+        f'counts. Predictions use the full covariance, so correlations are not lost.',
+    )
+    rows = tuple((*c.between, f'{c.r:.2f}') for c in strong[:LISTED])
+    head = ('Between', 'and', 'r')
+    tables = [Table(head, rows[:UNFOLDED_PAIRS], numbers=(2,), title='Strongest')] if rows else []
+    if len(rows) > UNFOLDED_PAIRS:
+        more = f'The next ones, up to {LISTED}'
+        tables.append(Table(head, rows[UNFOLDED_PAIRS:], numbers=(2,), folded=more))
+    data = {'pairs': len(strong), 'worst': {'share': share, 'members': dict(members)}}
+    return Section('correlations', 'Correlations', said, data, tuple(tables),
+                   draw=lambda: _correlation_pictures(facts))  # fmt: skip
+
+
+def worst_combination(facts: Facts) -> tuple[float, list[tuple[str, float]]]:
+    """Share of the variance of the combination known worst, and of its largest members."""
+    covariance = facts.result.covariance
+    vector = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if not vector.any():
+        return 0.0, []
+    for _ in range(POWER_ITERATIONS):
+        vector = covariance @ vector
+        vector = vector / np.linalg.norm(vector)
+    largest = float(vector @ covariance @ vector)
+    parts = {n: float(np.sum(vector[p] ** 2)) for n, p in table_places(facts.tables).items()}
+    members = sorted(parts.items(), key=lambda pair: -pair[1])[:4]
+    return largest / float(np.trace(covariance)), [m for m in members if m[1] > 0.02]
+
+
+def _largest_correlations(facts: Facts) -> Array:
+    """Largest correlation in size between every two tables, shape (21, 21)."""
+    covariance = facts.result.covariance
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = np.abs(covariance) / np.outer(*[np.where(u > 1e-6 * u.max(initial=0.0), u, np.inf)] * 2)
+    starts = [p.start for p in table_places(facts.tables).values()]
+    rows = np.maximum.reduceat(size, starts, axis=0)
+    return np.asarray(np.maximum.reduceat(rows, starts, axis=1))
+
+
+def _correlation_pictures(facts: Facts) -> Sequence[Picture]:
+    r, unknown = _largest_correlations(facts), set(facts.result.not_identifiable)
+    marks: list[str] = []
+    for i, name in enumerate(TABLE_NAMES):
+        y = NAME_WIDTH + i * CELL_SIZE
+        marks.append(svg_words(NAME_WIDTH - 4.0, y + 12.0, name, 'end'))
+        marks.append(
+            svg_words(NAME_WIDTH + i * CELL_SIZE + 12.0, NAME_WIDTH - 4.0, name, '', turned=True)
+        )
+        for j in range(i):
+            if {name, TABLE_NAMES[j]} & unknown:
+                continue
+            level = int(min(r[i, j], 0.999) * 5)
+            marks.append(
+                f'<rect class="area heat h{level}" x="{NAME_WIDTH + j * CELL_SIZE:.0f}" '
+                f'y="{y:.0f}" width="{CELL_SIZE - 1:.0f}" height="{CELL_SIZE - 1:.0f}"/>'
+            )
+    size = NAME_WIDTH + len(TABLE_NAMES) * CELL_SIZE + 6.0
+    keys = ''.join(
+        f'<span class="h{k}"><span class="key"></span>{0.2 * k:.1f} to {0.2 * k + 0.2:.1f}</span> '
+        for k in range(5)
+    )
+    picture = svg(size, size, marks, 'largest correlation between tables')
+    key = f'<p class="soft keys">{keys}</p>'
+    caption = 'Largest correlation in size between the nodes of every two tables.'
+    if unknown:
+        caption += ' No colour: a motion that the data do not show.'
+    return [Picture((picture + key,), caption)]
