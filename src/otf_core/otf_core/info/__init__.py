@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a file is and says: one kind a file."""
+"""What a file is and says: kinds that otf writes, kinds that people bring."""

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result files in JSON, told apart by their schema."""
+"""What otf writes: folders, result files in JSON, residuals, exports."""
 
 from __future__ import annotations
 
+import re
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,16 +12,54 @@ from typing import Any
 import numpy as np
 
 from otf_core.errors import ConfigError
+from otf_core.exports.base import MARK, NEAR, is_export
 from otf_core.files.json_file import read_json
+from otf_core.files.manifest import MANIFEST, is_as_listed, listed
 from otf_core.info.kind import Explained, Kind, begins
 from otf_core.model.expanded import micro_figure, micro_significant, micro_with_expanded
 from otf_core.prediction.absorbed import offset_words
 
 Data = Mapping[str, Any]
 Rows = list[tuple[str, str]]
+EXPORT_HEAD = re.compile(
+    MARK + r' (?P<format>[\w-]+): machine (?P<machine>.*), chain (?P<chain>\S+), run (?P<run>\S+)'
+)
+EXPORT_LINES = {
+    'measured at the target offset ': 'target offset',
+    'sign: ': 'sign',
+    'values: ': 'values',
+    'not in this file: ': 'not in it',
+    'zero because the calibration does not show them: ': 'not seen',
+}
+"""Beginnings of the further lines of a head, and what they are about."""
 
 
-def _about(data: Data) -> Rows:
+def _explain_folder(path: Path) -> Explained:
+    entries = listed(path / MANIFEST)
+    verb = str(read_json(path / MANIFEST).get('verb'))
+    changed = [str(f.relative_to(path)) for f in entries if not is_as_listed(f, entries)]
+    names = sorted(f.name for f in entries)
+    rows = [('by', f'otf {verb}'), ('files', ', '.join(names))]
+    rows += [('CHANGED', f'{name}: is not as it was written') for name in changed]
+    facts: dict[str, object] = {'by': verb, 'files': names, 'changed': changed}
+    for file in sorted(f for f in entries if f.parent == path and f.suffix == '.json'):
+        kind = next((k for k in JSON_KINDS if k.is_one(file)), None)
+        if kind is not None:
+            found = kind.explain(file)
+            rows += [(file.name, kind.what), *((f'  {a}', b) for a, b in found.rows)]
+            facts[file.name] = dict(found.facts)
+    return Explained(tuple(rows), facts)
+
+
+FOLDER = Kind(
+    'folder of results',
+    'what one command wrote, with the hash of every file',
+    lambda path: path.is_dir() and bool(listed(path / MANIFEST)),
+    _explain_folder,
+)
+
+
+def _provenance_rows(data: Data) -> Rows:
     """What the block provenance says."""
     block = data.get('provenance') or {}
     software = block.get('software') or {}
@@ -39,7 +79,7 @@ def _about(data: Data) -> Rows:
     return rows
 
 
-def _tables(data: Data) -> Explained:
+def _explain_tables(data: Data) -> Explained:
     fit, machine = data.get('fit') or {}, data['machine']
     rows: Rows = [('machine', f'{machine.get("name")}, chain {machine.get("chain")}')]
     if 'path_mae_before' in fit:
@@ -92,7 +132,7 @@ def _tables(data: Data) -> Explained:
     return Explained(tuple(rows), facts)
 
 
-def _gap(data: Data) -> Explained:
+def _explain_gap(data: Data) -> Explained:
     gap = data['gap']
     rows: Rows = [('verdict', f'{data["verdict"]}: {data.get("sentence", "")}')]
     rows.append((
@@ -111,7 +151,7 @@ def _gap(data: Data) -> Explained:
     return Explained(tuple(rows), {key: data[key] for key in keys})
 
 
-def _plan(data: Data) -> Explained:
+def _explain_plan(data: Data) -> Explained:
     forecast = data.get('forecast') or {}
     rows: Rows = [(
         'path', f'{len(data["path"])} corner points, {data.get("length", 0.0):.2f} m, '
@@ -138,7 +178,7 @@ def _plan(data: Data) -> Explained:
     return Explained(tuple(rows), facts)
 
 
-def _noise(data: Data) -> Explained:
+def _explain_noise(data: Data) -> Explained:
     angle = ' and '.join(f'{1e6 * v:.3f}' for v in data['u_angle'])
     rows = (
         ('noise', f'{1e6 * data["u_range"]:.3f} um along the beam, {angle} urad across (k = 1)'),
@@ -148,7 +188,7 @@ def _noise(data: Data) -> Explained:
     return Explained(rows, {key: data[key] for key in keys})
 
 
-def _comparison(data: Data) -> Explained:
+def _explain_comparison(data: Data) -> Explained:
     volume = data['volume']
     within = 'no side states an uncertainty'
     if volume['within'] is not None:
@@ -161,7 +201,7 @@ def _comparison(data: Data) -> Explained:
     return Explained(rows, {'a': data['a'], 'b': data['b'], 'volume': volume})
 
 
-def _validation(data: Data) -> Explained:
+def _explain_validation(data: Data) -> Explained:
     failed = [r['quantity'] for r in data['rows'] if r.get('passed') is False]
     rows = (
         ('cells', ', '.join(map(str, data['cells']))),
@@ -170,45 +210,47 @@ def _validation(data: Data) -> Explained:
     return Explained(rows, {'cells': data['cells'], 'failed': failed})
 
 
-def _simulation(data: Data) -> Explained:
+def _explain_simulation(data: Data) -> Explained:
     effects = [e['effect'] for e in data['effects']]
     rows = (('seed', str(data['seed'])), ('effects', ', '.join(effects) or 'none'))
     return Explained(rows, {'seed': data['seed'], 'effects': effects})
 
 
-def _manifest(data: Data) -> Explained:
+def _explain_manifest(data: Data) -> Explained:
     files = list(data['sha256'])
     rows = (('by', f'otf {data["verb"]} {data["version"]}'), ('files', ', '.join(files)))
     return Explained(rows, {'by': data['verb'], 'files': files})
 
 
-def _loop(data: Data) -> Explained:
+def _explain_loop(data: Data) -> Explained:
     keys = ('before_um', 'after_um', 'forecast_um')
     rows = tuple((key.removesuffix('_um'), f'{data[key]:.2f} um') for key in keys)
     return Explained(rows, {key: data[key] for key in keys})
 
 
-def _fleet(data: Data) -> Explained:
+def _explain_fleet(data: Data) -> Explained:
     failed = {name: run['message'] for name, run in data['runs'].items() if run['exit']}
     rows: Rows = [('runs', f'{data["done"]} done, {data["failed"]} failed')]
     rows += [('FAILED', f'{name}: {message}') for name, message in failed.items()]
     return Explained(tuple(rows), {key: data[key] for key in ('done', 'failed', 'runs')})
 
 
-def _schema(path: Path) -> str:
+def _schema_of(path: Path) -> str:
     data = read_json(path)
     return str(data.get('schema', '')) if isinstance(data, dict) else ''
 
 
-def _kind(schema: str, name: str, explain: Callable[[Data], Explained], what: str) -> Kind:
+def _json_kind(schema: str, name: str, explain: Callable[[Data], Explained], what: str) -> Kind:
     def is_one(path: Path) -> bool:
-        return begins(path, '{') and _schema(path) == schema
+        return begins(path, '{') and _schema_of(path) == schema
 
     def of(path: Path) -> Explained:
         data = read_json(path)
         try:
             found = explain(data)
-            return Explained((*found.rows, *_about(data)), {'schema': schema, **found.facts})
+            return Explained(
+                (*found.rows, *_provenance_rows(data)), {'schema': schema, **found.facts}
+            )
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             detail = f'{type(error).__name__}: {error}'
             raise ConfigError(f"{path}: is no whole '{schema}' ({detail})") from None
@@ -217,64 +259,139 @@ def _kind(schema: str, name: str, explain: Callable[[Data], Explained], what: st
 
 
 JSON_KINDS: tuple[Kind, ...] = (
-    _kind(
+    _json_kind(
         'otf-error-tables/1',
         'error tables',
-        _tables,
+        _explain_tables,
         'errors of the motions of a machine; otf predict, compare and simulate read it',
     ),
-    _kind('otf-gap/1', 'diagnosis', _gap, 'where and why a run departs from its simulation'),
-    _kind(
+    _json_kind(
+        'otf-gap/1', 'diagnosis', _explain_gap, 'where and why a run departs from its simulation'
+    ),
+    _json_kind(
         'otf-plan/1',
         'plan',
-        _plan,
+        _explain_plan,
         'path, feeds and dwells; otf simulate and the path planner drive it',
     ),
-    _kind(
-        'otf-noise/1', 'noise', _noise, 'what a tracker shows at rest; otf plan --noise reads it'
+    _json_kind(
+        'otf-noise/1',
+        'noise',
+        _explain_noise,
+        'what a tracker shows at rest; otf plan --noise reads it',
     ),
-    _kind(
-        'otf-comparison/1', 'comparison', _comparison, 'two sources of errors, motion by motion'
+    _json_kind(
+        'otf-comparison/1',
+        'comparison',
+        _explain_comparison,
+        'two sources of errors, motion by motion',
     ),
-    _kind(
+    _json_kind(
         'otf-validation/1',
         'validation',
-        _validation,
+        _explain_validation,
         "the paper's comparisons on simulated cells",
     ),
-    _kind(
+    _json_kind(
         'otf-simulation/1',
         'truth of a simulation',
-        _simulation,
+        _explain_simulation,
         'what lies beside a simulated bag',
     ),
-    _kind(
+    _json_kind(
         'otf-loop/1',
         'loop',
-        _loop,
+        _explain_loop,
         'a simulated machine measured, compensated and measured again',
     ),
-    _kind('otf-fleet/1', 'fleet', _fleet, 'many runs, and how each of them ended'),
-    _kind(
+    _json_kind('otf-fleet/1', 'fleet', _explain_fleet, 'many runs, and how each of them ended'),
+    _json_kind(
         'otf-manifest/1',
         'manifest',
-        _manifest,
+        _explain_manifest,
         'which files otf wrote into this folder, by their hash',
     ),
 )
 
 
 def _is_other(path: Path) -> bool:
-    return begins(path, '{') and _schema(path).startswith('otf-')
+    return begins(path, '{') and _schema_of(path).startswith('otf-')
 
 
-def _other(path: Path) -> Explained:
+def _explain_other(path: Path) -> Explained:
     data = read_json(path)
     rows: Rows = [
         ('schema', data['schema']),
         ('holds', ', '.join(k for k in data if k != 'schema')),
     ]
-    return Explained((*rows, *_about(data)), {'schema': data['schema'], 'keys': list(data)})
+    return Explained(
+        (*rows, *_provenance_rows(data)), {'schema': data['schema'], 'keys': list(data)}
+    )
 
 
-OTHER = Kind('other result', 'a file of otf that has no explanation of its own', _is_other, _other)
+OTHER = Kind(
+    'other result', 'a file of otf that has no explanation of its own', _is_other, _explain_other
+)
+
+
+def _explain_residuals(path: Path) -> Explained:
+    try:
+        with path.open('rb') as raw, np.load(raw, allow_pickle=False) as file:
+            shapes = {name: list(file[name].shape) for name in file.files}
+            rest = np.linalg.norm(file['residual'], axis=1)
+            before = np.linalg.norm(file['deviation'], axis=1)
+            runs = int(file['run'].max()) + 1
+    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise ConfigError(f'{path}: is no residuals.npz of otf calibrate ({error})') from None
+    rows = (
+        ('pieces', f'{len(rest)} of the path, in {runs} run{"s" if runs > 1 else ""}'),
+        ('residual', f'{1e6 * rest.mean():.2f} um on average, at most {1e6 * rest.max():.2f} um'),
+        ('deviation', f'{1e6 * before.mean():.2f} um on average, before compensation'),
+        ('arrays', ', '.join(f'{name} {tuple(shape)}' for name, shape in shapes.items())),
+    )
+    facts = {
+        'pieces': len(rest), 'runs': runs, 'arrays': shapes,
+        'mean_residual': float(rest.mean()), 'largest_residual': float(rest.max()),
+    }  # fmt: skip
+    return Explained(rows, facts)
+
+
+RESIDUALS = Kind(
+    'residuals',
+    'what a calibration leaves at every piece of the path',
+    lambda path: path.suffix == '.npz' and path.is_file(),
+    _explain_residuals,
+)
+
+
+def _is_export(path: Path) -> bool:
+    return path.is_file() and is_export(path)
+
+
+def _explain_export(path: Path) -> Explained:
+    content = path.read_bytes()
+    both = content if len(content) <= 2 * NEAR else content[:NEAR] + b'\n' + content[-NEAR:]
+    text = both.decode('utf-8', errors='replace')
+    found = EXPORT_HEAD.search(text)
+    if found is None:
+        return Explained((('export', 'its head has been changed: format and run are not known'),))
+    facts = found.groupdict()
+    rows = [
+        ('export', f'format {facts["format"]}'),
+        ('machine', f'{facts["machine"]}, chain {facts["chain"]}'),
+        ('run', f'{facts["run"]}: run_id of the error_tables.json it comes from'),
+    ]
+    for line in text[found.end() :].splitlines():
+        said = line.lstrip(' #;/<!-').removesuffix('-->').strip()
+        for start, name in EXPORT_LINES.items():
+            if said.startswith(start) and name not in dict(rows):
+                rows.append((name, said.removeprefix(start)))
+    return Explained(tuple(rows), facts)
+
+
+EXPORT = Kind(
+    'export',
+    'error tables in the format of a control or another program, written by otf export',
+    _is_export,
+    _explain_export,
+)
