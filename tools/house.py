@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture of the rooms of otf_core: floors and arrows from the imports alone.
+"""Picture of the packages of otf_core: layers and arrows from the imports alone.
 
 Every room stands one floor above the highest room that it imports from. An arrow is left out
 where others lead the same way.
