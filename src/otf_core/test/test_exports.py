@@ -182,7 +182,7 @@ def test_what_the_calibration_did_not_see_is_said_to_be_zero_for_that(name, tabl
     made = export_format(name).export(Request(content, 'cell.txt', sign))
     said = 'zero because the calibration does not show them: B0Z, EAZ, ECZ;'
     assert said in made.remarks[-2]
-    assert made.remarks[-1].startswith('only at the target offset ')
+    assert made.remarks[-1].startswith('valid only at the target offset ')
     assert said.encode() in made.files['cell.txt']
 
 

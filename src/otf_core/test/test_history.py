@@ -245,7 +245,7 @@ def test_what_is_not_declared_is_stated_beside_the_drift(found, tmp_path):
     page = history_page([h]).replace('\u00a0', ' ').replace('µ', 'u')
     assert share in format_history(h) and share in page
     assert f'U = {micro_significant(wide)}' in page
-    assert 'hold at the target offset (20, -30, -150) mm only' in format_history(h)
+    assert 'valid only at the target offset (20, -30, -150) mm: ' in format_history(h)
     declared = {**found.data, 'headline': {'expected_after_compensation': {
         'U': {'mean': wide}, 'systematic': 'declared'}}}  # fmt: skip
     (tmp_path / 'declared.json').write_text(json.dumps(declared))

@@ -132,7 +132,7 @@ def test_sizes_of_two_structures_are_those_of_a_joint_fit():
 def test_noise_alone_has_no_structure(seed):
     view = small(None, seed=seed)
     assert describe_structure([view]) == 'no structure beyond noise'
-    assert 'nothing stands out' in where_of([view]).summary
+    assert 'No place stands out' in where_of([view]).summary
     assert find_structures([view]) == []
 
 
@@ -240,7 +240,7 @@ def test_what_the_causes_leave_can_be_looked_at():
     view = small(lambda v: along(2, 5e-6 * (v.time >= 100)), after=lambda v: 0.0 * v.q)
     assert 'step' in describe_structure([view])
     assert describe_structure([view], 'residual_after') == 'no structure beyond noise'
-    assert 'nothing stands out' in where_of([view], 'residual_after').summary
+    assert 'No place stands out' in where_of([view], 'residual_after').summary
 
 
 @pytest.mark.parametrize('count', [6, 7, 31])

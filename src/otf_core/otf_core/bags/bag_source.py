@@ -273,11 +273,11 @@ def _unpacked_messages(
 def _stream_of(file: Path, raw: BinaryIO) -> BinaryIO:
     """Open what a compressed file holds."""
     if file.suffix == '.gz':
-        return cast(BinaryIO, gzip.open(raw))
+        return cast(BinaryIO, gzip.GzipFile(fileobj=raw))
     if file.suffix == '.lz4':
         from lz4 import frame
 
-        return cast(BinaryIO, frame.open(raw))
+        return cast(BinaryIO, frame.LZ4FrameFile(raw))
     import zstandard
 
     return cast(BinaryIO, zstandard.ZstdDecompressor().stream_reader(raw, read_across_frames=True))

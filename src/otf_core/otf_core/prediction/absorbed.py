@@ -65,9 +65,9 @@ class OffsetBound:
             return ''
         unseen = dict.fromkeys(r for found in self.contains.values() for r in found)
         return (
-            f'only at the target offset {offset_words(self.offset)} hold: '
-            f'{", ".join(self.contains)}, which contain {", ".join(unseen)} times the lever of '
-            f'the target, not shown by these data'
+            f'valid only at the target offset {offset_words(self.offset)}: '
+            f'{", ".join(self.contains)}; they contain {", ".join(unseen)} times the lever arm of '
+            f'the target, which these data do not show'
         )
 
     def to_dict(self) -> dict[str, Any]:
