@@ -24,7 +24,7 @@ ARGUMENTS = [
     ('machine_file', str(CONFIG / 'machine.yaml'), 'machine description'),
     ('out', 'loop', 'folder for loop.json, calibration, bags and what the control was given'),
     ('compensate', 'volume', 'axes, volume or program'),
-    ('overwrite', 'false', 'replace results that are there'),
+    ('overwrite', 'false', 'replace existing results'),
 ]
 INFOS = tuple(LoopConfig.infos())
 FILES = ('loop.launch.py',)

@@ -206,7 +206,7 @@ class SimulationConfig(Parameters):
 
 @dataclass(frozen=True)
 class LoopConfig(Parameters):
-    """The round on a real control: how it drives, and the simulated machine and tracker on it."""
+    """The loop on a real control: its motion, and the simulated machine and tracker."""
 
     seed: int = parameter(
         1, 'seed of machine, tracker and lines that are judged', '', 0, 2**31 - 1
@@ -221,7 +221,7 @@ class LoopConfig(Parameters):
 
 @dataclass(frozen=True)
 class ForecastConfig(Parameters):
-    """What a plan is judged for: rate, drives, where the tracker may stand.
+    """Conditions of a forecast: sampling rate, drives, permitted tracker positions.
 
     Examples
     --------

@@ -36,7 +36,7 @@ def _examples(name: str) -> str:
 
 def _parser() -> Parser:
     parser = Parser(
-        prog='otf', description='On-the-fly machine-tool calibration, offline verbs.',
+        prog='otf', description='On-the-fly machine-tool calibration: offline commands.',
         epilog='otf VERB --help shows options and examples.',
     )  # fmt: skip
     parser.add_argument('--version', action='version', version=f'otf {__version__}')
@@ -49,11 +49,9 @@ def _parser() -> Parser:
         )  # fmt: skip
         sub.set_defaults(handler=handler)
         sub.add_argument(
-            '--json', action='store_true', help='print one JSON object; words go to stderr'
+            '--json', action='store_true', help='print one JSON object; text goes to stderr'
         )
-        sub.add_argument(
-            '--quiet', action='store_true', help='print no words but warnings and errors'
-        )
+        sub.add_argument('--quiet', action='store_true', help='print only warnings and errors')
         return sub
 
     own = (add_checking_verbs, add_measuring_verbs, add_judging_verbs, add_planning_verbs)

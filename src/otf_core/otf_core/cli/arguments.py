@@ -42,13 +42,13 @@ def add_checking_verbs(verb: AddVerb) -> None:
     sub = verb('check', run_check)
     sub.add_argument('bag', help='rosbag2 folder, .mcap file or table of samples as text')
     sub.add_argument(
-        '--machine', help='machine.yaml: also its axes, its noise, and a forecast of u'
+        '--machine', help='machine.yaml: adds checks of axes and noise, and a forecast of u'
     )
     add_reading(sub)
     add_parameters(sub, CalibrationConfig, ('match_tolerance', 'standstill_speed'))
 
     sub = verb('info', run_info)
-    sub.add_argument('file', help='a file or folder that otf wrote or reads')
+    sub.add_argument('file', help='a file or folder that otf writes or reads')
 
     verb('doctor', run_doctor)
 
@@ -68,12 +68,12 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     sub.add_argument(
         '--signal', action='append', default=[], metavar='TOPIC[:FIELD]',
-        help='a number recorded beside the samples, such as a temperature, that a diagnosis takes '
-        'for a possible cause; may be repeated',
+        help='a quantity recorded with the samples, such as a temperature, that a diagnosis '
+        'considers as a possible cause; may be repeated',
     )  # fmt: skip
     sub.add_argument(
         '--join', action='store_true',
-        help='the bags are parts of one run, whose recording was ended and begun again',
+        help='the bags are parts of one run whose recording was interrupted and restarted',
     )  # fmt: skip
     add_reading(sub)
 
@@ -81,24 +81,24 @@ def _add_runs(sub: argparse.ArgumentParser) -> None:
 def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--method', choices=METHODS, default=OTF,
-        help=f'on the fly, or from the stops at the corner points alone (default {OTF})',
+        help=f'on the fly, or only from the stops at the corner points (default {OTF})',
     )  # fmt: skip
     sub.add_argument(
         '--effects', metavar='auto|FILE',
-        help='take effects off and state u with them: what a diagnosis finds, or those of an '
-        'effects.yaml, their coefficients estimated anew where the data see them; the plain '
-        'calibration stays in plain/',
+        help='correct for effects and include them in u: those that a diagnosis finds, or those '
+        'of an effects.yaml, whose coefficients are estimated again where the data determine '
+        'them; plain/ keeps the calibration without correction',
     )  # fmt: skip
     sub.add_argument(
-        '--residuals-csv', action='store_true', help='write residuals.csv beside residuals.npz'
+        '--residuals-csv', action='store_true', help='also write the residuals as residuals.csv'
     )
     sub.add_argument(
         '--certificate', action='store_true',
-        help='write certificate.html too: two pages for print; customer, number and the like come '
-        'from the sections certificate, instrument and conditions of machine.yaml',
+        help='also write certificate.html, two pages to print; customer, number etc. come from '
+        'the sections certificate, instrument and conditions of machine.yaml',
     )  # fmt: skip
     sub.add_argument(
-        '--no-report', dest='report', action='store_false', help='leave report.html out'
+        '--no-report', dest='report', action='store_false', help='do not write report.html'
     )
 
 
@@ -108,11 +108,15 @@ def _add_diagnose(verb: AddVerb) -> None:
     _add_runs(sub)
     add_out(sub, 'folder for gap.json and report.html')
     sub.add_argument(
-        '--exclude', action='append', default=[], metavar='EFFECT', help='leave an effect out'
+        '--exclude',
+        action='append',
+        default=[],
+        metavar='EFFECT',
+        help='do not consider this effect',
     )
     sub.add_argument(
         '--own-causes', metavar='DIR',
-        help='folder of named empirical effects (.yaml), tried beside the catalogue',
+        help='folder of named empirical effects (.yaml), tried in addition to the catalogue',
     )  # fmt: skip
     add_parameters(sub, CalibrationConfig)
 
@@ -122,13 +126,13 @@ def _add_predict_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--points',
         required=True,
-        help='CSV with the header x,y,z in m, or a text that states its units',
+        help='CSV with the header x,y,z in m, or a text table that states its units',
     )
     add_out(sub, 'CSV x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside; m, k = 1')
     sub.add_argument(
         '--target-offset', type=float, nargs=3, metavar=('X', 'Y', 'Z'),
         help='predict for this target offset, e.g. of a longer tool (m; default: as measured); '
-        'rotations that the data do not see are in u by their prior',
+        'u includes rotations that the data do not determine, by their prior',
     )  # fmt: skip
 
 
@@ -150,7 +154,7 @@ def add_measuring_verbs(verb: AddVerb) -> None:
 def add_judging_verbs(verb: AddVerb) -> None:
     """Verbs that judge a tracker, a calibration or this program."""
     sub = verb('noise', run_noise)
-    sub.add_argument('bag', help='rosbag2 folder or .mcap file; /tracker/point suffices')
+    sub.add_argument('bag', help='rosbag2 folder or .mcap file; the topic /tracker/point suffices')
     add_out(sub, 'folder for the results')
     add_reading(sub, path=False)
     add_parameters(sub, CalibrationConfig, ('standstill_speed',))
@@ -158,58 +162,58 @@ def add_judging_verbs(verb: AddVerb) -> None:
     sub = verb('compare', run_compare)
     sub.add_argument(
         'a',
-        help='error_tables.json, or CSV of a direct measurement with the head '
-        'axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad, one row a reading '
-        '(direction: forward or backward; units m, mm, um, rad, urad, arcsec by the head; columns '
-        'that the instrument lacks left out)',
+        help='error_tables.json, or CSV of a direct measurement with the header '
+        'axis,run,direction,position_m,EX_m,EY_m,EZ_m,EA_rad,EB_rad,EC_rad, one row per reading '
+        '(direction: forward or backward; units m, mm, um, rad, urad, arcsec as in the header; '
+        'omit columns that the instrument does not measure)',
     )
     sub.add_argument('b', help='the same')
     sub.add_argument('--machine', help='machine.yaml, for direct measurements')
-    sub.add_argument('--points', help='CSV with the header x,y,z; a grid if not given')
+    sub.add_argument('--points', help='CSV with the header x,y,z (default: a grid)')
     add_out(sub, 'folder for the results')
 
     sub = verb('validate', run_validate)
     add_out(sub, 'folder for table and figures')
     sub.add_argument(
-        '--quick', action='store_true', help='two cells instead of eight, and shorter stops'
+        '--quick', action='store_true', help='two cells instead of eight, with shorter stops'
     )
-    sub.add_argument('--cells', type=int, metavar='N', help='so many cells')
+    sub.add_argument('--cells', type=int, metavar='N', help='number of cells')
     sub.add_argument(
         '--seed', dest='first_cell', type=_seed, default=2001, metavar='N',
-        help='of the first cell (default 2001)',
+        help='seed of the first cell (default 2001)',
     )  # fmt: skip
 
     sub = verb('blind', run_blind)
-    sub.add_argument('--trials', type=int, required=True, help='cells to draw')
+    sub.add_argument('--trials', type=int, required=True, help='number of cells')
     sub.add_argument('--seed', type=int, required=True, help='seed of all random draws')
-    add_out(sub, 'folder; an interrupted trial goes on there')
-    sub.add_argument('--jobs', type=int, default=2, help='processes at once (default 2)')
+    add_out(sub, 'folder; an interrupted trial resumes there')
+    sub.add_argument('--jobs', type=int, default=2, help='parallel processes (default 2)')
     sub.add_argument(
         '--leave-one-out',
         action='store_true',
-        help='every effect diagnosed with itself taken out of the catalogue',
+        help='diagnose every effect with that effect removed from the catalogue',
     )
 
 
 def _add_plan_options(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         '--time-budget', type=float, metavar='S',
-        help='choose lines, passes and feeds up to --feed so that the grid is known best after '
-        'this time, accelerations and dwells included; --passes, --feed-ratio and --levels do '
-        'not count then (s)',
+        help='choose lines, passes and feeds up to --feed that give the smallest grid '
+        'uncertainty within this time, including accelerations and dwells; overrides --passes, '
+        '--feed-ratio and --levels (s)',
     )  # fmt: skip
     sub.add_argument(
         '--wanted-uncertainty', type=float, metavar='UM',
-        help='the same for a forecast mean grid uncertainty in a short time (um, k = 1)',
+        help='choose them for this forecast mean grid uncertainty in a short time (um, k = 1)',
     )  # fmt: skip
     sub.add_argument(
         '--tracker-place', metavar='X,Y,Z',
-        help='beam origin of the tracker in the machine frame (m; default in front, at -Y)',
+        help='beam origin of the tracker in the machine frame (m; default: in front, at -Y)',
     )  # fmt: skip
-    sub.add_argument('--noise', help='noise.json of otf noise; as in machine.yaml if not given')
+    sub.add_argument('--noise', help='noise.json of otf noise (default: as in machine.yaml)')
     sub.add_argument(
         '--dialect', choices=tuple(DIALECTS),
-        help='write the NC program for this control; there is no generic one',
+        help='write an NC program for this control; there is no generic one',
     )  # fmt: skip
 
 
@@ -219,11 +223,11 @@ def add_planning_verbs(verb: AddVerb) -> None:
     sub.add_argument('--machine', required=True, help='machine.yaml')
     add_out(sub, 'folder for path, forecast and program')
     add_verbose(sub, 'forecast.txt')
-    sub.add_argument('--path', help='CSV x,y,z, plan.json or NC program: take this path instead')
+    sub.add_argument('--path', help='use this path: CSV x,y,z, plan.json or NC program')
     sub.add_argument(
         '--after', metavar='DIR',
-        help='folder of a diagnosis: the shortest path, up to --time-budget, that tells apart '
-        'what it could not',
+        help='folder of a diagnosis: find the shortest path, up to --time-budget, that '
+        'distinguishes the causes it could not distinguish',
     )  # fmt: skip
     _add_plan_options(sub)
     add_parameters(sub, PlannerConfig)
@@ -231,13 +235,13 @@ def add_planning_verbs(verb: AddVerb) -> None:
 
     sub = verb('simulate', run_simulate)
     sub.add_argument('--machine', required=True, help='machine.yaml')
-    add_out(sub, 'bag folder to write, or .mcap file; its truth lies in or beside it')
-    sub.add_argument('--tables', help='error_tables.json of the truth; drawn if not given')
+    add_out(sub, 'bag folder or .mcap file; the true errors are written with it')
+    sub.add_argument('--tables', help='error_tables.json of the true errors (default: random)')
     sub.add_argument(
         '--path',
-        help='CSV x,y,z or NC program; or plan.json of otf plan: its feeds and dwells, and the '
-        'tracker where its forecast puts it; planned if not given',
+        help='CSV x,y,z or NC program; or plan.json of otf plan, with its feeds, dwells and '
+        'tracker position (default: a planned path)',
     )
-    sub.add_argument('--effects', help='effects.yaml: what to add to the cell')
+    sub.add_argument('--effects', help='effects.yaml: effects to add to the cell')
     add_parameters(sub, SimulationConfig)
     add_parameters(sub, PlannerConfig)

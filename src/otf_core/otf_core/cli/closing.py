@@ -17,14 +17,14 @@ def add_closing_verbs(verb: AddVerb) -> None:
     """Add loop."""
     sub = verb('loop', run_loop)
     sub.add_argument('--machine', required=True, help='machine.yaml')
-    add_out(sub, 'folder for loop.json, calibration, bags and what the control was given')
+    add_out(sub, 'folder for loop.json, calibration, bags and the files given to the control')
     sub.add_argument(
         '--compensate', choices=WAYS, default='volume',
-        help='axes: a .comp file per joint; volume: external offsets at the present position; '
+        help='axes: a .comp file per joint; volume: external offsets at the current position; '
         'program: a corrected NC program (default volume)',
     )  # fmt: skip
     sub.add_argument(
-        '--diagnose', action='store_true', help='diagnose the fitted run too (diagnosis/; slow)'
+        '--diagnose', action='store_true', help='also diagnose the fitted run (diagnosis/; slow)'
     )
     add_parameters(sub, LoopConfig)
 

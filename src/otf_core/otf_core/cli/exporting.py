@@ -21,22 +21,22 @@ def add_exporting_verbs(verb: AddVerb) -> None:
     """Add export and import."""
     sub = verb('export', run_export)
     sub.add_argument('dir', metavar='DIR', help='results of otf calibrate, or error_tables.json')
-    sub.add_argument('--format', required=True, choices=tuple(HOMES), help='whose format')
+    sub.add_argument('--format', required=True, choices=tuple(HOMES), help='format to write')
     add_out(
         sub,
-        'file to write; linuxcnc: NAME.ini, and NAME_x.comp, NAME_y.comp, NAME_z.comp beside it',
+        'file to write; linuxcnc: NAME.ini, with NAME_x.comp, NAME_y.comp, NAME_z.comp',
     )
     sub.add_argument(
         '--sign', choices=('error', 'correction'),
-        help='what the control takes the values for, where its manual leaves that open',
+        help='how the control interprets the values, where its manual does not state it',
     )  # fmt: skip
     sub.add_argument(
         '--points', type=int, metavar='N', help='points per axis (default: by format)'
     )
 
     sub = verb('import', run_import)
-    sub.add_argument('lattice', metavar='CSV', help='x,y,z,dx,dy,dz in m, as of lattice-csv')
-    sub.add_argument('--machine', required=True, help='machine.yaml: how rotations act')
+    sub.add_argument('lattice', metavar='CSV', help='x,y,z,dx,dy,dz in m, as in lattice-csv')
+    sub.add_argument('--machine', required=True, help='machine.yaml: determines how rotations act')
     add_out(sub, 'folder for error_tables.json')
 
 

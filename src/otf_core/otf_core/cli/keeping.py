@@ -22,32 +22,34 @@ if TYPE_CHECKING:
 def add_keeping_verbs(verb: AddVerb) -> None:
     """Add history."""
     sub = verb('history', run_history)
-    sub.add_argument('store', metavar='STORE', help='folder of runs; the first --add makes it')
+    sub.add_argument('store', metavar='STORE', help='folder of runs; the first --add creates it')
     sub.add_argument(
         '--add', action='append', default=[], metavar='RESULTS',
-        help='put results of otf calibrate, or an error_tables.json, into the store',
+        help='add results of otf calibrate, or an error_tables.json, to the store',
     )  # fmt: skip
     sub.add_argument(
-        '--event', metavar='TEXT', help='put what happened to the machine into the store'
+        '--event', metavar='TEXT', help='add an event in the life of the machine to the store'
     )
     sub.add_argument(
-        '--at', metavar='DATE', help='of what is added, ISO 8601, UTC (default: as measured; now)'
+        '--at',
+        metavar='DATE',
+        help='date of the addition, ISO 8601, UTC (default: as measured; now)',
     )
-    sub.add_argument('--name', help='name of the machine, where the store holds several')
+    sub.add_argument('--name', help='name of the machine, if the store contains several')
     sub.add_argument(
         '--limit', type=float, metavar='UM',
-        help='mean volumetric drift that is allowed (um; default: twice u of the latest tables)',
+        help='permitted mean volumetric drift (um; default: twice u of the latest tables)',
     )  # fmt: skip
     sub.add_argument(
         '--interim', metavar='BAG',
-        help='a run, e.g. of interim_path.csv: do the latest tables still hold? Exit code 4: no',
+        help='check the latest tables with a run, e.g. of interim_path.csv; exit code 4: invalid',
     )  # fmt: skip
     sub.add_argument(
         '--out',
         help='folder for history.json, history.html, and interim_path.csv (--name if several): '
-        'two minutes that show what drifts most',
+        'a two-minute path that shows the drift best',
     )
-    sub.add_argument('--overwrite', action='store_true', help='replace results that are there')
+    sub.add_argument('--overwrite', action='store_true', help='replace existing results')
 
 
 def _added(arguments: argparse.Namespace) -> int:

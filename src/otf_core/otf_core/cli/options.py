@@ -51,15 +51,13 @@ def add_out(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument(
         '--overwrite',
         action='store_true',
-        help='replace results that are there; other files are never deleted',
+        help='replace existing results; other files are never deleted',
     )
 
 
 def add_verbose(parser: argparse.ArgumentParser, where: str) -> None:
     """Add --verbose: all numbers on the terminal too, which otherwise stand in a file."""
-    parser.add_argument(
-        '--verbose', action='store_true', help=f'print all numbers, as they stand in {where}'
-    )
+    parser.add_argument('--verbose', action='store_true', help=f'print all numbers, as in {where}')
 
 
 def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
@@ -69,8 +67,8 @@ def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
         group.add_argument(
             '--path', action='append', metavar='FILE',
             help='plan.json, CSV x,y,z of the corner points, or the NC program that was driven, '
-            'where the recording holds no path or another is meant; once for all, or once per '
-            'recording',
+            'if the recording contains no path or to replace it; once for all recordings, or '
+            'once per recording',
         )  # fmt: skip
         group.add_argument('--path-topic', metavar='NAME', help='topic of the path in a bag')
     group.add_argument(
@@ -80,20 +78,18 @@ def add_reading(parser: argparse.ArgumentParser, *, path: bool = True) -> None:
     )  # fmt: skip
     group.add_argument(
         '--publisher', type=int, metavar='N',
-        help='whose samples to take where several trackers published on one topic; the message '
-        'that refuses them lists what there is',
+        help='which samples to use if several trackers published on one topic; the message '
+        'that refuses such a recording lists the choices',
     )  # fmt: skip
     group.add_argument(
         '--columns', metavar='LIST',
-        help='what stands in the columns of a text, e.g. time_s,-,x_mm,y_mm,z_mm; as its head '
-        'says if not given',
+        help='content of the columns of a text table, e.g. time_s,-,x_mm,y_mm,z_mm (default: '
+        'as in its header)',
     )  # fmt: skip
     group.add_argument(
-        '--rate', type=float, metavar='HZ', help='of the samples of a text without times'
+        '--rate', type=float, metavar='HZ', help='sampling rate of a text table without times'
     )
-    group.add_argument(
-        '--recover', action='store_true', help='leave out what is damaged inside a bag'
-    )
+    group.add_argument('--recover', action='store_true', help='skip damaged parts inside a bag')
 
 
 def given_of(arguments: argparse.Namespace, path: str | None = None) -> Given:

@@ -36,31 +36,31 @@ NEEDED = {
 def add_plant_verbs(verb: AddVerb) -> None:
     """Add fleet."""
     sub = verb('fleet', run_fleet_verb)
-    sub.add_argument('what', choices=tuple(NEEDED), help='what is done with each run or cell')
+    sub.add_argument('what', choices=tuple(NEEDED), help='command for each run or cell')
     sub.add_argument(
         '--list', metavar='runs.csv',
-        help='calibrate, diagnose: CSV with the header name,bag,machine; relative paths are '
-        'looked for beside it',
+        help='calibrate, diagnose: CSV with the header name,bag,machine; paths may be relative '
+        'to its folder',
     )  # fmt: skip
-    sub.add_argument('--trials', type=int, metavar='N', help='blind, validate: cells')
+    sub.add_argument('--trials', type=int, metavar='N', help='blind, validate: number of cells')
     sub.add_argument(
         '--seed', type=int, metavar='N',
-        help='blind: seed of all random draws; validate: that of the first cell',
+        help='blind: seed of all random draws; validate: seed of the first cell',
     )  # fmt: skip
     sub.add_argument(
         '--leave-one-out', action='store_true',
-        help='blind: every effect diagnosed with itself taken out of the catalogue',
+        help='blind: diagnose every effect with that effect removed from the catalogue',
     )  # fmt: skip
     sub.add_argument(
         '--out', required=True,
-        help='folder for the results and fleet.json; an interrupted fleet goes on there',
+        help='folder for the results and fleet.json; an interrupted fleet resumes there',
     )  # fmt: skip
     sub.add_argument(
-        '--workers', type=int, metavar='N', help='runs at once (default: one per core)'
+        '--workers', type=int, metavar='N', help='parallel runs (default: one per core)'
     )
     sub.add_argument(
         '--scheduler', metavar='ADDRESS',
-        help='of a Dask scheduler, e.g. tcp://host:8786: its workers do the runs',
+        help='address of a Dask scheduler, e.g. tcp://host:8786, whose workers process the runs',
     )  # fmt: skip
 
 

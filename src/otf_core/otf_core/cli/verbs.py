@@ -7,25 +7,25 @@
 from __future__ import annotations
 
 VERBS = {
-    'check': 'Is a recording usable? In seconds, before anyone dismounts the tracker.',
-    'info': 'What a file or folder of otf is and says.',
-    'doctor': 'What is wrong with this installation, and what to do.',
-    'calibrate': 'Error tables from recorded bags.',
-    'diagnose': 'Where and why a real run departs from its simulation.',
-    'predict': 'Volumetric errors at points, from error tables: the mean of forward and backward '
-    'travel.',
-    'compare': 'Error tables or direct measurements, motion by motion.',
-    'export': 'Error tables in the format of a control or a program.',
-    'import': 'Error tables from a lattice of volumetric errors in CSV.',
-    'fleet': 'Many recordings at once, here or on other hosts; one bad bag ends no other.',
-    'history': 'Drift of machines over their calibrations, and when to calibrate again.',
-    'loop': 'The whole circle on LinuxCNC: drive, measure, calibrate, compensate, prove it.',
-    'noise': 'Tracker noise in the standstills of a bag.',
-    'plan': 'Path for a machine, forecast of what it can see, NC program.',
-    'simulate': 'Bag of a simulated run.',
-    'validate': "The paper's comparisons on simulated cells.",
-    'blind': 'Blind trial: draw and seal cells, diagnose them, score.',
-    'completion': 'Script that lets a shell complete verbs, options and choices.',
+    'check': 'Check in seconds whether a recording is usable, before the tracker is dismounted.',
+    'info': 'Identify an otf file or folder and summarise its contents.',
+    'doctor': 'Check this installation and state how to repair it.',
+    'calibrate': 'Determine error tables from recorded bags.',
+    'diagnose': 'Find where and why a real run departs from its simulation.',
+    'predict': 'Predict volumetric errors at points from error tables: the mean of forward and '
+    'backward travel.',
+    'compare': 'Compare error tables or direct measurements, motion by motion.',
+    'export': 'Write error tables in the format of a control or another program.',
+    'import': 'Determine error tables from a lattice of volumetric errors in CSV.',
+    'fleet': 'Process many recordings, here or on other hosts; a bad bag affects no other.',
+    'history': 'Evaluate the drift of machines over their calibrations, and when to recalibrate.',
+    'loop': 'Close the loop on LinuxCNC: drive, measure, calibrate, compensate, verify.',
+    'noise': 'Determine the tracker noise from the standstills of a bag.',
+    'plan': 'Plan a path, forecast what it can determine, write an NC program.',
+    'simulate': 'Write the bag of a simulated run.',
+    'validate': 'Repeat the comparisons of the paper on simulated cells.',
+    'blind': 'Run a blind trial: draw and seal cells, diagnose them, score the answers.',
+    'completion': 'Print a script that lets a shell complete verbs, options and choices.',
 }
 
 EXAMPLES = {
