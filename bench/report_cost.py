@@ -14,8 +14,7 @@ from child import circumstances, spread
 from markdown import heading, row
 
 import otf_core
-from otf_core.reports.calibration import facts_of
-from otf_core.reports.calibration_report import calibration_html, calibration_sections
+from otf_core.reports.calibration import calibration_html, calibration_sections, facts_of
 from otf_core.reports.section import sections_to_text
 
 SEED = 20_260_012

@@ -32,8 +32,13 @@ from otf_core.history.store import add_run
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording
-from otf_core.reports.calibration import facts_of, write_calibration, write_report
-from otf_core.reports.with_effects import write_reports, write_with_effects
+from otf_core.reports.calibration import (
+    facts_of,
+    write_calibration,
+    write_report,
+    write_reports,
+    write_with_effects,
+)
 from otf_core.tracking.alignment import Followed
 
 Writer = Callable[[Path], object]

@@ -22,9 +22,14 @@ from otf_core.model.limits import Limits
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.pieces.runs import Recording
-from otf_core.reports.calibration import facts_of, format_result, write_calibration
+from otf_core.reports.calibration import (
+    SECTIONS,
+    calibration_sections,
+    facts_of,
+    format_result,
+    write_calibration,
+)
 from otf_core.reports.calibration_pictures import error_sizes
-from otf_core.reports.calibration_report import SECTIONS, calibration_sections
 from otf_core.reports.calibration_sections.measurement import drift
 from otf_core.reports.calibration_sections.volumetric_error import deviations, diagonals
 from otf_core.reports.drawing import scene

@@ -28,7 +28,7 @@ FLOORS = (
 INSIDE = {
     'diagnosis': (('diagnosis',), ('diagnosis.engine', 'diagnosis.place')),
     'planning': (('planning',), ('planning.nc',)),
-    'reports': (('reports',), ('reports.plots',), ('reports.drawing',)),
+    'reports': (('reports',), ('reports.drawing',)),
 }
 """Floors of rooms that have rooms inside."""
 NEVER = [

@@ -94,7 +94,7 @@ def _note_missing(out: OutputFolder) -> None:
 
 def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list[Path]) -> None:
     """Print a calibration."""
-    from otf_core.reports.calibration_report import calibration_sections
+    from otf_core.reports.calibration import calibration_sections
     from otf_core.reports.calibration_sections.first_screen import calibration_summary
     from otf_core.reports.section import sections_to_dict, sections_to_text
 
@@ -119,8 +119,7 @@ def _judged(arguments: argparse.Namespace, result: CalibrationResult) -> int:
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
     """Error tables with effects taken off."""
     from otf_core.diagnosis.calibrate_with_effects import AUTO, calibrate_with_effects
-    from otf_core.reports.calibration import facts_of
-    from otf_core.reports.with_effects import write_with_effects
+    from otf_core.reports.calibration import facts_of, write_with_effects
     from otf_core.sim.twin import twin_recording
 
     own = () if arguments.effects == AUTO else (arguments.effects,)

@@ -1,28 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files and the text of a calibration.
+"""What ``otf calibrate`` writes: the report of its sections, and all files of a calibration.
 
 ``error_tables.json`` (holds the covariance in full precision, so that a copy
 of it predicts with honest uncertainties), ``error_tables.csv`` (one row a node), ``reversal.csv``
 (the same, forward and backward), ``residuals.npz`` (one row a path piece), ``summary.txt``,
 ``report.html`` (all of it for a reader), ``certificate.html`` (two pages for print, on request).
+With effects taken off: ``effects_taken_off.yaml``, and the plain calibration in ``plain/``.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
+from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import OTF, STANDSTILL
+from otf_core.effects import AppliedEffect
+from otf_core.effects.effects_yaml import write_effects
 from otf_core.effects.stated_effect import effects_to_list
-from otf_core.files.csv_points import tidy
-from otf_core.files.writing import ensure_folder, write_if_it_fits, write_text
+from otf_core.files.csv_points import tidy, write_csv
+from otf_core.files.writing import ensure_folder, whole_file, write_if_it_fits, write_text
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.model.tables import tables_to_dict
@@ -32,21 +37,136 @@ from otf_core.prediction.driven_volume import driven_volume
 from otf_core.prediction.volumetric import volumetric_error
 from otf_core.reports.budget import BudgetLine, budget_lines, budget_to_dict, expanded
 from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.calibration_report import calibration_html, calibration_sections
-from otf_core.reports.calibration_sections.first_screen import calibration_summary
-from otf_core.reports.certificate import certificate_html
-from otf_core.reports.residuals import (
-    RESIDUALS_FILE,
-    RESIDUALS_TEXT,
-    write_residuals,
-    write_residuals_text,
+from otf_core.reports.calibration_sections.conventions import (
+    conventions_section,
+    effects_section,
+    provenance_section,
 )
+from otf_core.reports.calibration_sections.error_motions import (
+    motions_section,
+    nodes_section,
+    reversal_section,
+    squareness_section,
+)
+from otf_core.reports.calibration_sections.first_screen import (
+    calibration_summary,
+    heading,
+    limits_section,
+    overview_section,
+)
+from otf_core.reports.calibration_sections.measurement import (
+    conditions_section,
+    data_quality_section,
+    drift_section,
+    fit_section,
+    path_section,
+)
+from otf_core.reports.calibration_sections.uncertainty import budget_section, correlations_section
+from otf_core.reports.calibration_sections.volumetric_error import (
+    coverage_section,
+    diagonals_section,
+    volume_section,
+)
+from otf_core.reports.certificate import certificate_html
+from otf_core.reports.page import page_html
 from otf_core.reports.reversal import reversal_csv, reversal_to_dict
-from otf_core.reports.section import sections_to_text
+from otf_core.reports.section import Section, sections_to_text
 from otf_core.threads import in_one_thread
 
+Array = NDArray[np.float64]
+
+SECTIONS: tuple[Callable[[Facts], Section | None], ...] = (
+    overview_section,
+    limits_section,
+    motions_section,
+    squareness_section,
+    effects_section,
+    volume_section,
+    diagonals_section,
+    reversal_section,
+    budget_section,
+    conditions_section,
+    conventions_section,
+    path_section,
+    coverage_section,
+    correlations_section,
+    data_quality_section,
+    drift_section,
+    fit_section,
+    nodes_section,
+    provenance_section,
+)
+"""Functions of ``calibration_sections`` in the order of the report."""
+RESIDUALS_FILE = 'residuals.npz'
+RESIDUALS_TEXT = 'residuals.csv'
+_MOVING_NAMES, _STANDING_NAMES = ('2', '3'), ('1', '2', '3')
+"""Names of the components of a deviation: two across the path; along the beam and two across."""
 TABLES_FILE, REPORT_FILE = 'error_tables.json', 'report.html'
 CERTIFICATE_FILE = 'certificate.html'
+PLAIN_FOLDER = 'plain'
+EFFECTS_FILE = 'effects_taken_off'
+
+
+def calibration_sections(facts: Facts) -> list[Section]:
+    """All sections of one calibration; pictures are drawn when a page asks for them."""
+    found = (section(facts) for section in SECTIONS)
+    return [section for section in found if section is not None]
+
+
+def calibration_html(facts: Facts) -> str:
+    """Return the report as one page."""
+    return page_html(heading(facts), calibration_sections(facts))
+
+
+def residual_arrays(runs: Sequence[RunResult]) -> dict[str, NDArray[np.generic]]:
+    """Return the residuals of all runs under the names of ``residuals.npz``.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``run``, ``leg``, ``count``, shape (n,); ``time``, s; ``speed``, m/s; ``q``, (n, 3), m;
+        ``axes``, shape (n, c, 3), unit vectors; ``deviation``, ``residual``, shape (n, c), m.
+    """
+    pieces = [run.pieces for run in runs]
+    sizes = [len(p) for p in pieces]
+    counts = {
+        'run': np.repeat(np.arange(len(runs)), sizes),
+        'leg': np.concatenate([p.leg for p in pieces]),
+        'count': np.concatenate([p.count for p in pieces]),
+    }
+    return {
+        **{name: np.asarray(values, np.int32) for name, values in counts.items()},
+        'time': np.concatenate([p.time for p in pieces]),
+        'speed': np.concatenate([p.speed for p in pieces]),
+        'q': np.concatenate([run.q for run in runs]),
+        'axes': np.concatenate([np.stack(tuple(run.axes), axis=1) for run in runs]),
+        'deviation': np.concatenate([run.deviation.T for run in runs]),
+        'residual': np.concatenate([run.residual.T for run in runs]),
+    }
+
+
+def write_residuals(runs: Sequence[RunResult], folder: Path) -> None:
+    """Write residuals.npz."""
+    with whole_file(folder / RESIDUALS_FILE) as partial, partial.open('wb') as file:
+        np.savez(file, allow_pickle=False, **residual_arrays(runs))
+
+
+def write_residuals_text(runs: Sequence[RunResult], folder: Path) -> None:
+    """Write residuals.csv, which takes a hundred times longer."""
+    write_csv(folder / RESIDUALS_TEXT, *_text_columns(residual_arrays(runs)))
+
+
+def _text_columns(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[str, Array]:
+    """Header and columns of the text, in which the counts are written as numbers with a point."""
+    axes = arrays['axes']
+    names = _STANDING_NAMES if axes.shape[1] == len(_STANDING_NAMES) else _MOVING_NAMES
+    header = ['run', 'time', 'leg', 'count', 'speed', 'x', 'y', 'z']
+    header += [f'a{k}{axis}' for k in names for axis in 'xyz']
+    header += [f'{what}{k}' for what in ('deviation', 'residual') for k in names]
+    order = ('run', 'time', 'leg', 'count', 'speed', 'q')
+    columns = [arrays[name] for name in order] + [axes.reshape(len(axes), -1)]
+    columns += [arrays['deviation'], arrays['residual']]
+    return ','.join(header), np.column_stack(columns).astype(np.float64)
 
 
 def result_to_dict(
@@ -70,7 +190,7 @@ def result_to_dict(
         'runs': [_run_to_dict(run) for run in result.runs],
         'run_id': result.run_id,
         'gauge': GAUGE,
-        'spacing': _spacing(result),
+        'spacing': _spacing_to_dict(result),
         'prior': {name: asdict(known) for name, known in result.prior.items()},
         'covariance': pack_covariance(result.covariance),
         **budget_to_dict(result.tables, result.budget, lines),
@@ -112,7 +232,7 @@ def _run_to_dict(run: RunResult) -> dict[str, Any]:
     }
 
 
-def _spacing(result: CalibrationResult) -> dict[str, Any]:
+def _spacing_to_dict(result: CalibrationResult) -> dict[str, Any]:
     """Spacing of the nodes, and what straight lines between them cost: wished for and taken."""
     costs = [
         {
@@ -261,3 +381,63 @@ def facts_of(
     )
     found = budget_lines(result.tables, result.budget_with_typical) if lines is None else lines
     return Facts(result, tuple(found), about)
+
+
+def write_with_effects(
+    done: EffectsCalibration,
+    folder: str | Path,
+    *,
+    residuals_csv: bool = False,
+    report: bool = True,
+    certificate: bool = False,
+    missing: dict[str, str] | None = None,
+) -> list[Path]:
+    """Write the calibration, the effects taken off, and the plain calibration in ``plain/``.
+
+    Without effects taken off there is no folder ``plain``: the tables are the plain ones.
+    ``missing`` as of ``write_calibration``.
+
+    Returns
+    -------
+    list of Path
+    """
+    folder = Path(folder)
+    files = []
+    written = write_calibration(
+        done.result,
+        folder,
+        residuals_csv=residuals_csv,
+        report=report,
+        certificate=certificate,
+        missing=missing,
+    )
+    machine = done.result.tables.machine
+    for number, applied in enumerate(done.applied):
+        if applied and (not number or _differs(applied, done.applied[0])):
+            name = f'{EFFECTS_FILE}_run_{number + 1}' if number else EFFECTS_FILE
+            files.append(folder / f'{name}.yaml')
+            write_effects(files[-1], applied, machine)
+    if done.applied[0]:
+        plain = folder / PLAIN_FOLDER
+        lost: dict[str, str] | None = None if missing is None else {}
+        if write_if_it_fits(
+            missing,
+            PLAIN_FOLDER,
+            lambda: write_calibration(done.plain, plain, report=report, missing=lost),
+        ):
+            files.append(plain / TABLES_FILE)
+        for name, why in (lost or {}).items():
+            assert missing is not None
+            missing[f'{PLAIN_FOLDER}/{name}'] = why
+    return [*written, *files]
+
+
+def write_reports(done: EffectsCalibration, folder: Path) -> None:
+    """Write the reports that ``write_with_effects`` has left out."""
+    if done.applied[0]:
+        write_report(folder / PLAIN_FOLDER, facts_of(done.plain))
+    write_report(folder, facts_of(done.result))
+
+
+def _differs(a: Sequence[AppliedEffect], b: Sequence[AppliedEffect]) -> bool:
+    return any(dict(x.parameters) != dict(y.parameters) for x, y in zip(a, b, strict=True))

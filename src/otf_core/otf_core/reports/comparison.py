@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A comparison as data, as text and as files."""
+"""What ``otf compare`` writes: figures, page, comparison.json, text.
+
+Figures are one for each motion (paper Figures 6 to 8) and one of the volume (Figure 9).
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +16,31 @@ from numpy.typing import NDArray
 
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
 from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.direct_measurement import MotionReadings
 from otf_core.model.evaluation import mean_length
 from otf_core.model.frames import XYZ
-from otf_core.model.motions import unit_of
+from otf_core.model.motions import DIRECTIONS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
-from otf_core.reports.comparison_page import comparison_html
-from otf_core.reports.plots.comparison import draw_motions, draw_volume
-from otf_core.reports.quantities import place
+from otf_core.reports.drawing.bars import Bar, bars
+from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step, heat_words
+from otf_core.reports.drawing.panel import Panel
+from otf_core.reports.drawing.panel import words as svg_words
+from otf_core.reports.drawing.scale import Scale, around
+from otf_core.reports.drawing.scene import Item, Strokes, box, magnification, scene
+from otf_core.reports.drawing.sheet import Key, write_sheet
+from otf_core.reports.drawing.typography import text
+from otf_core.reports.page import Heading, page_html
+from otf_core.reports.quantities import micro, micro_unit, place
+from otf_core.reports.section import Picture, Section, State, Table
 
 Array = NDArray[np.float64]
 
+HISTOGRAM_BINS = 31
+ARROW_SHARE = 0.12
+"""Length of the longest arrow, share of the longest edge."""
+BANDS = f'Bands: U (k = {COVERAGE_FACTOR:g}), pointwise.'
+AGREEING_SHARE = 0.95
+"""Share of normalised errors up to 1 from which two sources agree: that of their coverage."""
 SCHEMA = 'otf-comparison/1'
 CONVENTION = (
     'positioning and rotations zero at axis position 0, else at the common minimum; straightness '
@@ -30,7 +48,313 @@ CONVENTION = (
 )
 
 
-def _judged(normalised: Array) -> tuple[str, str]:
+def _colour_key(comparison: Comparison) -> Key:
+    a, b = comparison.names
+    return (('after', f'a: {a}'), ('before', f'b: {b}'))
+
+
+def motion_panel(
+    comparison: Comparison, motion: ErrorMotion, readings: MotionReadings | None = None
+) -> str:
+    """One motion of both sides with bands, and readings of a direct instrument if given."""
+    unit = 'µm' if motion.is_translation else 'µrad'
+    pair = comparison.motions.get(motion)
+    if pair is None:
+        return _empty_panel(motion, unit)
+    x, k = 1e3 * pair.position, 1e6 * COVERAGE_FACTOR
+    sides = ((1e6 * pair.a, k * pair.u_a, 'after'), (1e6 * pair.b, k * pair.u_b, 'before'))
+    rows = _reading_rows(comparison, motion, readings)
+    reach = [e for value, wide, _ in sides for e in (value - wide, value + wide)]
+    reach += [e for _, middle, spread, _ in rows for e in (middle - spread, middle + spread)]
+    panel = Panel(_along(x, motion), around(np.concatenate(reach), f'{motion} ({unit})'))
+    marks = [panel.band(x, v - w, v + w, f'{kind} band') for v, w, kind in sides]
+    marks += [panel.line(x, v, kind) for v, _, kind in sides]
+    for at, middle, spread, kind in rows:
+        marks += [panel.ranges(at, middle - spread, middle + spread, f'{kind} thin'),
+                  panel.dots(at, middle, f'{kind} node')]  # fmt: skip
+    return panel.draw(marks, f'{motion} of both', motion)
+
+
+def difference_panel(comparison: Comparison, motion: ErrorMotion) -> str:
+    """Difference of one motion with U of the difference."""
+    unit = 'µm' if motion.is_translation else 'µrad'
+    pair = comparison.motions.get(motion)
+    if pair is None:
+        return _empty_panel(motion, unit)
+    value = 1e6 * pair.difference
+    wide = 1e6 * COVERAGE_FACTOR * np.hypot(pair.u_a, pair.u_b)
+    scale = around(np.concatenate([value, wide, -wide]), f'b - a ({unit})')
+    x = 1e3 * pair.position
+    panel = Panel(_along(x, motion), scale)
+    marks = [panel.band(x, -wide, wide, 'noise band'), panel.level(0.0, 'soft'),
+             panel.line(x, value, 'ink'), panel.dots(x, value, 'ink')]  # fmt: skip
+    return panel.draw(marks, f'difference of {motion}', f'{motion}, b - a')
+
+
+def _empty_panel(motion: ErrorMotion, unit: str) -> str:
+    panel = Panel(Scale(0.1, 0.9, '', marks=1), Scale(-1.0, 1.0, f'{motion} ({unit})', marks=1))
+    said = svg_words(190.0, 100.0, 'not known to both', 'middle soft')
+    return panel.draw([said], f'{motion}: not known to both', motion)
+
+
+def _along(x: Array, motion: ErrorMotion) -> Scale:
+    low, high = float(x[0]), float(x[-1])
+    return Scale(low, high if high > low else low + 1.0, f'{motion.axis} (mm)')
+
+
+def _reading_rows(
+    comparison: Comparison, motion: ErrorMotion, readings: MotionReadings | None
+) -> list[tuple[Array, Array, Array, str]]:
+    """Position, mean and scatter of the runs, um or urad, forward and backward."""
+    folded = motion.is_translation and any(f.axis == motion.axis for f in comparison.common.folded)
+    if readings is None or folded:
+        return []
+    position, base = readings.position, readings.mean
+    offset = np.full(len(position), np.interp(max(0.0, position[0]), position, base))
+    if motion.is_straightness:
+        offset = np.interp(position, position[[0, -1]], base[[0, -1]])
+    return [
+        (1e3 * position, 1e6 * (rows.mean(axis=0) - offset), 1e6 * rows.std(axis=0, ddof=1), kind)
+        for rows, kind in ((readings.forward, 'z'), (readings.backward, 'ink'))
+    ]
+
+
+def draw_motion(
+    comparison: Comparison,
+    motion: str,
+    folder: str | Path,
+    name: str,
+    readings: MotionReadings | None = None,
+) -> Path:
+    """Write one motion of both sides with bands of k = 2, and readings if given."""
+    one, key, caption = ErrorMotion.of(motion), _colour_key(comparison), BANDS
+    if readings is not None:
+        key = (*key, ('z', 'readings forward'), ('ink', 'backward'))
+        caption += ' Readings of the direct instrument: mean and standard deviation of the runs.'
+    pictures = [motion_panel(comparison, one, readings), difference_panel(comparison, one)]
+    return write_sheet(folder, name, pictures, 2, f'{motion} of two sources', caption, key)
+
+
+def draw_motions(comparison: Comparison, folder: str | Path) -> Path:
+    """Write motions.svg: all motions both sides know, and below their differences."""
+    axes = comparison.common.machine.axis_names
+    motions = [ErrorMotion(d, axis) for d in DIRECTIONS for axis in axes]
+    pictures = [motion_panel(comparison, m) for m in motions]
+    pictures += [difference_panel(comparison, m) for m in motions]
+    caption = (
+        f'Above: both sources in one convention. Below: b less a; grey: U of the difference. '
+        f'{BANDS}'
+    )
+    title = 'Error motions of two sources'
+    return write_sheet(folder, 'motions', pictures, 3, title, caption, _colour_key(comparison))
+
+
+def draw_volume(comparison: Comparison, folder: str | Path, name: str = 'volume') -> Path:
+    """Write mean errors, histograms of the differences per direction, and their vectors."""
+    volume = comparison.volume
+    fields = (volume.a, volume.b, volume.difference)
+    names = zip(('a', 'b', 'b - a'), ('after', 'before', 'noise'), fields, strict=True)
+    sizes = [(n, kind, 1e6 * mean_length(field)) for n, kind, field in names]
+    rows = [Bar(n, ((size, kind),), f'{size:.2f} µm') for n, kind, size in sizes]
+    difference = 1e6 * volume.difference
+    reach = float(np.abs(difference).max()) or 1.0
+    pictures = [difference_histogram(difference[:, k], reach, XYZ[k]) for k in range(3)]
+    pictures.append(bars(rows, 'mean error on the grid', width=340.0))
+    length = np.linalg.norm(volume.difference, axis=1)
+    step = heat_step(1e6 * length)
+    pictures.append(vectors(volume.q, volume.difference, step))
+    key = (
+        *_colour_key(comparison),
+        *((f'heat h{k}', said) for k, said in heat_words(step, length)),
+    )
+    caption = (
+        f'Mean length of the error vectors of both sources and of their difference on '
+        f'{len(volume.q)} points; difference by direction; vectors of the difference, mean '
+        f'{1e6 * length.mean():.2f} um, longest {1e6 * length.max():.2f} um, colour by length.'
+    )
+    return write_sheet(folder, name, pictures, 3, 'Two sources in the volume', caption, key)
+
+
+def difference_histogram(values: Array, reach: float, axis: str) -> str:
+    """Differences (n,), um, along an axis, on a scale up to ``reach``."""
+    edges = np.linspace(-1.02 * reach, 1.02 * reach, HISTOGRAM_BINS + 1)
+    share = 100.0 * np.histogram(values, edges)[0] / len(values)
+    panel = Panel(
+        Scale(-1.02 * reach, 1.02 * reach, f'b - a along {axis} (µm)'),
+        around(share, 'share of points (%)', zero=True),
+    )
+    heading = f'along {axis}: standard deviation {values.std():.2f} µm'
+    marks = [panel.columns(edges, share, 'noise')]
+    return panel.draw(marks, f'difference along {axis}', heading)
+
+
+def vectors(q: Array, field: Array, step: float) -> str:
+    """Vectors (n, 3) in the volume of points q, coloured by length in classes of ``step``."""
+    low, high = q.min(axis=0), q.max(axis=0)
+    length = np.linalg.norm(field, axis=1)
+    shown = magnification(float(length.max()), ARROW_SHARE * float((high - low).max()))
+    classes = heat_classes(1e6 * length, step)
+    items: list[Item] = box(low, high)
+    for level in range(LEVELS):
+        own = classes == level
+        if own.any():
+            ends = np.stack([q[own], q[own] + shown.factor * field[own]], axis=1)
+            items.append(Strokes(f'heat thin h{level}', ends, arrows=True))
+    return scene(items, low, high, 'error vectors in the volume', turns=False, shown=shown)
+
+
+def all_normalised(result: Comparison) -> Array:
+    """E_n of all nodes and squareness errors, those without an uncertainty left out, (n,)."""
+    parts = [m.normalised for m in result.motions.values()]
+    parts.append(np.array([s.normalised for s in result.squareness.values()]))
+    found = np.concatenate(parts)
+    return np.asarray(found[np.isfinite(found)])
+
+
+def comparison_html(result: Comparison, convention: str, remarks: Sequence[str], date: str) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    result : Comparison
+    convention : str
+        In which both are compared.
+    remarks : sequence of str
+        What has to be known beside the numbers.
+    date : str
+        When this was written.
+    """
+    gauge = (f'{convention[:1].upper()}{convention[1:]}.',)
+    sections = [
+        _overview_section(result, remarks),
+        _errors_section(result),
+        Section('motions', 'Error motions of both', gauge,
+                draw=lambda: _motion_pictures(result)),
+        Section('volume', 'Differences in the volume', draw=lambda: _volume_pictures(result)),
+    ]  # fmt: skip
+    return page_html(_comparison_heading(result, date), sections)
+
+
+def _comparison_heading(result: Comparison, date: str) -> Heading:
+    a, b = result.names
+    found, volume = all_normalised(result), result.volume
+    mean = micro(mean_length(volume.difference))
+    badge = State('no uncertainty stated', 'open')
+    tiles = [
+        (f'a: {a}', f'{micro(mean_length(volume.a))} um', 'mean error in the volume'),
+        (f'b: {b}', f'{micro(mean_length(volume.b))} um', 'mean error in the volume'),
+        ('b - a', f'{mean} um', 'mean length of the difference, without squareness'),
+    ]
+    if volume.squareness is not None:
+        mean = micro(volume.squareness[2])
+        tiles = [
+            (f'a: {a}', f'{micro(volume.squareness[0])} um', 'mean error in the volume'),
+            (f'b: {b}', f'{micro(volume.squareness[1])} um', 'mean error in the volume'),
+            ('b - a', f'{mean} um', 'mean length of the difference; rigid motion taken out'),
+        ]
+    sentence = f'They differ by {mean} um on average in the volume.'
+    if found.size:
+        share = agreement(found)
+        good = share >= AGREEING_SHARE
+        badge = State('agree within U', 'good') if good else State('differ beyond U', 'bad')
+        sentence += (
+            f' {100 * share:.0f} % of the values agree within their expanded uncertainties '
+            f'(E_n up to 1), the largest E_n is {found.max():.2f}.'
+        )
+        tiles.append(('E_n up to 1', f'{100 * share:.0f} %', f'of {found.size} values'))
+    title, machine = f'Comparison of {a} and {b}', result.common.machine.name
+    return Heading(title, sentence, (badge,), tuple(tiles), f'{machine}, {title}, {date}')
+
+
+def _overview_section(result: Comparison, remarks: Sequence[str]) -> Section:
+    def draw() -> Sequence[Picture]:
+        rows = [_agreement_bar(n, m.normalised) for n, m in result.motions.items()]
+        rows += [_agreement_bar(n, np.array([s.normalised])) for n, s in result.squareness.items()]
+        difference = result.volume.difference
+        step = heat_step(1e6 * np.linalg.norm(difference, axis=1))
+        key = heat_key(step, 1e6 * float(np.linalg.norm(difference, axis=1).max()), 'µm')
+        arrows = vectors(result.volume.q, difference, step)
+        what = 'Left: difference b less a of the error vectors, squareness left out.'
+        if not all_normalised(result).size:
+            return [Picture((arrows,), what, key=key)]
+        caption = f'{what} Right: largest E_n of each error; stroke: 1, the limit of agreement.'
+        return [Picture((arrows, bars(rows, 'largest E_n', width=480.0)), caption, 2, key=key)]
+
+    words = tuple(f'{line[:1].upper()}{line[1:]}.' for line in remarks)
+    return Section('overview', '', words, draw=draw)
+
+
+def _agreement_bar(name: str, normalised: Array) -> Bar:
+    known = normalised[np.isfinite(normalised)]
+    if not known.size:
+        return Bar(name, (), 'no uncertainty')
+    worst = float(known.max())
+    kind = 'good' if worst <= 1.0 else 'bad'
+    return Bar(name, ((worst, kind),), f'{worst:.2f}', 1.0)
+
+
+def _errors_section(result: Comparison) -> Section:
+    k, rows = COVERAGE_FACTOR, []
+    for name, motion in result.motions.items():
+        known = motion.normalised[np.isfinite(motion.normalised)]
+        rows.append((
+            name, micro_unit(unit_of(name)), micro(float(np.ptp(motion.a))),
+            micro(float(np.ptp(motion.b))), micro(float(np.abs(motion.difference).max())),
+            _micro_wide(k * float(motion.u_a.max())), _micro_wide(k * float(motion.u_b.max())),
+            *_agreement_cells(known),
+        ))  # fmt: skip
+    for name, one in result.squareness.items():
+        found = np.array([one.normalised])
+        rows.append((
+            name, 'urad', micro(one.a), micro(one.b), micro(abs(one.difference)),
+            _micro_wide(k * one.u_a), _micro_wide(k * one.u_b),
+            *_agreement_cells(found[np.isfinite(found)]),
+        ))  # fmt: skip
+    words = (
+        'a and b: span of an error motion, value of a squareness error, both in the same gauge; '
+        'U: largest, k = 2; E_n: difference over the root of the sum of both U squared.',
+    )
+    head = ('Error', 'Unit', 'a', 'b', 'Largest |b - a|', 'U of a', 'U of b', 'Largest E_n',
+            'E_n up to 1')  # fmt: skip
+    table = Table(head, tuple(rows), numbers=tuple(range(2, 8)), stacked=True)
+    return Section('errors', 'Error by error', words, tables=(table,))
+
+
+def _micro_wide(value: float) -> str:
+    return micro(value) if value > 0 else '-'
+
+
+def _agreement_cells(known: Array) -> tuple[str, State]:
+    if not known.size:
+        return '-', State('no uncertainty')
+    share = agreement(known)
+    mood = 'good' if share >= AGREEING_SHARE else 'bad'
+    return f'{known.max():.2f}', State(f'{100 * share:.0f} %', mood)
+
+
+def _motion_pictures(result: Comparison) -> Sequence[Picture]:
+    axes, a, b = result.common.machine.axis_names, *result.names
+    motions = [ErrorMotion(d, axis) for d in DIRECTIONS for axis in axes]
+    key = ''.join(
+        f'<span class="{kind}-key"><span class="key"></span>{text(said)}</span> '
+        for kind, said in (('after', f'a: {a}'), ('before', f'b: {b}'))
+    )
+    legend = f'<p class="soft keys">{key}</p>'
+    return [
+        Picture(tuple(motion_panel(result, m) for m in motions), BANDS, 3, key=legend),
+        Picture(tuple(difference_panel(result, m) for m in motions),
+                'Line: b less a; grey: U of the difference.', 3, 'Differences'),
+    ]  # fmt: skip
+
+
+def _volume_pictures(result: Comparison) -> Sequence[Picture]:
+    difference = 1e6 * result.volume.difference
+    reach = float(np.abs(difference).max()) or 1.0
+    panels = tuple(difference_histogram(difference[:, k], reach, XYZ[k]) for k in range(3))
+    return [Picture(panels, 'Share of points by the difference along X, Y and Z.', 3)]
+
+
+def _worst_and_share(normalised: Array) -> tuple[str, str]:
     """Largest E_n, and the share up to 1 in percent; dashes where no uncertainty is known."""
     known = normalised[np.isfinite(normalised)]
     if not known.size:
@@ -104,7 +428,7 @@ def format_comparison(result: Comparison) -> str:
     ]
     for name, motion in result.motions.items():
         rms = float(np.sqrt(np.mean(motion.difference**2)))
-        worst, share = _judged(motion.normalised)
+        worst, share = _worst_and_share(motion.normalised)
         lines.append(
             f'{name:<8}{"um" if unit_of(name) == "m" else "urad":<5}'
             f'{1e6 * np.abs(motion.difference).max():>17.2f}{1e6 * rms:>12.2f}'
@@ -112,7 +436,7 @@ def format_comparison(result: Comparison) -> str:
             f'{worst:>14}{share:>11}'
         )
     for name, one in result.squareness.items():
-        worst, share = _judged(np.array([one.normalised]))
+        worst, share = _worst_and_share(np.array([one.normalised]))
         lines.append(
             f'{name:<8}{"urad":<5}{1e6 * abs(one.difference):>17.2f}'
             f'{1e6 * abs(one.difference):>12.2f}{1e6 * one.u_a:>11.2f}{1e6 * one.u_b:>11.2f}'
@@ -120,7 +444,7 @@ def format_comparison(result: Comparison) -> str:
         )
     lines += remarks_on(result)
     volume = result.volume
-    within = _judged(volume.normalised)[1]
+    within = _worst_and_share(volume.normalised)[1]
     lines += [
         '',
         f'volume, {len(volume.q)} points: mean error a {1e6 * mean_length(volume.a):.2f} um, '

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A noise report as data, as text and as files."""
+"""What ``otf noise`` writes: figure, page, noise.json, text."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,157 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.files.writing import ensure_folder, write_text
+from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
 from otf_core.model.provenance import provenance
 from otf_core.noise.fields import noise_to_fields
 from otf_core.noise.model import QUANTITIES
 from otf_core.noise.report import NoiseReport
-from otf_core.reports.noise_page import noise_html
-from otf_core.reports.plots.noise import draw_noise
+from otf_core.reports.drawing.panel import Panel
+from otf_core.reports.drawing.scale import decades
+from otf_core.reports.drawing.sheet import write_sheet
+from otf_core.reports.page import Heading, page_html
+from otf_core.reports.section import Picture, Section, State, Table
 
 Array = NDArray[np.float64]
 
+NOISE_CAPTION = (
+    'Above: root of the variogram, the scatter of the difference of two samples over root 2, '
+    'against the time between them; dots as seen, line as fitted, band U (k = 2) of the fitted '
+    'level. Below: amplitude spectrum; strokes mark peaks.'
+)
+QUANTITY_UNITS = ('m', 'rad', 'rad')
+"""Of range, horizontal and vertical angle."""
 SCHEMA = 'otf-noise/1'
+
+
+def _millionths(quantity: int) -> str:
+    return 'µm' if quantity == 0 else 'µrad'
+
+
+def draw_variogram(report: NoiseReport, quantity: int) -> str:
+    """Scatter against the time between samples, as seen and as fitted."""
+    seen, noise = report.variogram, tuple(report.measured.noise)[quantity]
+    lag = seen.lag / report.rate
+    value = 1e6 * np.sqrt(seen.value[quantity])
+    time = np.geomspace(lag[0], lag[-1], 100)
+    rise = 1.0 - np.exp(-time / noise.correlation_time) if noise.correlation_time else 0.0 * time
+    model = 1e6 * np.sqrt(noise.white**2 + noise.slow**2 * rise)
+    u = report.u_total[quantity] / noise.level if noise.level > 0 else 0.0
+    wide = 2.0 * float(u) if np.isfinite(u) else 0.0
+    low, high = model * max(1.0 - wide, 0.1), model * (1.0 + wide)
+    panel = Panel(
+        decades(lag, 'time between samples (s)'),
+        decades(np.concatenate([value, low, high]), f'scatter ({_millionths(quantity)})'),
+    )
+    marks = [panel.band(time, low, high, 'before band'), panel.line(time, model, 'before'),
+             panel.dots(lag, value, 'after node')]  # fmt: skip
+    return panel.draw(marks, f'variogram of the {QUANTITIES[quantity]}', QUANTITIES[quantity])
+
+
+def draw_spectrum(report: NoiseReport, quantity: int) -> str:
+    """Amplitude spectrum with its peaks."""
+    frequency = report.spectrum.frequency[1:]
+    density = 1e6 * np.sqrt(report.spectrum.density[quantity][1:])
+    panel = Panel(
+        decades(frequency, 'frequency (Hz)'),
+        decades(density, f'{_millionths(quantity)} per root Hz'),
+    )
+    marks = [panel.line(frequency, density, 'after thin')]
+    for peak in report.peaks:
+        if peak.quantity == quantity:
+            ends = np.array([peak.frequency]), [panel.y.low], [panel.y.high]
+            marks.append(panel.ranges(*ends, 'before thin'))
+    return panel.draw(marks, f'spectrum of the {QUANTITIES[quantity]}')
+
+
+def draw_noise(report: NoiseReport, folder: str | Path) -> Path:
+    """Write noise.svg: one column a quantity, dots as seen, lines as fitted, peaks marked."""
+    pictures = [draw(report, k) for draw in (draw_variogram, draw_spectrum) for k in range(3)]
+    title = (
+        f'Tracker noise at rest: {report.standstills} standstills, {report.duration:.1f} s at '
+        f'{report.rate:.0f} Hz, beam {report.distance:.2f} m'
+    )
+    key = (('after', 'seen'), ('before', 'fitted, peaks'))
+    return write_sheet(folder, 'noise', pictures, 3, title, NOISE_CAPTION, key)
+
+
+def noise_html(
+    report: NoiseReport, name: str, date: str, events: Sequence[str], colour: str
+) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    report : NoiseReport
+    name : str
+        Of the recording.
+    date : str
+        When this was written.
+    events : sequence of str
+        Lost samples, steps, drift and peaks in words.
+    colour : str
+        How the noise is correlated.
+    """
+    measured = report.measured
+    levels = [_level_words(report.measured.noise.level[k], report.u_total[k], k) for k in range(3)]
+    tiles = tuple(
+        (what[:1].upper() + what[1:], value, 'standard deviation of a single sample, ± U (k = 2)')
+        for what, value in zip(QUANTITIES, levels, strict=True)
+    )
+    warned = len(report.warnings)
+    badge = (
+        State(f'{warned} warning{"s" if warned > 1 else ""}', 'open')
+        if warned
+        else State('no warnings', 'good')
+    )
+    heading = Heading(
+        f'Noise of the tracker at rest{f", {name}" if name else ""}',
+        f'A single sample scatters by {levels[0]} along the beam, {levels[1]} and {levels[2]} in '
+        f'the angles; {colour}.',
+        (badge,),
+        tiles,
+        f'noise of the tracker, run {name}, {date}' if name else f'noise of the tracker, {date}',
+    )
+    facts = (
+        ('standstills', f'{report.standstills}, of which {report.duration:.1f} s are used'),
+        ('samples', f'{measured.samples} at {report.rate:.0f} Hz in {measured.windows} windows, '
+         f'{measured.left_out} louder ones left out'),
+        ('beam', f'{report.distance:.2f} m long on average'),
+    )  # fmt: skip
+    found = tuple(f'{event[:1].upper()}{event[1:]}.' for event in events)
+    words = tuple(f'Warning: {text}.' for text in report.warnings)
+    sections = [
+        Section('overview', '', words, draw=lambda: _noise_pictures(report)),
+        Section('levels', 'Levels', tables=(_level_table(report),)),
+        Section('standstills', 'Standstills', found, tables=(Table(('', ''), facts),)),
+    ]
+    return page_html(heading, sections)
+
+
+def _level_words(level: float, u: float, quantity: int) -> str:
+    wide = COVERAGE_FACTOR * float(u)
+    return micro_with_expanded(
+        float(level), wide if np.isfinite(wide) else 0.0, QUANTITY_UNITS[quantity]
+    )
+
+
+def _noise_pictures(report: NoiseReport) -> Sequence[Picture]:
+    panels = [draw(report, k) for draw in (draw_variogram, draw_spectrum) for k in range(3)]
+    return [Picture(tuple(panels), NOISE_CAPTION, columns=3)]
+
+
+def _level_table(report: NoiseReport) -> Table:
+    rows, noise = [], report.measured.noise
+    for k, name in enumerate(QUANTITIES):
+        tail = report.measured.tails[k]
+        kind = 'normal' if tail.freedom is None else f"Student's t, {tail.freedom:.0f} dof"
+        rows.append((
+            name, _level_words(noise.level[k], report.u_total[k], k),
+            _level_words(noise.white[k], report.u_white[k], k),
+            f'{tail.excess_kurtosis:.2f}', kind,
+        ))  # fmt: skip
+    head = ('Noise', 'Total (k = 1) ± U', 'White part (k = 1) ± U', 'Excess kurtosis', 'Tails')
+    return Table(head, tuple(rows), numbers=(3,), stacked=True)
 
 
 def _number(value: float) -> float | None:

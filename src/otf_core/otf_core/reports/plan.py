@@ -9,17 +9,19 @@ body, see ``EffectForecast``.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from otf_core.calibration.headline import Expected
 from otf_core.files.csv_points import tidy, write_csv
 from otf_core.files.writing import write_text
 from otf_core.inputs.plan_json import SCHEMA
-from otf_core.model.expanded import micro_significant
+from otf_core.model.expanded import COVERAGE_FACTOR, micro_significant
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
 from otf_core.noise.fields import noise_to_fields
@@ -27,9 +29,210 @@ from otf_core.planning.forecast import Forecast
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import program
 from otf_core.planning.plan_report import PlanReport
-from otf_core.reports.plan_page import plan_html
-from otf_core.reports.plots.plan import write_plan_picture
-from otf_core.reports.quantities import place
+from otf_core.prediction.volumetric import length_sizes
+from otf_core.reports.drawing.bars import Bar, bars
+from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step, heat_words
+from otf_core.reports.drawing.scene import SCRIPT, Dots, Item, Strokes, box, scene, tracker_items
+from otf_core.reports.drawing.sheet import write_sheet
+from otf_core.reports.page import Heading, page_html
+from otf_core.reports.quantities import listed, millimetres, place
+from otf_core.reports.section import Picture, Section, State, Table
+
+MILLIONTHS = {'m': 'um', 'rad': 'urad'}
+"""Millionths of what errors are in."""
+PLAN_CAPTION = (
+    'Above: the path with the tracker and its beams to the corners of the volume; standard '
+    'uncertainty of the error vector, k = 1, the best rigid motion taken out, as colour. Below: '
+    'standard uncertainty (k = 1) of every error, mean of the nodes of a table; strokes: the '
+    'largest. All of noise alone.'
+)
+UNFOLDED_PLACES = 8
+"""Places of the tracker that are not folded away."""
+
+
+def draw_path(report: PlanReport, *, turns: bool = False) -> str:
+    """Path, tracker and its beams to the corners of the volume."""
+    machine, place = report.setup.machine, report.setup.place
+    points, low, high = report.plan.path.points, machine.lower, machine.upper
+    ends = np.stack([points[:-1], points[1:]], axis=1)
+    ends = ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 0]
+    corners = np.array(list(product(*zip(low, high, strict=True))))
+    beams = np.stack([np.broadcast_to(place, corners.shape), corners], axis=1)
+    items: list[Item] = [
+        Strokes('z thin dash', beams),
+        Strokes('after thin', ends),
+        *box(low, high),
+        *tracker_items(place, low, high),
+    ]
+    both = np.vstack([low, high, place])
+    return scene(items, both.min(axis=0), both.max(axis=0), 'path and tracker', turns=turns)
+
+
+def draw_grid(report: PlanReport, step: float, *, turns: bool = False) -> str:
+    """Uncertainty of the error vector on the grid in classes of ``step``, um."""
+    machine, found = report.setup.machine, report.forecast
+    classes = heat_classes(1e6 * np.linalg.norm(found.grid_u_free, axis=1), step)
+    items = box(machine.lower, machine.upper)
+    items += [
+        Dots(f'heat big h{level}', found.grid[classes == level])
+        for level in range(LEVELS)
+        if np.any(classes == level)
+    ]
+    return scene(items, machine.lower, machine.upper, 'uncertainty in the volume', turns=turns)
+
+
+def draw_error_bars(report: PlanReport, unit: str) -> str:
+    """Bars of all errors of a unit."""
+    found, words = report.forecast, MILLIONTHS[unit]
+    rows = []
+    for name in (*SQUARENESS, *MOTIONS):
+        if unit_of(name) != unit:
+            continue
+        if name not in found.solution.accepted:
+            rows.append(Bar(name, (), 'not seen by this path'))
+            continue
+        u = found.u[name]
+        mean, most = float(u.mean()), float(u.max())
+        said = f'{1e6 * mean:.2f}, largest {1e6 * most:.2f} {words}'
+        rows.append(Bar(name, ((1e6 * mean, 'after'),), said, 1e6 * most))
+    return bars(rows, f'uncertainty of errors in {words}', width=480.0)
+
+
+def write_plan_picture(report: PlanReport, folder: Path) -> Path:
+    """Write plan.svg into a folder."""
+    size = np.linalg.norm(report.forecast.grid_u_free, axis=1)
+    step = heat_step(1e6 * size)
+    key = [(f'heat h{level}', f'u {said}') for level, said in heat_words(step, size)]
+    pictures = [draw_path(report), draw_grid(report, step)]
+    pictures += [draw_error_bars(report, unit) for unit in MILLIONTHS]
+    title = f'Plan for {report.setup.machine.name}: {report.how}'
+    return write_sheet(folder, 'plan', pictures, 2, title, PLAN_CAPTION, key)
+
+
+def plan_html(report: PlanReport, date: str) -> str:
+    """Return the page; ``date`` is when the plan was made."""
+    sections = [
+        _overview_section(report),
+        _path_section(report),
+        _tracker_section(report),
+        _effects_section(report),
+    ]
+    return page_html(_plan_heading(report, date), [s for s in sections if s is not None])
+
+
+def _expected_volume(report: PlanReport) -> Expected:
+    """What a calibration from this plan would state first; of noise alone if no more is known."""
+    if report.systematic is not None:
+        return report.systematic.expected
+    noise = length_sizes(COVERAGE_FACTOR * np.linalg.norm(report.forecast.grid_u_free, axis=1))
+    return Expected(noise, noise, COVERAGE_FACTOR, (), nothing_declared=True)
+
+
+def _plan_heading(report: PlanReport, date: str) -> Heading:
+    plan, found = report.plan, report.forecast
+    expected = _expected_volume(report)
+    wide, largest = (micro_significant(expected.expanded[size]) for size in ('mean', 'max'))
+    noise, most = (micro_significant(expected.observed[size]) for size in ('mean', 'max'))
+    label = 'tracker noise alone' if report.systematic is None else expected.label
+    sentence = f'{expected.expanded_words[:1].upper()}{expected.expanded_words[1:]}.'
+    if report.systematic is None:
+        sentence = f'{expected.forecast_words[:1].upper()}{expected.forecast_words[1:]}.'
+    missing = [f.error for f in report.findings]
+    badge = (
+        State(f'{len(missing)} errors not shown', 'open')
+        if missing
+        else State('all errors shown', 'good')
+    )
+    tiles = (
+        ('Expected after compensation', wide,
+         f'mean U over the volume (k = {expected.k:.3g}), largest {largest}; {label}'),
+        ('Noise of the tracker alone', noise, f'the same mean, largest {most}'),
+        ('Drive', f'{found.duration:.0f} s', f'{plan.path.length:.1f} m, '
+         f'{len(plan.path.points)} points'),
+    )  # fmt: skip
+    name = report.setup.machine.name
+    return Heading(
+        f'Plan for {name}: {report.how}', sentence, (badge,), tiles, f'{name}, plan, {date}'
+    )
+
+
+def _overview_section(report: PlanReport) -> Section:
+    words = [f'Not shown: {f.words}; needs {f.needs}.' for f in report.findings]
+    words += [f'{a.words[:1].upper()}{a.words[1:]}.' for a in report.after]
+
+    def draw() -> Sequence[Picture]:
+        size = 1e6 * np.linalg.norm(report.forecast.grid_u_free, axis=1)
+        step = heat_step(size)
+        return [
+            Picture(
+                (draw_path(report, turns=True), draw_grid(report, step, turns=True)),
+                'Left: the path, the tracker and its beams to the corners of the volume. Right: '
+                'standard uncertainty of the error vector (k = 1) of tracker noise alone, best '
+                'rigid motion taken out.',
+                columns=2,
+                key=heat_key(step, float(size.max()), 'µm'),
+            ),
+            Picture(
+                (draw_error_bars(report, 'm'), draw_error_bars(report, 'rad')),
+                'Standard uncertainty (k = 1) of tracker noise alone: bar and first number the '
+                'mean over the nodes of a table, stroke the largest.',
+                columns=2,
+                title='All 21 errors',
+            ),
+        ]
+
+    return Section('overview', '', tuple(words), draw=draw, script=SCRIPT)
+
+
+def _path_section(report: PlanReport) -> Section:
+    plan, setup = report.plan, report.setup
+    points = plan.path.points
+    feeds = np.unique(np.rint(60e3 * plan.feed)).astype(int)
+    ranges = zip(setup.machine.axis_names, points.min(axis=0), points.max(axis=0), strict=True)
+    driven = [f'{a} {millimetres(low)} to {millimetres(high)} mm' for a, low, high in ranges]
+    rows = (
+        ('how', report.how),
+        ('driven', ', '.join(driven)),
+        ('feeds', f'{", ".join(map(str, feeds))} mm/min'),
+        ('accelerations assumed', f'{1e3 * setup.config.acceleration:g} mm/s²'),
+        ('samples assumed', f'{setup.config.rate:g} a second'),
+        ('noise assumed', str(setup.noise)),
+        ('unknowns determined', f'{report.forecast.solution.rank} of '
+         f'{report.forecast.solution.unknowns}'),
+    )  # fmt: skip
+    return Section('path', 'Path and what is assumed', tables=(Table(('', ''), rows),))
+
+
+def _tracker_section(report: PlanReport) -> Section:
+    words = (
+        f'Assumed here: {place(report.setup.place)}.',
+        *(f'{line[:1].upper()}{line[1:]}.' for line in report.advice),
+    )
+    rows = tuple(
+        (p.words, place(p.place), f'{1e6 * p.mean_grid_u:.3f}',
+         f'{p.shortest:.2f} to {p.longest:.2f}')
+        for p in report.places
+    )  # fmt: skip
+    head = ('Place', 'Position', 'Mean u in the volume, noise alone (um)', 'Beam (m)')
+    tables = [Table(head, rows[:UNFOLDED_PLACES], numbers=(2, 3), stacked=True)]
+    if rows[UNFOLDED_PLACES:]:
+        tables.append(
+            Table(head, rows[UNFOLDED_PLACES:], (2, 3), folded='Other places', stacked=True)
+        )
+    return Section('tracker', 'Where the tracker stands', words, tables=tuple(tables))
+
+
+def _effects_section(report: PlanReport) -> Section | None:
+    if not report.effects:
+        return None
+    rows = tuple(
+        (e.effect.replace('_', ' '), e.words.removeprefix(e.effect).strip())
+        for e in report.effects
+    )
+    hidden = [e.effect.replace('_', ' ') for e in report.effects if not e.data.get('visible')]
+    words = (f'Not shown by this path: {listed(hidden)}.',) if hidden else ()
+    table = Table(('Effect', 'Smallest size that a diagnosis would find'), rows, stacked=True)
+    return Section('effects', 'Effects beyond the rigid body', words, tables=(table,))
 
 
 def _margin(report: PlanReport) -> float:
@@ -96,7 +299,7 @@ def report_to_dict(report: PlanReport) -> dict[str, Any]:
     }
 
 
-def _table(found: Forecast) -> list[str]:
+def _error_lines(found: Forecast) -> list[str]:
     lines = [f'{"error":6} {"mean u":>10} {"max u":>10}']
     for name in (*SQUARENESS, *MOTIONS):
         if name not in found.solution.accepted:
@@ -155,7 +358,7 @@ def format_report(report: PlanReport) -> str:
         f'{found.solution.rank} of {found.solution.unknowns} unknowns determined:',
         f'in the gauge of the tables, on the grid: mean {micro_significant(gauge.mean())}, '
         f'largest {micro_significant(gauge.max())}',
-        *_table(found),
+        *_error_lines(found),
         '',
         *(['What it would say to the diagnosis:'] if report.after else []),
         *(f'  {a.words}' for a in report.after),

@@ -78,7 +78,7 @@ def test_table_and_figures_are_written(found, laboratory, tmp_path):
 
 
 def test_figures_do_not_change_from_run_to_run(found, laboratory, tmp_path):
-    from otf_core.reports.plots.validation import draw_prediction
+    from otf_core.reports.validation import draw_prediction
 
     first = draw_prediction(found, tmp_path).read_bytes()
     assert draw_prediction(found, tmp_path).read_bytes() == first

@@ -2,5 +2,5 @@
 """Sections of the report of a calibration: a file for each question of its reader.
 
 A section is a function of ``Facts`` named ``..._section``; None where it has nothing to say. Its
-line in ``reports.calibration_report`` puts it in its place.
+line in ``reports.calibration`` puts it in its place.
 """
