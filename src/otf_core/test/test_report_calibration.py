@@ -13,7 +13,8 @@ import pytest
 from core_cells import constant_tables, some_machine
 from html_cells import Page, number, unloading
 
-import otf_core.reports.calibration_sections as folder_of_sections
+import otf_core.reports.calibration_sections as of_calibration
+import otf_core.reports.gap_sections as of_gap
 from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.model.circumstances import Circumstances
 from otf_core.model.declared import DeclaredUncertainty
@@ -22,6 +23,7 @@ from otf_core.model.limits import Limits
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.pieces.runs import Recording
+from otf_core.reports import diagnosis
 from otf_core.reports.calibration import (
     SECTIONS,
     calibration_sections,
@@ -103,12 +105,17 @@ def test_every_picture_is_named_for_those_who_cannot_see_it(source):
     assert 'nan' not in re.sub(r'[a-z]nan|nan[a-z]', '', source)
 
 
-def test_every_section_is_in_the_report():
-    names = [m.name for m in pkgutil.iter_modules(folder_of_sections.__path__)]
-    modules = [import_module(f'{folder_of_sections.__name__}.{name}') for name in names]
+@pytest.mark.parametrize(
+    ('folder', 'listed'),
+    [(of_calibration, SECTIONS), (of_gap, diagnosis.SECTIONS)],
+    ids=['calibration', 'diagnosis'],
+)
+def test_every_section_is_in_the_report(folder, listed):
+    names = [m.name for m in pkgutil.iter_modules(folder.__path__)]
+    modules = [import_module(f'{folder.__name__}.{name}') for name in names]
     sections = {v for m in modules for k, v in vars(m).items() if k.endswith('_section')}
-    assert sections == set(SECTIONS)
-    assert len(sections) == len(SECTIONS)
+    assert sections == set(listed)
+    assert len(sections) == len(listed)
 
 
 def test_sections_are_named_once_and_hold_plain_data(result):

@@ -17,7 +17,7 @@ from otf_core.model.machine import Machine
 from otf_core.pieces.runs import Recording
 from otf_core.planning.nc import DIALECTS
 from otf_core.planning.plan_report import PlanReport
-from otf_core.reports import calibration, gap_report, plan
+from otf_core.reports import calibration, plan
 from otf_core.reports import diagnosis as reports
 
 Name = str | Path
@@ -229,7 +229,7 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     if isinstance(of, CalibrationResult):
         return calibration.format_result(of)
     if isinstance(of, Diagnosis):
-        return gap_report.format_diagnosis(of)
+        return reports.format_diagnosis(of)
     if isinstance(of, PlanReport):
         return plan.format_report(of)
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')

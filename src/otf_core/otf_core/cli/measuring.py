@@ -153,8 +153,7 @@ def run_diagnose(arguments: argparse.Namespace) -> int:
     from otf_core.effects import REGISTRY
     from otf_core.effects.effects_yaml import read_own_causes
     from otf_core.pieces.finding import GATE
-    from otf_core.reports.diagnosis import write_diagnosis
-    from otf_core.reports.gap_report import gap_sections
+    from otf_core.reports.diagnosis import gap_sections, write_diagnosis
     from otf_core.reports.section import sections_to_dict, sections_to_text
     from otf_core.sim.twin import twin_recording
 

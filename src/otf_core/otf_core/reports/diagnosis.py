@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a diagnosis: gap.json, report.html, and with causes what they do to the tables."""
+"""What ``otf diagnose`` writes: the report of its sections, gap.json, what causes do to tables."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,65 @@ from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.provenance import STANDARD, provenance
 from otf_core.reports.calibration import write_calibration
-from otf_core.reports.gap_report import report_html
+from otf_core.reports.gap_sections.causes import (
+    causes_section,
+    functions_section,
+    hidden_section,
+    next_section,
+    unexplained_section,
+)
+from otf_core.reports.gap_sections.overview import (
+    conditions_section,
+    heading,
+    overview_section,
+    where_section,
+)
+from otf_core.reports.gap_sections.residual_views import (
+    beam_section,
+    frequency_section,
+    place_section,
+    time_section,
+    travel_section,
+)
+from otf_core.reports.page import page_html
+from otf_core.reports.section import Section, sections_to_text
 from otf_core.threads import in_one_thread
 
+SECTIONS: tuple[Callable[[Diagnosis], Section], ...] = (
+    overview_section,
+    causes_section,
+    functions_section,
+    where_section,
+    unexplained_section,
+    hidden_section,
+    next_section,
+    time_section,
+    place_section,
+    travel_section,
+    beam_section,
+    frequency_section,
+    conditions_section,
+)
+"""Functions of ``gap_sections`` in the order of the report."""
 SCHEMA = 'otf-gap/1'
 REPORT_FILE, BESIDE_TABLES = 'report.html', 'gap_report.html'
 """Name of the report; beside error_tables.json there is one of the calibration already."""
+
+
+def gap_sections(diagnosis: Diagnosis) -> list[Section]:
+    """All sections of one diagnosis; pictures are drawn when a page asks for them."""
+    sections = [section(diagnosis) for section in SECTIONS]
+    return [s for s in sections if s.title or s.words or s.tables or s.text]
+
+
+def report_html(diagnosis: Diagnosis) -> str:
+    """Return the report as one page."""
+    return page_html(heading(diagnosis), gap_sections(diagnosis))
+
+
+def format_diagnosis(diagnosis: Diagnosis) -> str:
+    """Return the text for a terminal."""
+    return sections_to_text(gap_sections(diagnosis))
 
 
 def diagnosis_to_dict(diagnosis: Diagnosis) -> dict[str, Any]:
