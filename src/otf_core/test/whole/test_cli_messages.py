@@ -144,7 +144,7 @@ def test_feed_is_in_millimetres_per_minute(machine_file, capsys):
         out = machine_file.parent / 'plan'
         run('plan', '--machine', machine_file, '--out', out, '--feed', feed,
             '--corner-dwell', '0', '--end-dwell', '0', '--passes', '1')  # fmt: skip
-        words = capsys.readouterr().out.replace(':', ' ').split()
+        words = capsys.readouterr().out.replace(':', ' ').replace(';', ' ').split()
         return float(words[words.index('s') - 1]), float(words[words.index('m,') - 1])
 
     # 600 mm/min is 0.01 m/s: slow enough that only the length counts

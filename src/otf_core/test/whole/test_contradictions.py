@@ -321,7 +321,7 @@ def test_commands_refuse_a_bag_given_twice(bag, capsys, verb):
 
 def test_calibrate_ends_with_a_failed_gate_where_the_chain_is_wrong(bag, capsys):
     assert command(bag, 'calibrate', 'bag', machine='wrong') == 4
-    assert 'otf: quality gate failed: chain: w-b-Y-X-Z-t leaves' in capsys.readouterr().err
+    assert 'measurement: NOT GOOD, chain: w-b-Y-X-Z-t leaves' in capsys.readouterr().out
 
 
 def test_diagnose_says_in_its_file_that_the_chain_is_wrong(bag, capsys):

@@ -186,7 +186,8 @@ def test_command_calibrates_a_standstill_run(tmp_path, capsys):
     simulated = ['simulate', *common, '--path', str(tmp_path / 'points.csv'), '--rate', '100',
                  '--corner-dwell', '1', '--out', str(tmp_path / 'bag')]  # fmt: skip
     assert cli.main(simulated) == 0
-    out = ['--method', 'standstill', '--out', str(tmp_path / 'out'), '--residuals-csv']
+    out = ['--method', 'standstill', '--out', str(tmp_path / 'out'), '--residuals-csv',
+           '--verbose']  # fmt: skip
     assert cli.main(['calibrate', str(tmp_path / 'bag'), *common, *out]) == 0
     assert '100 path pieces' in capsys.readouterr().out
     header, *rows = (tmp_path / 'out' / 'residuals.csv').read_text().splitlines()

@@ -7,8 +7,9 @@ less what k groups of N blocks have by chance (the adjusted coefficient of deter
 
     share = 1 - (1 - R^2) (N - 1) / (N - k)
 
-The grouping with the largest share is the view in which the gap has a place; one of a single
-quantity is preferred to one of two positions that has little more.
+The grouping with the largest share is the view in which the gap has a place. One of a single
+quantity is preferred to one of two positions that has little more, and one in the terms of the
+machine to one over the beam: a reader looks for the cause at the machine first.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ SLICES, CELLS, RANGES = 6, 4, 10
 
 SIMPLER = 0.85
 """A grouping by one quantity is preferred to one by two if it has this part of its share."""
+AT_THE_MACHINE = 0.9
+"""A grouping by one quantity of the machine is preferred to one over the beam if it has this part
+of its share."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ def groupings_by_view(views: Sequence[RunView]) -> list[tuple[str, Grouping]]:
 
 
 def separations(views: Sequence[RunView], residuals: Sequence[Array]) -> list[Separation]:
-    """Separation by every grouping, the largest share first; by two positions after ``SIMPLER``.
+    """Separation by every grouping, the one to be shown first; see the head of this file.
 
     Parameters
     ----------
@@ -109,7 +113,14 @@ def separations(views: Sequence[RunView], residuals: Sequence[Array]) -> list[Se
         )
         share, probability = _share(y, n, np.concatenate(list(middle)))
         found.append(Separation(view_name, grouping, share, probability))
-    return sorted(found, key=lambda s: -s.share * (1.0 if s.grouping.second is None else SIMPLER))
+    found.sort(key=lambda s: -s.share * (1.0 if s.grouping.second is None else SIMPLER))
+    first, *others = found
+    if first.view == BEAM:
+        direct = [s for s in others if s.view != BEAM and s.grouping.second is None]
+        if direct and direct[0].share >= AT_THE_MACHINE * first.share:
+            found.remove(direct[0])
+            found.insert(0, direct[0])
+    return found
 
 
 def _block_starts(view: RunView) -> NDArray[np.int64]:
