@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 
 from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_step
 from otf_core.reports.drawing.panel import Panel, arrow_path
-from otf_core.reports.drawing.scale import Scale, around, dates, decades
+from otf_core.reports.drawing.scale import (
+    LEVELS,
+    Scale,
+    around,
+    dates,
+    decades,
+    heat_classes,
+    heat_step,
+)
 from otf_core.reports.drawing.scene import (
     ELEVATION,
     HEIGHT,
@@ -24,8 +31,7 @@ from otf_core.reports.drawing.scene import (
     tracker_items,
 )
 from otf_core.reports.drawing.sheet import write_sheet
-from otf_core.reports.drawing.style import MARKS, STYLE
-from otf_core.reports.drawing.typography import text, typeset
+from otf_core.reports.drawing.style import MARKS, STYLE, text, typeset
 
 
 def numbers(path):

@@ -26,7 +26,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import load_tables, tables_from_dict
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import result_to_dict
-from otf_core.reports.history import format_history, history_page, history_to_dict
+from otf_core.reports.history_report import format_history, history_page, history_to_dict
 
 START = datetime(2026, 1, 1, tzinfo=timezone.utc)
 

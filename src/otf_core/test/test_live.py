@@ -15,12 +15,10 @@ from otf_core.calibration.volume import motion_sizes, volume_errors
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError, ShapeError
 from otf_core.live import layers
-from otf_core.live.numbers import NUMBERS, numbers
-from otf_core.live.path_distance import PathDistance
-from otf_core.live.run import LiveRun, Progress, Solved
-from otf_core.live.scale import enlargement
+from otf_core.live.layers import enlargement
+from otf_core.live.run import NUMBERS, LiveRun, Progress, Solved, numbers
 from otf_core.live.time_left import StepsLeft, TimeLeft, about
-from otf_core.live.track import POINTS, Track
+from otf_core.live.track import TRACK_POINTS, PathDistance, Track
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
@@ -104,7 +102,7 @@ def test_track_of_any_length_stays_small_and_covers_the_whole_run():
         for x in along if lap % 2 == 0 else along[::-1]:
             track.add(*in_tracker([[x, 0, 1e-5 * lap]])[0])
     places, deviations = track.deviations()
-    assert POINTS / 4 < len(places) <= 2 * POINTS
+    assert TRACK_POINTS / 4 < len(places) <= 2 * TRACK_POINTS
     assert {round(z * 1e5) for z in deviations[:, 2]} == set(range(12))
 
 
@@ -151,7 +149,7 @@ def test_long_path_is_drawn_by_few_points_with_its_end():
     turns = np.linspace(0, 60, 40_000)
     coil = NominalPath(np.stack([np.cos(turns), np.sin(turns), 0.01 * turns], axis=1))
     drawn = named(layers.scene(coil, None))['path'].points
-    assert len(drawn) <= layers.MOST + 1 and np.array_equal(drawn[-1], coil.points[-1])
+    assert len(drawn) <= layers.DRAWN_POINTS + 1 and np.array_equal(drawn[-1], coil.points[-1])
 
 
 def test_moving_layers_show_the_tracker_where_it_stands_once_that_is_known():

@@ -18,7 +18,7 @@ from otf_core.noise.model import NoiseComponent, NoiseModel, beam_shares, sample
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
 from otf_core.pieces.runs import Recording, prepare_runs
-from otf_core.reports.noise import write_noise
+from otf_core.reports.noise_report import write_noise
 from otf_core.sim.tracker import measure
 from otf_core.sim.twin import twin_recording
 

@@ -17,8 +17,8 @@ from otf_core.model.path import NominalPath
 from otf_core.noise.model import NoiseModel
 from otf_core.noise.report import noise_report
 from otf_core.noise.standstill import find_standstills, noise_model, standstill_noise
-from otf_core.reports.drawing.typography import typeset
-from otf_core.reports.noise import format_noise, noise_to_dict
+from otf_core.reports.drawing.style import typeset
+from otf_core.reports.noise_report import format_noise, noise_to_dict
 from otf_core.sim.tracker import measure
 
 SPEED = 0.002

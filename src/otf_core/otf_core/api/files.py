@@ -17,7 +17,7 @@ from otf_core.model.machine import Machine
 from otf_core.pieces.runs import Recording
 from otf_core.planning.nc import DIALECTS
 from otf_core.planning.plan_report import PlanReport
-from otf_core.reports import calibration, plan
+from otf_core.reports import calibration, plan_files
 from otf_core.reports import diagnosis as reports
 
 Name = str | Path
@@ -206,7 +206,7 @@ def write_plan(
         raise ConfigError(f'dialect: {dialect!r} is unknown; possible: {", ".join(DIALECTS)}')
     chosen = None if dialect is None else DIALECTS[dialect]
     return _written(
-        folder, overwrite, 'plan', lambda place: plan.write_report(report, place, chosen)
+        folder, overwrite, 'plan', lambda place: plan_files.write_report(report, place, chosen)
     )
 
 
@@ -231,7 +231,7 @@ def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     if isinstance(of, Diagnosis):
         return reports.format_diagnosis(of)
     if isinstance(of, PlanReport):
-        return plan.format_report(of)
+        return plan_files.format_report(of)
     raise ConfigError(f'summary: expected a result of otf_core, got {type(of).__name__}')
 
 

@@ -18,9 +18,8 @@ LOOKED_AT = ('match_tolerance', 'standstill_speed')
 def run_check(arguments: argparse.Namespace) -> int:
     """Say whether a recording is usable."""
     config = parameters(CalibrationConfig, arguments, LOOKED_AT)
-    from otf_core.checking.checks import check
+    from otf_core.checking.checks import check, format_check
     from otf_core.model.machine import load_machine
-    from otf_core.reports.check import format_check
 
     machine = load_machine(arguments.machine) if arguments.machine else None
     path = arguments.path[-1] if arguments.path else None

@@ -71,7 +71,7 @@ def run_history(arguments: argparse.Namespace) -> int:
     """Drift of the machines of a store."""
     from otf_core.history.judged import history_of
     from otf_core.history.store import read_store
-    from otf_core.reports.history import format_history, store_to_dict, write_history
+    from otf_core.reports.history_report import format_history, store_to_dict, write_history
 
     if arguments.limit is not None and not arguments.limit > 0:
         raise ConfigError(f'--limit: {arguments.limit:g} um is not above 0')

@@ -184,7 +184,7 @@ def run_noise(arguments: argparse.Namespace) -> int:
     from otf_core.inputs.recordings import read_samples
     from otf_core.model.provenance import origin_of, provenance
     from otf_core.noise.report import noise_report
-    from otf_core.reports.noise import format_noise, write_noise
+    from otf_core.reports.noise_report import format_noise, write_noise
 
     out = output_folder(arguments, arguments.bag)
     speed = parameters(CalibrationConfig, arguments, ('standstill_speed',)).standstill_speed

@@ -124,7 +124,7 @@ def _listed_runs(arguments: argparse.Namespace, workers: Workers) -> int:
     from otf_core.fleet.fleet import fleet_to_dict, run_fleet, take_folder
     from otf_core.fleet.listed import listed_jobs
     from otf_core.fleet.run_list import read_list
-    from otf_core.reports.fleet import format_fleet, offset_warnings, write_fleet
+    from otf_core.reports.fleet_report import format_fleet, offset_warnings, write_fleet
 
     verb = arguments.what
     runs = read_list(arguments.list)
@@ -145,7 +145,7 @@ def _validation(arguments: argparse.Namespace, workers: Workers) -> int:
     """The paper's comparisons, a cell a run, in one table."""
     from otf_core.cli.simulating import told_limits
     from otf_core.fleet.fleet import fleet_to_dict, run_fleet, take_folder
-    from otf_core.reports.fleet import format_fleet, list_results, write_outcomes
+    from otf_core.reports.fleet_report import format_fleet, list_results, write_outcomes
     from otf_core.reports.validation import write_table
     from otf_core.validation.spread import cell_jobs, table_of
     from otf_core.validation.table import format_rows
@@ -179,7 +179,7 @@ def _trial(arguments: argparse.Namespace, workers: Workers, *, overwrite: bool) 
     from otf_core.blind.seal import holds_trial
     from otf_core.blind.trial import list_files, run_leave_one_out, run_trial
     from otf_core.files.output import OutputFolder
-    from otf_core.reports.fleet import format_fleet, write_outcomes
+    from otf_core.reports.fleet_report import format_fleet, write_outcomes
 
     folder = Path(arguments.out)
     if overwrite or not holds_trial(folder):

@@ -117,7 +117,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from otf_core.planning.follow_up import measured_runs, open_questions
     from otf_core.planning.job import PlanRequest, make_plan, read_place
     from otf_core.planning.nc import DIALECTS
-    from otf_core.reports.plan import format_report, plan_summary, write_report
+    from otf_core.reports.plan_files import format_report, plan_summary, write_report
 
     given = (arguments.machine, arguments.path, arguments.noise, arguments.after)
     out = output_folder(arguments, *(name for name in given if name))

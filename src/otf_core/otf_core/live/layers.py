@@ -1,22 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a picture of a run consists of: named layers of points and lines in the machine frame."""
+"""What a picture of a run consists of: layers in the machine frame, enlargement of errors."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.live.scale import enlargement
 from otf_core.live.track import Track
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_core.model.volume import VolumeErrors
 
 Array = NDArray[np.float64]
-Colour = tuple[float, float, float, float]
 
+ENLARGEMENT_STEPS = (1.0, 2.0, 5.0, 10.0)
+ARROW_SHARE = 0.08
+"""Largest share of the size of the scene that the longest arrow takes."""
+Colour = tuple[float, float, float, float]
 STRIP, LINES, POINTS, TEXT = KINDS = ('strip', 'lines', 'points', 'text')
 """Connected points; a line from every first to every second point; dots; words at a point."""
 GREY: Colour = (0.5, 0.5, 0.5, 0.7)
@@ -24,11 +27,37 @@ BLUE: Colour = (0.0, 0.447, 0.698, 1.0)
 VERMILION: Colour = (0.835, 0.369, 0.0, 1.0)
 GREEN: Colour = (0.0, 0.62, 0.451, 1.0)
 PURPLE: Colour = (0.8, 0.475, 0.655, 1.0)
-"""Told apart by colour-blind readers too (Okabe and Ito 2008), on light and on dark ground."""
-MOST = 5000
+"""Distinguishable for colour-blind readers (Okabe and Ito 2008), on light and on dark ground."""
+DRAWN_POINTS = 5000
 """Points of a path that are drawn; of longer ones every second, third ... is."""
 LINE = 0.002
 """Width of a line as a share of the size of the scene."""
+
+
+def enlargement(vectors: NDArray[np.float64], size: float) -> float:
+    """Factor 1, 2 or 5 times a power of ten that makes errors visible.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (n, 3), m
+        Errors; the longest but for five in a hundred counts.
+    size : float
+        m; of the scene.
+
+    Returns
+    -------
+    float
+        1 if there is nothing to enlarge.
+    """
+    lengths = np.linalg.norm(vectors, axis=1) if len(vectors) else np.zeros(1)
+    longest = float(np.quantile(lengths, 0.95))
+    if not longest > 0.0 or not size > 0.0:
+        return 1.0
+    wanted = ARROW_SHARE * size / longest
+    decade = 10.0 ** math.floor(math.log10(wanted))
+    return max(
+        step * decade for step in ENLARGEMENT_STEPS if step * decade <= wanted * (1.0 + 1e-9)
+    )
 
 
 @dataclass(frozen=True)
@@ -72,7 +101,7 @@ def driven_part(path: NominalPath, travelled: float) -> Array:
     return np.vstack([path.points[:last], end])
 
 
-def thinned(points: Array, most: int = MOST) -> Array:
+def thinned(points: Array, most: int = DRAWN_POINTS) -> Array:
     """Leave out points evenly so that about ``most`` are left, the last among them."""
     step = -(-len(points) // most)
     return points if step == 1 else np.vstack([points[::step], points[-1]])

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.live.layers import driven_part, size_of, thinned
+from otf_core.live.layers import driven_part, enlargement, size_of, thinned
 from otf_core.live.run import LiveRun, Solved
-from otf_core.live.scale import enlargement
 
 Array = NDArray[np.float64]
 
 UM = 1e6
-MOST = 1500
+PAGE_POINTS = 1500
 """Points of a path in a page."""
 
 
@@ -24,7 +23,7 @@ def scene(run: LiveRun) -> dict[str, Any]:
     """Return path, errors on the grid and what is solved; lengths in m, errors in um and urad."""
     data: dict[str, Any] = {'path': None, 'volume': None, 'solved': None}
     if run.path is not None:
-        data['path'] = _rounded(thinned(run.path.points, MOST), 5)
+        data['path'] = _rounded(thinned(run.path.points, PAGE_POINTS), 5)
     volume = run.volume
     if volume is not None and run.path is not None:
         data['volume'] = {
@@ -63,7 +62,9 @@ def now(run: LiveRun) -> dict[str, Any]:
         'scale': 1.0,
     }
     if run.path is not None:
-        data['driven'] = _rounded(thinned(driven_part(run.path, progress.travelled), MOST), 5)
+        data['driven'] = _rounded(
+            thinned(driven_part(run.path, progress.travelled), PAGE_POINTS), 5
+        )
         data['scale'] = enlargement(deviations, size_of(run.path))
     return data
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 import time
 
-EARLIEST = 1.0
+MIN_ELAPSED = 1.0
 """s; earlier nothing is said."""
-LEAST = 0.01
+MIN_FRACTION = 0.01
 """Fraction below which nothing is said."""
 
 
@@ -45,7 +45,7 @@ class TimeLeft:
             self._job, self._began, self._end = job, now, math.nan
             self._first = self._last = fraction
         elapsed, done = now - self._began, fraction - self._first
-        if fraction != self._last and elapsed >= EARLIEST and done >= LEAST:
+        if fraction != self._last and elapsed >= MIN_ELAPSED and done >= MIN_FRACTION:
             self._last, self._end = fraction, now + elapsed * max(0.0, 1.0 - fraction) / done
         return self._end - now if self._end >= now else math.nan
 

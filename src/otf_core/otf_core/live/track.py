@@ -1,22 +1,57 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measured track of a run, thinned so that a whole run is a few hundred points."""
+"""The measured track of a run: thinned to a few hundred points, and its distance from the path."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.live.path_distance import PathDistance
 from otf_core.model.frames import RigidTransform
-from otf_core.model.path import NominalPath
+from otf_core.model.path import MIN_LEG, NominalPath
 
 Array = NDArray[np.float64]
 
-POINTS = 400
+TRACK_POINTS = 400
 """So many points a run is thinned to; there are at most twice as many at any moment."""
-FAR = 5e-3
+OFF_PATH_DISTANCE = 5e-3
 """m; farther away a target is not on the path: it is brought there, or the pose is another's."""
-NONE = np.empty((0, 3))
+NO_POINTS = np.empty((0, 3))
+
+
+class PathDistance:
+    """Nearest places on a polyline, each leg asked; for single points and short lists.
+
+    Parameters
+    ----------
+    path : NominalPath
+    """
+
+    def __init__(self, path: NominalPath) -> None:
+        moving = path.leg_lengths > MIN_LEG
+        self._start = path.points[:-1][moving]
+        self._unit = path.directions[moving]
+        self._length = path.leg_lengths[moving]
+
+    def deviation(self, points: Array) -> Array:
+        """Deviation of points from the path.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 3), m
+            In the machine frame.
+
+        Returns
+        -------
+        ndarray, shape (n, 3), m
+            Point minus the nearest place on the path.
+        """
+        return np.array([self._of_one(point) for point in points]).reshape(-1, 3)
+
+    def _of_one(self, point: Array) -> Array:
+        away = point - self._start
+        along = np.clip(np.einsum('ij,ij->i', away, self._unit), 0.0, self._length)
+        away = away - along[:, None] * self._unit
+        return np.asarray(away[np.argmin(np.einsum('ij,ij->i', away, away))])
 
 
 class Track:
@@ -39,12 +74,12 @@ class Track:
         self.target: Array | None = None
         self._points: list[Array] = []
         self._deviations: list[Array] = []
-        self._spacing = self._length / POINTS
+        self._spacing = self._length / TRACK_POINTS
 
     def set_path(self, path: NominalPath) -> None:
         """Take another path."""
         self._distance, self._length = PathDistance(path), path.length
-        self._spacing = self._length / POINTS
+        self._spacing = self._length / TRACK_POINTS
         self._again()
 
     def set_pose(self, pose: RigidTransform | None) -> None:
@@ -57,7 +92,7 @@ class Track:
         self.target = np.array([x, y, z])
         if self._points and np.linalg.norm(self.target - self._points[-1]) < self._spacing:
             return
-        if len(self._points) >= 2 * POINTS:
+        if len(self._points) >= 2 * TRACK_POINTS:
             self._points, self._deviations = self._points[::2], self._deviations[::2]
             self._spacing *= 2.0
         self._points.append(self.target)
@@ -86,7 +121,7 @@ class Track:
             In the machine frame; nothing as long as the place of the tracker is not known.
         """
         if self._pose is None or not self._points:
-            return NONE, NONE
+            return NO_POINTS, NO_POINTS
         away = np.array(self._deviations)
         near = np.isfinite(away).all(axis=1)
         return self._pose.apply(np.array(self._points)[near]) - away[near], away[near]
@@ -95,7 +130,7 @@ class Track:
         if self._pose is None or self._distance is None:
             return np.full_like(points, np.nan)
         away = self._distance.deviation(self._pose.apply(points))
-        return np.where(np.linalg.norm(away, axis=1)[:, None] > FAR, np.nan, away)
+        return np.where(np.linalg.norm(away, axis=1)[:, None] > OFF_PATH_DISTANCE, np.nan, away)
 
     def _again(self) -> None:
         if self._points:

@@ -35,7 +35,7 @@ from otf_core.noise.fields import noise_to_fields
 from otf_core.prediction.covariance import pack_covariance
 from otf_core.prediction.driven_volume import driven_volume
 from otf_core.prediction.volumetric import volumetric_error
-from otf_core.reports.budget import BudgetLine, budget_lines, budget_to_dict, expanded
+from otf_core.reports.budget_tables import BudgetLine, budget_lines, budget_to_dict, expanded
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_sections.conventions import (
     conventions_section,
@@ -69,7 +69,7 @@ from otf_core.reports.calibration_sections.volumetric_error import (
 )
 from otf_core.reports.certificate import certificate_html
 from otf_core.reports.page import page_html
-from otf_core.reports.reversal import reversal_csv, reversal_to_dict
+from otf_core.reports.reversal_tables import reversal_csv, reversal_to_dict
 from otf_core.reports.section import Section, sections_to_text
 from otf_core.threads import in_one_thread
 

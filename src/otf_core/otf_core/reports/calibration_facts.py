@@ -16,7 +16,7 @@ from otf_core.calibration.result import CalibrationResult
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.volumetric import VolumetricError
-from otf_core.reports.budget import BudgetLine
+from otf_core.reports.budget_tables import BudgetLine
 
 Array = NDArray[np.float64]
 

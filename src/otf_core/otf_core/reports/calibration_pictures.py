@@ -14,7 +14,7 @@ from otf_core.model.limits import VOLUMETRIC
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step
+from otf_core.reports.drawing.scale import LEVELS, heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.scene import (
     TURNED,
     Dots,
@@ -26,9 +26,9 @@ from otf_core.reports.drawing.scene import (
     scene,
     tracker_items,
 )
-from otf_core.reports.drawing.typography import text
-from otf_core.reports.quantities import micro_unit
+from otf_core.reports.drawing.style import text
 from otf_core.reports.section import Picture
+from otf_core.reports.wording import micro_unit
 
 Array = NDArray[np.float64]
 

@@ -18,11 +18,11 @@ from otf_core.reports.calibration_pictures import (
 )
 from otf_core.reports.calibration_sections.error_motions import role
 from otf_core.reports.calibration_sections.first_screen import MOODS, badges, running_words
-from otf_core.reports.circumstances import measured
+from otf_core.reports.condition_tables import measured
 from otf_core.reports.drawing.scene import SCRIPT
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.quantities import micro_unit, place
 from otf_core.reports.section import Cell, Picture, Section, State, Table
+from otf_core.reports.wording import micro_unit, place
 
 BLANK = '\N{HORIZONTAL ELLIPSIS}' * 10
 """To be filled in by hand."""

@@ -22,16 +22,23 @@ from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
 from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step, heat_words
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.panel import words as svg_words
-from otf_core.reports.drawing.scale import Scale, around
+from otf_core.reports.drawing.scale import (
+    LEVELS,
+    Scale,
+    around,
+    heat_classes,
+    heat_key,
+    heat_step,
+    heat_words,
+)
 from otf_core.reports.drawing.scene import Item, Strokes, box, magnification, scene
 from otf_core.reports.drawing.sheet import Key, write_sheet
-from otf_core.reports.drawing.typography import text
+from otf_core.reports.drawing.style import text
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.quantities import micro, micro_unit, place
 from otf_core.reports.section import Picture, Section, State, Table
+from otf_core.reports.wording import micro, micro_unit, place
 
 Array = NDArray[np.float64]
 

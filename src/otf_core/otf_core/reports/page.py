@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from otf_core.reports.drawing.style import STYLE, running_head
-from otf_core.reports.drawing.typography import text
+from otf_core.reports.drawing.style import STYLE, running_head, text
 from otf_core.reports.section import Cell, Picture, Section, State, Table
 
 LONG = 400

@@ -19,7 +19,7 @@ from otf_core.model.provenance import provenance
 from otf_core.noise.model import path_frame
 from otf_core.reports.comparison import draw_motion, draw_volume, vectors
 from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.heat import heat_step, heat_words
+from otf_core.reports.drawing.scale import heat_step, heat_words
 from otf_core.reports.drawing.scene import Dots, Item, Strokes, box, scene
 from otf_core.reports.drawing.sheet import write_sheet
 from otf_core.tracking.alignment import align

@@ -22,7 +22,7 @@ from otf_core.fleet import job
 from otf_core.fleet.call import call_job
 from otf_core.fleet.run_list import read_list
 from otf_core.model.tables import load_tables
-from otf_core.reports.fleet import fleet_rows
+from otf_core.reports.fleet_report import fleet_rows
 
 STUB = """
 import json, os, pathlib, sys

@@ -13,9 +13,9 @@ from otf_core.calibration.result import GAUGE, CalibrationResult
 from otf_core.effects.stated_effect import FOUND, effects_to_list, format_effects
 from otf_core.prediction.absorbed import offset_words
 from otf_core.reports.calibration_facts import Facts
-from otf_core.reports.circumstances import measured
-from otf_core.reports.quantities import dof_words, listed
+from otf_core.reports.condition_tables import measured
 from otf_core.reports.section import Section, Table
+from otf_core.reports.wording import dof_words, listed
 from otf_core.version import __version__
 
 CONVENTION = (

@@ -18,9 +18,9 @@ from otf_core.reports.calibration_pictures import STATE_KINDS
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.quantities import dof_words, micro, micro_unit
-from otf_core.reports.reversal import backlash_words, format_reversal
+from otf_core.reports.reversal_tables import backlash_words, format_reversal
 from otf_core.reports.section import Cell, Picture, Section, Table
+from otf_core.reports.wording import dof_words, micro, micro_unit
 
 Array = NDArray[np.float64]
 

@@ -19,11 +19,11 @@ from otf_core.model.expanded import (
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_pictures import error_bars, volume_pictures
-from otf_core.reports.circumstances import measured
+from otf_core.reports.condition_tables import measured
 from otf_core.reports.drawing.scene import SCRIPT
 from otf_core.reports.page import Heading
-from otf_core.reports.quantities import listed, micro, micro_unit, place
 from otf_core.reports.section import Cell, Section, State, Table
+from otf_core.reports.wording import listed, micro, micro_unit, place
 
 NAMED_CONTRIBUTORS = 3
 """Motions that are named as the largest contributors."""

@@ -18,13 +18,12 @@ from otf_core.model.path import leg_bounds
 from otf_core.model.provenance import moment
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_pictures import trackers
-from otf_core.reports.circumstances import run_table, stated
-from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step
+from otf_core.reports.condition_tables import run_table, stated
 from otf_core.reports.drawing.panel import Panel
-from otf_core.reports.drawing.scale import Scale, around
+from otf_core.reports.drawing.scale import LEVELS, Scale, around, heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.scene import TURNED, Dots, Item, Strokes, box, scene
-from otf_core.reports.quantities import dof_words, listed, micro, millimetres, whole_dof
 from otf_core.reports.section import Picture, Section, Table
+from otf_core.reports.wording import dof_words, listed, micro, millimetres, whole_dof
 
 Array = NDArray[np.float64]
 

@@ -22,14 +22,21 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.presets import TYPICAL
 from otf_core.model.quantities import quantity, scaled
 from otf_core.prediction.volumetric import table_places
-from otf_core.reports.budget import GRID, LISTED, STRONG, BudgetLine, correlations, format_budget
+from otf_core.reports.budget_tables import (
+    GRID,
+    LISTED_PAIRS,
+    STRONG,
+    BudgetLine,
+    correlations,
+    format_budget,
+)
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.panel import svg
 from otf_core.reports.drawing.panel import words as svg_words
-from otf_core.reports.drawing.typography import text
-from otf_core.reports.quantities import dof_words, listed, micro
+from otf_core.reports.drawing.style import text
 from otf_core.reports.section import Picture, Section, Table
+from otf_core.reports.wording import dof_words, listed, micro
 
 Array = NDArray[np.float64]
 
@@ -177,11 +184,11 @@ def correlations_section(facts: Facts) -> Section:
         f'more than {VERY_STRONG}; of two tables the pair of nodes with the strongest correlation '
         f'counts. Predictions use the full covariance, so correlations are not lost.',
     )
-    rows = tuple((*c.between, f'{c.r:.2f}') for c in strong[:LISTED])
+    rows = tuple((*c.between, f'{c.r:.2f}') for c in strong[:LISTED_PAIRS])
     head = ('Between', 'and', 'r')
     tables = [Table(head, rows[:UNFOLDED_PAIRS], numbers=(2,), title='Strongest')] if rows else []
     if len(rows) > UNFOLDED_PAIRS:
-        more = f'The next ones, up to {LISTED}'
+        more = f'The next ones, up to {LISTED_PAIRS}'
         tables.append(Table(head, rows[UNFOLDED_PAIRS:], numbers=(2,), folded=more))
     data = {'pairs': len(strong), 'worst': {'share': share, 'members': dict(members)}}
     return Section('correlations', 'Correlations', said, data, tuple(tables),

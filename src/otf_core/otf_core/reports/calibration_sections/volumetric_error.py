@@ -20,8 +20,8 @@ from otf_core.reports.calibration_sections.first_screen import contributions
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.quantities import micro, micro_unit, millimetres
 from otf_core.reports.section import Picture, Section, Table
+from otf_core.reports.wording import micro, micro_unit, millimetres
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from otf_core.reports.drawing.scale import Scale
-from otf_core.reports.drawing.typography import text as typeset
+from otf_core.reports.drawing.style import text as typeset
 
 Array = NDArray[np.float64]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scales of pictures: data to 0 ... 1, with marks at round numbers."""
+"""Scales of axes, of dates and of colour: round steps, marks, classes and their keys."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ Array = NDArray[np.float64]
 
 ROUND = (1.0, 2.0, 5.0, 10.0)
 FINE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
-MOST, FEWEST = 7, 2
+DECADE_MARKS, MIN_MARKS = 7, 2
 """Marks on a logarithmic scale beyond which only powers of ten are marked, below which
 more of them; intervals on a linear one below which there are more."""
-
 DAY = timedelta(days=1)
 MONTHS = (1, 2, 3, 6, 12, 24, 60, 120)
+LONGEST_BY_HOUR = 2
+"""d; longer spans are marked by date."""
 DAYS = (0.125, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 """Steps of dates."""
+LEVELS = 6
 
 
 @dataclass(frozen=True)
@@ -67,14 +69,14 @@ class Scale:
             powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
             found = [(m, m * 10.0**k) for k in powers for m in ROUND[:3]]
             inside = [(m, v) for m, v in found if self.low <= v <= self.high]
-            if len(inside) < FEWEST:
+            if len(inside) < MIN_MARKS:
                 fine = [m * 10.0**k for k in powers for m in FINE]
                 return [(v, f'{v:g}') for v in fine if self.low <= v <= self.high]
-            few = len(inside) <= MOST or self.high < 10.0 * self.low
+            few = len(inside) <= DECADE_MARKS or self.high < 10.0 * self.low
             return [(v, f'{v:g}') for m, v in inside if few or m == 1.0]
         step = round_step((self.high - self.low) / self.marks)
-        few = math.floor(self.high / step + 1e-9) - math.ceil(self.low / step - 1e-9) < FEWEST
-        if few and self.marks > FEWEST:
+        few = math.floor(self.high / step + 1e-9) - math.ceil(self.low / step - 1e-9) < MIN_MARKS
+        if few and self.marks > MIN_MARKS:
             step = round_step(0.4 * step)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         digits = max(0, -math.floor(math.log10(step) + 1e-9))
@@ -126,12 +128,12 @@ def dates(first: datetime, last: datetime, marks: int = 5) -> Scale:
     ends = first + low * DAY, first + high * DAY
     for step in MONTHS:
         count = (ends[1].year - ends[0].year) * 12 + ends[1].month - ends[0].month
-        if count // step <= marks and count // step >= FEWEST:
+        if count // step <= marks and count // step >= MIN_MARKS:
             text = '%Y' if step % 12 == 0 else '%Y-%m'
             found = _months(ends[0], ends[1], step)
             break
     else:
-        text = '%m-%d' if span > FEWEST else '%H:%M'
+        text = '%m-%d' if span > LONGEST_BY_HOUR else '%H:%M'
         days = next((d for d in DAYS if span / d <= marks), count * 31 / marks)
         start = ends[0].replace(hour=0, minute=0, second=0, microsecond=0)
         count = int((ends[1] - start) / (days * DAY)) + 1
@@ -156,3 +158,35 @@ def decades(values: ArrayLike, label: str) -> Scale:
     given = given[np.isfinite(given) & (given > 0)]
     low, high = (float(given.min()), float(given.max())) if given.size else (0.1, 1.0)
     return Scale(low / 1.15, high * 1.15, label, logarithmic=True)
+
+
+def heat_step(values: Array) -> float:
+    """Width of a class for values (n,): a round number of which six reach the largest."""
+    top = float(np.max(values, initial=0.0))
+    return round_step(top / LEVELS) if top > 0 else 1.0
+
+
+def heat_classes(values: Array, step: float) -> NDArray[np.int64]:
+    """Class of every value, 0 to 5, shape (n,)."""
+    return np.clip((values / step).astype(np.int64), 0, LEVELS - 1)
+
+
+def _spans(step: float, top: float) -> list[tuple[int, str]]:
+    digits = max(0, -int(np.floor(np.log10(step) + 1e-9)))
+    used = min(LEVELS, int(top / step) + 1)
+    return [(k, f'{k * step:.{digits}f} to {(k + 1) * step:.{digits}f}') for k in range(used)]
+
+
+def heat_words(step: float, length: Array) -> list[tuple[int, str]]:
+    """Classes up to the longest of lengths (n,), m, and what they stand for, um."""
+    top = 1e6 * float(np.max(length, initial=0.0))
+    return [(k, f'{said} µm') for k, said in _spans(step, top)]
+
+
+def heat_key(step: float, top: float, unit: str) -> str:
+    """Key of the classes up to ``top``, as markup."""
+    keys = ''.join(
+        f'<span class="h{k}"><span class="key"></span>{said} {unit}</span> '
+        for k, said in _spans(step, top)
+    )
+    return f'<p class="soft keys">{keys}</p>'

@@ -1,8 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Style sheet of HTML reports: light and dark screens, and paper; no fonts from elsewhere.
+"""Style sheet of HTML reports, and their plain text as metrologists write it.
 
-Colours are those of Okabe and Ito (2008), told apart by colour-blind readers too.
+Light and dark screens, and paper; no fonts from elsewhere. Colours are those of Okabe and Ito
+(2008), distinguishable for colour-blind readers too.
 """
+
+from __future__ import annotations
+
+import html
+import re
 
 MARKS = """
 :root { color-scheme: light dark; --ink: #1b1f24; --soft: #59636e; --line: #d0d7de;
@@ -46,7 +52,6 @@ svg text.over { paint-order: stroke; stroke: var(--paper); stroke-width: 3px;
 .turn { overflow: visible; touch-action: pan-y; cursor: grab; } .turn:active { cursor: grabbing; }
 """
 """Colours, and the marks of pictures."""
-
 STYLE = (
     MARKS
     + """
@@ -143,6 +148,9 @@ li { margin: 0.25rem 0; overflow-wrap: anywhere; }
 """
 )
 """The whole page."""
+SPACE = '\u00a0'
+"""Does not break a line."""
+UNITS = '%|[µmk]?m|µrad|mrad|rad|µs|ms|s|min|h|d|°C|K|Hz|Pa|m/s|m/s²'
 
 
 def running_head(words: str) -> str:
@@ -160,3 +168,19 @@ def running_head(words: str) -> str:
         f'@top-left {{ content: "{quoted}"; {box} }} '
         f'@bottom-right {{ content: counter(page) " / " counter(pages); {box} }} }}\n'
     )
+
+
+def typeset(value: object) -> str:
+    """Text with proper signs, not escaped; a value stays on the line of its sign and unit."""
+    plain = re.sub(r'(?<![A-Za-z0-9_])u(m|rad)(?![A-Za-z0-9_])', r'µ\1', str(value))
+    plain = re.sub(r'(?<![^ (])\+/-(?= )', '±', plain)
+    plain = re.sub(r'(?<![\w.])-(?=0(?:\.0+)?(?![\w.]))', '', plain)
+    plain = re.sub(r'(?<![\w.])-(?=\d|[XYZ]\b)', '\N{MINUS SIGN}', plain)
+    plain = re.sub(r'(?<=\d) deg\b', '\N{DEGREE SIGN}', plain)
+    plain = re.sub(r'(?<=\S) (?=(?:±|→) )|(?<=[±→]) (?=\S)', SPACE, plain)
+    return re.sub(rf'(?<=\d) (?=(?:{UNITS})(?![A-Za-z]))', SPACE, plain)
+
+
+def text(value: object) -> str:
+    """The same, escaped for HTML."""
+    return html.escape(typeset(value), quote=True)

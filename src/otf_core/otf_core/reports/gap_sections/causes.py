@@ -18,8 +18,8 @@ from otf_core.model.expanded import COVERAGE_FACTOR
 from otf_core.model.quantities import quantity
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.quantities import listed
 from otf_core.reports.section import Cell, Picture, Section, Table
+from otf_core.reports.wording import listed
 
 DRAWN_CURVES = 6
 """Curves of one cause that are drawn, the largest first."""

@@ -10,7 +10,7 @@ from itertools import combinations
 from otf_core.diagnosis.place.separation import TIME, VOLUME, groupings_by_view
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
 from otf_core.model.provenance import moment
-from otf_core.reports.circumstances import measured, run_table, stated
+from otf_core.reports.condition_tables import measured, run_table, stated
 from otf_core.reports.drawing.bars import Bar, bars
 from otf_core.reports.gap_sections.causes import effect_name
 from otf_core.reports.gap_sections.residual_views import (
@@ -19,8 +19,8 @@ from otf_core.reports.gap_sections.residual_views import (
     volume_picture,
 )
 from otf_core.reports.page import Heading
-from otf_core.reports.quantities import listed
 from otf_core.reports.section import Picture, Section, State, Table
+from otf_core.reports.wording import listed
 from otf_core.version import __version__
 
 GAP_TITLE = 'Gap between run and simulation'

@@ -17,12 +17,11 @@ from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.model.frames import XYZ
 from otf_core.reports.drawing.bars import LETTER, Bar, bars
-from otf_core.reports.drawing.heat import heat_classes, heat_key, heat_step
 from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.panel import words as svg_words
-from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.quantities import listed
+from otf_core.reports.drawing.scale import Scale, around, heat_classes, heat_key, heat_step
 from otf_core.reports.section import Picture, Section
+from otf_core.reports.wording import listed
 
 Array = NDArray[np.float64]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conditions and instrument of reports: what was driven, with what, what nobody said."""
+"""Conditions and instrument of reports: what was driven, with what, what is not stated."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from otf_core.model.circumstances import INSTRUMENT, NUMBERS, TEXTS
 from otf_core.model.machine import Machine, TrackerSpec
 from otf_core.model.provenance import Origin, moment
 from otf_core.noise.model import QUANTITIES
-from otf_core.reports.quantities import listed, place
 from otf_core.reports.section import Table
+from otf_core.reports.wording import listed, place
 
 
 def stated(machine: Machine) -> tuple[list[Table], tuple[str, ...]]:

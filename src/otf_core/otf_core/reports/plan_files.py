@@ -31,12 +31,12 @@ from otf_core.planning.nc.programs import program
 from otf_core.planning.plan_report import PlanReport
 from otf_core.prediction.volumetric import length_sizes
 from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.heat import LEVELS, heat_classes, heat_key, heat_step, heat_words
+from otf_core.reports.drawing.scale import LEVELS, heat_classes, heat_key, heat_step, heat_words
 from otf_core.reports.drawing.scene import SCRIPT, Dots, Item, Strokes, box, scene, tracker_items
 from otf_core.reports.drawing.sheet import write_sheet
 from otf_core.reports.page import Heading, page_html
-from otf_core.reports.quantities import listed, millimetres, place
 from otf_core.reports.section import Picture, Section, State, Table
+from otf_core.reports.wording import listed, millimetres, place
 
 MILLIONTHS = {'m': 'um', 'rad': 'urad'}
 """Millionths of what errors are in."""

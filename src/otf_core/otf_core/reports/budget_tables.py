@@ -18,7 +18,7 @@ from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.prediction.volumetric import table_places
-from otf_core.reports.quantities import dof_words, whole_dof
+from otf_core.reports.wording import dof_words, whole_dof
 from otf_core.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 GRID = 'grid'
 STRONG = 0.5
 """Correlations at least as large are listed."""
-LISTED = 20
+LISTED_PAIRS = 20
 SHORT = {
     'smoothness': 'smooth',
     'straight lines': 'lines',
@@ -168,8 +168,8 @@ def budget_to_dict(tables: ErrorTables, budget: Budget, lines: list[BudgetLine])
         },
         'correlations': {
             'at_least': STRONG,
-            'strongest': [{'between': list(c.between), 'r': c.r} for c in strong[:LISTED]],
-            'more': max(0, len(strong) - LISTED),
+            'strongest': [{'between': list(c.between), 'r': c.r} for c in strong[:LISTED_PAIRS]],
+            'more': max(0, len(strong) - LISTED_PAIRS),
         },
     }
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from otf_core.files.csv_points import tidy
 
-MANY = 1e6
+INFINITE_DOF = 1e6
 """Degrees of freedom that are given as infinite."""
 
 
@@ -23,7 +23,7 @@ def micro_unit(unit: str) -> str:
 
 def whole_dof(dof: float) -> int | None:
     """Effective degrees of freedom, cut to the next lower integer (GUM G.4.1); None: infinite."""
-    return int(dof) if dof < MANY else None
+    return int(dof) if dof < INFINITE_DOF else None
 
 
 def dof_words(dof: float) -> str:
