@@ -261,52 +261,53 @@ KINDS = (
     ('separator', 'tab, `;`, `\\|`, `,` or white space: the one with which most lines of the whole '
      'file have the same number of columns; between white space a date and the time after it are '
      'one field', ('commas', 'tabs', 'strokes', 'spaces', 'date between spaces')),
-    ('quotes', 'as RFC 4180 has them; a field of the head may take several lines',
+    ('quotes', 'as in RFC 4180; a field of the header may span several lines',
      ('quotes', 'line break in the head')),
     ('decimal comma', 'read, also in quotes; points and commas mixed in one column are refused',
      ('decimal commas', 'decimal commas between spaces', 'quoted decimal commas',
       'points and commas mixed', 'decimal commas between commas')),
     ('thousands', 'set off by comma, point, space or apostrophe: decided for the column as a whole, '
-     'from all its fields; one that departs, or stays open, is refused with its line',
+     'from all its fields; a field that departs from it, or an undecided column, is refused with '
+     'its line',
      ('thousands, English', 'thousands, English, in quotes', 'thousands, German',
       'thousands, Swiss', 'thousands, French', 'thousands between commas', 'thousands spoilt',
       'thousands or decimals')),
-    ('comments', '`#`, `//`, `%`, `!` before the data; among them only with a sign that was used '
-     'before, or on a line of another number of columns',
+    ('comments', '`#`, `//`, `%`, `!` before the data; within the data only with a sign that was '
+     'used before, or on a line with another number of columns',
      ('comment among the data', 'commented out')),
-    ('head', 'the last line of names before the data; it has as many columns as the lines, else '
-     'both numbers are stated; a separator at the end of every line counts for none; lines above '
-     'may name groups, a line below units; anything else below it is data',
+    ('header', 'the last line of names before the data; it must have as many columns as the lines, '
+     'otherwise both numbers are stated; a separator at the end of every line adds no column; lines '
+     'above may name groups, a line below units; anything else below it is data',
      ('separator at the end of lines', 'separator at the end of the head',
       'units in a line of their own', 'groups above the names', 'head too long',
       'head too short')),
     ('`n/a`, `---`, `#N/A`, `#DIV/0!`, `***`, empty', 'the line is left out and counted; more than '
-     '10 % of such lines are refused; of points, paths, lattices and readings one is refused',
+     '10 % of such lines are refused; in points, paths, lattices and readings a single one is refused',
      ('#DIV/0!', '*** first', '#WERT!', '---', 'empty', 'n/a in the time', 'a word',
       'half of the lines', 'empty rows of a spreadsheet')),
     ('a field too few or too many, another separator', 'likewise',
      ('a field too few', 'another separator')),
-    ('several points in a head', 'the measured one where words say so, in English, German, French, '
-     'Italian, Spanish or Chinese (of paths and points the nominal one); else refused, with a '
+    ('several points in a header', 'the measured one if words identify it, in English, German, French, '
+     'Italian, Spanish or Chinese (for paths and points the nominal one); otherwise refused, with a '
      '`--columns` for each',
      ('English', 'English, in brackets', 'English, one word', 'German, measured',
       'German, with units', 'French, measured', 'Italian, measured', 'Spanish, measured',
       'Chinese, measured', 'only the other one is said to be nominal', 'names twice',
       'names with numbers', 'two sources', 'nominal only')),
-    ('velocity, rotation, deviation beside the position', 'are no position',
+    ('velocity, rotation, deviation next to the position', 'ignored',
      ('velocity beside', 'velocity beside, German', 'rotation beside', 'deviation beside',
       'twist beside')),
-    ('a column that counts 1, 2, 3', 'is no time: the rate is asked for, unless the head states a '
+    ('a column that counts 1, 2, 3', 'not a time: `--rate` is required, unless the header states a '
      'unit of time', ('counts lines, no head', 'counts lines, called t', 'numbers first, on request')),
-    ('units', 'm, dm, cm, mm, µm (um), inch, in brackets, after `_`, `in` or `/`, below the head',
+    ('units', 'm, dm, cm, mm, µm (um), inch, in brackets, after `_`, `in` or `/`, below the header',
      ('micrometres', 'inches', 'inches in brackets', 'units after a word',
       'spaces, unit once', 'spaces, units apart')),
     ('polar coordinates', 'Hz (clockwise from above) or azimuth (counter-clockwise); V, zenith angle '
      'or elevation; slope distance; deg, gon or rad have to be stated (`grad` is both and is '
-     'refused); V near 90 degrees is a zenith angle, near 0 an elevation, else it is refused',
+     'refused); V near 90 degrees is a zenith angle, near 0 an elevation, otherwise it is refused',
      ('Hz, V, D', 'azimuth, elevation, range', 'angles in words', 'zenith',
       'angles without a unit', 'angles in grad', 'vertical angle of either kind')),
-    ('SpatialAnalyzer', 'collection, group, name or number before x, y, z, stamps after them, unit of '
+    ('SpatialAnalyzer', 'collection, group, name or number before x, y, z, stamps after them, unit from '
      'the line `AXES = CARTESIAN: ...`; cylindrical and spherical coordinates are refused',
      ('SpatialAnalyzer, names', 'SpatialAnalyzer, numbers', 'SpatialAnalyzer, group, number',
       'SpatialAnalyzer, spaces', 'SpatialAnalyzer, stamps', 'spherical')),
