@@ -74,7 +74,8 @@ def assert_same_content(report, gap):
     hidden = zip(report.not_visible, report.not_visible_needs, strict=True)
     assert dict(hidden) == {h['effect']: h['needs'] for h in gap['not_visible']}
     places = {(p.grouping, p.kind, p.label): p for p in report.places}
-    rows = [(n[3:], r) for n, rows in gap['where'].items() if n != 'summary' for r in rows]
+    where = gap['where'].items()
+    rows = [(n[3:], r) for n, rows in where if n.startswith('by_') for r in rows]
     assert len(report.places) == len(rows) > 100
     for grouping, row in rows:
         place = places[grouping, row['kind'], row['label']]

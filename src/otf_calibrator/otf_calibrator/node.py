@@ -3,37 +3,29 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Collection
-from concurrent.futures import Future
 
 from geometry_msgs.msg import PointStamped
-from nav_msgs.msg import Path
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from otf_calibrator.action import CalibrateAction
-from otf_calibrator.collector import PathTaken
-from otf_calibrator.diagnosis_job import Answer
-from otf_calibrator.diagnosis_task import Failure
 from otf_calibrator.diagnostics import tell
 from otf_calibrator.intake import Batch
-from otf_calibrator.job import Calibrated, check_files
+from otf_calibrator.job import check_files
 from otf_calibrator.listening import listen, status_of
+from otf_calibrator.outcomes import OutcomePublisher
 from otf_calibrator.params import CalibratorConfig
-from otf_calibrator.results import ResultPublishers
+from otf_calibrator.path_receiver import PathReceiver
 from otf_calibrator.session import Session
 from otf_calibrator.state import StatePublisher
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.units import check_path
-from otf_core.errors import Cancelled, OtfError
-from otf_core.model.machine import load_machine
 from otf_msgs.msg import TrackerGap, TrackerStatus
 from otf_ros import app, convert, qos, services
 from otf_ros.drain import Drain
 from otf_ros.params import NodeParameters
 from otf_ros.timers import create_timer
-from otf_ros.topic_watch import TopicWatch, senders
+from otf_ros.topic_watch import TopicWatch
 
 PERIOD = 0.1
 """s; how often the run and a calibration under way are looked at if nothing happens to them."""
@@ -67,7 +59,6 @@ class Calibrator(Node):
         self._settings.check_also(CalibratorConfig, check_files)
         wake = self.create_guard_condition(self._tick).trigger
         topic = self.resolve_topic_name(POINT)
-        self._machine = load_machine(files.machine_file)
         self._session = Session(
             self._read_settings,
             self.get_logger().warning,
@@ -77,8 +68,8 @@ class Calibrator(Node):
         listen(self, self._session.intake, files)
         self._watch = TopicWatch(self, READ, POINT)
         self._state = StatePublisher(self)
-        self._results = ResultPublishers(self, self._session.intake)
-        self.create_subscription(Path, PATH, self._on_path, qos.PATH)
+        self._outcomes = OutcomePublisher(self, self._session, self._state)
+        self._paths = PathReceiver(self, PATH, self._session, lambda: self._read_settings()[0])
         self.create_subscription(TrackerStatus, STATUS, self._on_status, qos.STATUS)
         self.create_subscription(TrackerGap, GAP, self._on_gap, qos.EVENTS)
         services.offer(self, 'calibrator/calibrate', self._session.calibrate)
@@ -88,9 +79,9 @@ class Calibrator(Node):
             self,
             self._session,
             lambda: self._read_settings()[0].output_directory,
-            lambda: self._machine.name,
+            lambda: self._paths.machine.name,
         )
-        self._action = CalibrateAction(self, self._session, lambda: self._results.latest)
+        self._action = CalibrateAction(self, self._session, lambda: self._outcomes.results.latest)
         create_timer(self, PERIOD, self._tick)
         # last: samples may come at once
         Drain(self, PointStamped, POINT, self._on_points, qos.MEASUREMENT)
@@ -105,26 +96,6 @@ class Calibrator(Node):
 
     def _read_settings(self) -> tuple[CalibratorConfig, CalibrationConfig]:
         return self._settings.read(CalibratorConfig), self._settings.read(CalibrationConfig)
-
-    def _on_path(self, message: Path) -> None:
-        sender = senders(self, PATH)
-        try:
-            path = convert.path_from_message(message)
-            self._machine = load_machine(self._read_settings()[0].machine_file)
-            check_path(path, self._machine)
-        except OtfError as error:
-            self.get_logger().error(f'planner/path of {sender} ignored: {error}')
-            return
-        data = serialize_message(convert.path_for_journal(message))
-        taken = self._session.intake.path(path, data)
-        collector, points = self._session.collector, len(message.poses)
-        if taken == PathTaken.USED:
-            kept = len(collector.buffer)
-            self.get_logger().info(f'new path of {points} points, for {kept} samples so far')
-        elif taken == PathTaken.WAITS:
-            text = f'another path, of {points} points, was published in mid-run by {sender}'
-            collector.remarks.append(text)
-            self.get_logger().warning(f'{text}; {taken.value}')
 
     def _on_status(self, message: TrackerStatus) -> None:
         self._session.intake.status(status_of(message), serialize_message(message))
@@ -148,46 +119,18 @@ class Calibrator(Node):
         self._watch.look()
         self._session.collector.publishers = self._watch.publishers
         if job := self._session.finished():
-            self._finish(job)
+            self._outcomes.finish(job)
         if outcome := self._session.saved():
-            self._done(outcome)
+            self._outcomes.complete(outcome)
         if started := self._session.due():
             self.get_logger().info(started)
         if early := self._session.look_ahead():
             method = self._read_settings()[0].method
-            self.get_logger().info(self._results.publish_provisional(early, method))
+            self.get_logger().info(self._outcomes.results.publish_provisional(early, method))
         if diagnosed := self._session.diagnosed():
-            self._tell(*diagnosed)
+            self._outcomes.publish_diagnosis(*diagnosed)
         self._state.publish(self._session, self._watch.troubles)
         self._action.look()
-
-    def _finish(self, job: Future[Calibrated]) -> None:
-        """Publish what a calibration gave."""
-        error = job.exception()
-        if error is None:
-            for text in self._results.publish(job.result()):
-                self.get_logger().warning(text)
-            return
-        if not isinstance(error, OtfError):
-            self.get_logger().error(''.join(traceback.format_exception(error)))
-        text = self._results.publish_failure(error) + self._session.intake.kept()
-        if isinstance(error, Cancelled):
-            self._state.cancelled(text, self._session)
-        else:
-            self._state.failed(text)
-
-    def _done(self, outcome: Calibrated) -> None:
-        """Tell that all files of a calibration are there, and diagnose it if that is wanted."""
-        self._state.done(outcome)
-        if outcome.request.files.diagnose:
-            started, text = self._session.diagnose()
-            if not started:
-                self._tell(outcome, Failure(2, text))
-
-    def _tell(self, outcome: Calibrated, answer: Answer) -> None:
-        """Publish what a diagnosis gave."""
-        self._results.publish_gap(outcome, answer)
-        self._state.diagnosed(outcome, answer)
 
 
 def _when(names: Collection[str]) -> str:

@@ -3,28 +3,19 @@
 
 from __future__ import annotations
 
-from geometry_msgs.msg import Point, PointStamped, Vector3
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from std_msgs.msg import Header
 
+from otf_compensator.answers import Answers
 from otf_compensator.params import CompensatorConfig
-from otf_compensator.tables import Corrected, Tables
-from otf_core.bags.cdr import frame_shown
+from otf_compensator.tables import Tables
 from otf_core.errors import InputError, OtfError
 from otf_core.threads import one_thread
-from otf_msgs.msg import Compensation
-from otf_msgs.srv import Compensate
-from otf_ros import app, frames, qos, services
+from otf_ros import app, services
 from otf_ros.diagnostics import PERIOD as DIAGNOSED_EVERY
 from otf_ros.diagnostics import Diagnostics, Finding, Level, memory
-from otf_ros.drain import Drain
 from otf_ros.lifecycle import SteadyLifecycleNode
 from otf_ros.params import NodeParameters
 
-PERIOD = 0.002
-"""s; how long a position waits at most: evaluating some together costs little more than one."""
-QUIET = 5.0
-"""s between two warnings about positions that are not answered."""
 WHEN = 'counts at the next compensator/reload or configure'
 INACTIVE = 'the compensator is not active; configure and activate it'
 SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -48,12 +39,9 @@ class Compensator(SteadyLifecycleNode):
         self._settings.tell_when(lambda names: WHEN if 'tables_file' in names else '')
         self._tables: Tables | None = None
         self._active = False
-        self._answered = self._answered_before = 0
+        self._answered_before = 0
         self._error: OtfError | None = None
-        self._publisher = self.create_publisher(
-            Compensation, 'compensator/compensation', qos.COMMAND
-        )
-        self.create_service(Compensate, 'compensator/compensate', self._on_request)
+        self._answers = Answers(self, self._in_use)
         services.offer(self, 'compensator/reload', self._reload)
         Diagnostics(self, self._machine, {'tables': self._look_at_tables, 'memory': memory})
         if self._settings.read(CompensatorConfig).auto_start:
@@ -62,7 +50,7 @@ class Compensator(SteadyLifecycleNode):
                 raise self._error
             self.trigger_activate()
         # last: positions may come at once
-        Drain(self, PointStamped, 'compensator/wanted', self._on_wanted, qos.COMMAND, PERIOD)
+        self._answers.listen()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the tables that the parameters name."""
@@ -105,8 +93,8 @@ class Compensator(SteadyLifecycleNode):
 
     def _look_at_tables(self) -> Finding:
         """Which tables are in use, and how much they are asked."""
-        rate = (self._answered - self._answered_before) / DIAGNOSED_EVERY
-        self._answered_before = self._answered
+        rate = (self._answers.count - self._answered_before) / DIAGNOSED_EVERY
+        self._answered_before = self._answers.count
         values = {'state': self.lifecycle_state, 'answers [1/s]': rate}
         if self._tables is None or not self._active:
             return Finding(Level.WARN, f'nothing is answered: {INACTIVE}', values)
@@ -129,59 +117,6 @@ class Compensator(SteadyLifecycleNode):
         if self._tables is None or not self._active:
             raise InputError(INACTIVE)
         return self._tables
-
-    def _on_wanted(self, messages: list[PointStamped], numbers: list[int | None]) -> None:
-        own = [m for m in messages if m.header.frame_id == frames.machine()]
-        if len(own) < len(messages):
-            others = {m.header.frame_id for m in messages} - {frames.machine()}
-            named = ', '.join(map(frame_shown, sorted(others)))
-            self._refused(f'frame_id is {named}, expected {frames.machine()!r}')
-        if not own:
-            return
-        try:
-            points, tables = [_tuple(m.point) for m in own], self._in_use()
-            tables.notes(points)
-            for message, found in zip(own, tables.ask(points), strict=True):
-                self._answered += 1
-                self._publisher.publish(_message(found, message.header))
-        except OtfError as error:
-            self._refused(str(error))
-
-    def _refused(self, why: str) -> None:
-        self.get_logger().warning(
-            f'compensator/wanted not answered: {why}', throttle_duration_sec=QUIET
-        )
-
-    def _on_request(
-        self, request: Compensate.Request, response: Compensate.Response
-    ) -> Compensate.Response:
-        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=frames.machine())
-        points = [_tuple(p) for p in request.wanted]
-        try:
-            tables = self._in_use()
-            response.message = '; '.join(tables.notes(points))
-            response.compensations = [_message(f, header) for f in tables.ask(points)]
-            response.success = True
-        except OtfError as error:
-            response.message = str(error)
-        return response
-
-
-def _tuple(point: Point) -> tuple[float, float, float]:
-    return point.x, point.y, point.z
-
-
-def _message(found: Corrected, header: Header) -> Compensation:
-    (x, y, z), (a, b, c) = found.wanted, found.corrected
-    (ex, ey, ez), (ux, uy, uz) = found.error, found.uncertainty
-    return Compensation(
-        header=header,
-        wanted=Point(x=x, y=y, z=z),
-        error=Vector3(x=ex, y=ey, z=ez),
-        uncertainty=Vector3(x=ux, y=uy, z=uz),
-        corrected=Point(x=a, y=b, z=c),
-        inside=found.inside,
-    )
 
 
 def main(args: list[str] | None = None) -> int:

@@ -24,6 +24,7 @@ def calibrators(node: Node, topic: str) -> int:
     found = {
         (info.node_namespace, info.node_name)
         for info in node.get_subscriptions_info_by_topic(topic)
+        if info.node_namespace.startswith('/')  # else its node is not discovered yet
     }
     return sum(_publishes_state(node, *place) for place in found)
 
