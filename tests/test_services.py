@@ -100,5 +100,5 @@ def test_broken_path_is_refused_and_the_node_lives_on(graph, machine_file):
     publisher = graph.ear().create_publisher(Path, 'planner/path', qos.PATH)
     graph.wait_for_state('WAITING_FOR_PATH')
     publisher.publish(Path())
-    graph.wait(lambda: 'planner/path ignored' in node.last_lines(), 'the complaint')
+    graph.wait(lambda: 'planner/path of test_ear ignored' in node.last_lines(), 'the complaint')
     assert graph.state().name == 'WAITING_FOR_PATH'
