@@ -61,7 +61,10 @@ from otf_core.reports.calibration_sections.measurement import (
     fit_section,
     path_section,
 )
-from otf_core.reports.calibration_sections.uncertainty import budget_section, correlations_section
+from otf_core.reports.calibration_sections.uncertainty_budget import (
+    budget_section,
+    correlations_section,
+)
 from otf_core.reports.calibration_sections.volumetric_error import (
     coverage_section,
     diagonals_section,

@@ -32,13 +32,13 @@ from otf_core.reports.wording import micro_unit
 
 Array = NDArray[np.float64]
 
-DRAWN = 4
+GRID_POINTS_PER_AXIS = 4
 """Points of the grid per axis that are drawn: every other of seven."""
-REACH = 0.9
+ARROW_REACH = 0.9
 """Length of the longest arrow, in distances between arrows along the shortest edge."""
 BOUND = '*'
 """Stands behind the name of an error that holds at one target offset only."""
-RADII = 8
+DOT_RADII = 8
 """Different radii that are drawn."""
 STATE_KINDS = {PASS: 'good', FAIL: 'bad', OPEN: 'open'}
 """Class of a bar by the state of its limit."""
@@ -143,7 +143,9 @@ def volume_pictures(facts: Facts) -> Picture:
     longest = float(length.max())
     step = heat_step(1e6 * length)
     span = float((facts.machine.upper - facts.machine.lower).min())
-    shown = magnification(max(longest, float(u.max())), REACH * span / (DRAWN - 1))
+    shown = magnification(
+        max(longest, float(u.max())), ARROW_REACH * span / (GRID_POINTS_PER_AXIS - 1)
+    )
     limit = facts.machine.limits.values.get(VOLUMETRIC) if facts.machine.limits else None
     stated = '' if limit is None else f', limit {1e6 * limit:g} um'
     return Picture(
@@ -160,7 +162,7 @@ def volume_pictures(facts: Facts) -> Picture:
 def _drawn(facts: Facts) -> NDArray[np.int64]:
     """Which points of the grid are drawn."""
     count = round(len(facts.volume.grid) ** (1 / 3))
-    use = np.unique(np.linspace(0, count - 1, DRAWN).round().astype(int))
+    use = np.unique(np.linspace(0, count - 1, GRID_POINTS_PER_AXIS).round().astype(int))
     every = np.arange(count**3).reshape(count, count, count)
     return np.asarray(every[np.ix_(use, use, use)].ravel())
 
@@ -196,6 +198,6 @@ def _spheres(facts: Facts, shown: Magnification) -> str:
     u = facts.k_volume * facts.volume.u_size[_drawn(facts)]
     grid = facts.volume.grid[_drawn(facts)]
     items: list[Item] = [*box(low, high), *trackers(facts)]
-    order = np.array_split(np.argsort(u), RADII)
+    order = np.array_split(np.argsort(u), DOT_RADII)
     items += [Dots('after disc', grid[own], shown.factor * float(u[own].mean())) for own in order]
     return scene(items, low, high, 'uncertainty after compensation in the volume', shown=shown)

@@ -28,9 +28,9 @@ BLANK = '\N{HORIZONTAL ELLIPSIS}' * 10
 """To be filled in by hand."""
 BY_HAND = ('number', 'customer', 'laboratory', 'operator', 'place')
 """What a certificate leaves room for where machine.yaml does not state it."""
-HASH = 16
+HASH_LETTERS = 16
 """Letters of a hash that identify a recording on paper; the whole one is in error_tables.json."""
-RUNS = 3
+NAMED_RECORDINGS = 3
 """Recordings that are named."""
 BETWEEN = {'C0Y': 'X and Y', 'B0Z': 'X and Z', 'A0Z': 'Y and Z'}
 
@@ -166,11 +166,13 @@ def _statement(facts: Facts) -> Section:
     hidden = facts.result.not_identifiable
     if hidden:
         words.append(f'Not known: {", ".join(hidden)}: these data do not show them.')
-    hashes = [f'{r["name"]} {r["sha256"][:HASH]}'.strip() for r in about.get('runs', [])]
-    more = f' and {len(hashes) - RUNS} more' if len(hashes) > RUNS else ''
+    runs = about.get('runs', [])
+    hashes = [f'{r["name"]} {r["sha256"][:HASH_LETTERS]}'.strip() for r in runs]
+    named = ', '.join(hashes[:NAMED_RECORDINGS])
+    more = f' and {len(hashes) - NAMED_RECORDINGS} more' if len(hashes) > NAMED_RECORDINGS else ''
     words.append(
         f'Run {facts.result.run_id}, otf_core {about["software"]["version"]}, written '
-        f'{about["written"]}; SHA-256 of the recording begins: {", ".join(hashes[:RUNS])}{more}. '
+        f'{about["written"]}; SHA-256 of the recording begins: {named}{more}. '
         f'All values, covariances and whole hashes: error_tables.json.'
     )
     said = tuple(line for line in words if line)

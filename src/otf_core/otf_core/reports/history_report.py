@@ -37,9 +37,9 @@ Array = NDArray[np.float64]
 
 SCHEMA = 'otf-history/1'
 FILE, PAGE = 'history.json', 'history.html'
-FASTER = 1.5
-"""A pace that departs from another by less than this factor is not worth a word."""
-NAMED = 6
+NOTABLE_RATIO = 1.5
+"""Factor by which a pace departs from another from which it is reported."""
+NAMED_MOTIONS = 6
 """Motions named in a line."""
 MONTH, YEAR = 30.0, 365.25
 """days; rates are stated per year where the runs span one, else per month."""
@@ -163,8 +163,8 @@ def _sized(name: str, change: Change, times: float = 1.0) -> str:
 
 def _most(names: Sequence[str]) -> str:
     """Names, the first ones only."""
-    more = f' and {len(names) - NAMED} more' if len(names) > NAMED else ''
-    return ', '.join(names[:NAMED]) + more
+    more = f' and {len(names) - NAMED_MOTIONS} more' if len(names) > NAMED_MOTIONS else ''
+    return ', '.join(names[:NAMED_MOTIONS]) + more
 
 
 def _events(events: Sequence[StoredEvent]) -> str:
@@ -213,9 +213,9 @@ def _pace(history: History) -> str:
     if not before or days[-1] <= days[-2]:
         return ''
     ratio = last.volume.size / (days[-1] - days[-2]) / max(float(np.mean(before)), 1e-300)
-    if ratio >= FASTER:
+    if ratio >= NOTABLE_RATIO:
         return f', {ratio:.1f} times as fast as before'
-    return f', {ratio:.2f} times as fast as before' if ratio <= 1.0 / FASTER else ''
+    return f', {ratio:.2f} times as fast as before' if ratio <= 1.0 / NOTABLE_RATIO else ''
 
 
 def state_words(history: History) -> str:
