@@ -117,7 +117,7 @@ def test_tables_are_as_near_the_truth_as_dense_least_squares_that_knows_the_nois
 
 def test_error_left_is_the_stated_one(case):
     text = (BAGS / 'README.md').read_text(encoding='utf-8')
-    row = re.search(rf'^\| `{case.name}` \| ([\d.]+) um \| ([\d.]+) um \|', text, re.MULTILINE)
+    row = re.search(rf'^\| `{case.name}` \| ([\d.]+) µm \| ([\d.]+) µm \|', text, re.MULTILINE)
     stated = [float(v) for v in row.groups()]
     assert [round(1e6 * v, 2) for v in (found_error(case), dense_error(case))] == stated
 
