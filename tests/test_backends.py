@@ -20,6 +20,7 @@ from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError, OtfError
 from otf_core.model.machine import load_machine
 from otf_core.planning.creator import plan_path
+from otf_msgs.msg import CalibratorState
 from otf_ros import qos
 from otf_tracker_driver import backends
 from otf_tracker_driver.backends import BACKENDS, CommonConfig
@@ -172,7 +173,8 @@ def test_parameters_are_described_bounded_and_frozen(name):
 @in_the_node
 def test_node_streams_until_deactivated_and_again_from_the_beginning(graph, name, source):
     points = graph.listen(PointStamped, 'tracker/point', qos.MEASUREMENT)
-    graph.start('tracker_driver', backend=name, wait_for_subscribers=0, **source[0])
+    graph.ear().create_publisher(CalibratorState, 'calibrator/state', qos.STATUS)  # waited for
+    graph.start('tracker_driver', backend=name, **source[0])
     if BACKENDS[name].needs_plan:
         graph.start('path_planner', machine_file=source[0]['machine_file'], **SHORT)
     streams = []

@@ -2,7 +2,8 @@
 """What a driver that is killed leaves to the next one: stream, number of samples, last stamp.
 
 A few bytes of a file that is mapped into memory: they are there however the process ends, and cost
-a microsecond a sample. An orderly end of the stream empties them.
+a microsecond a sample. A kill between a sample and the note of it leaves that one out. An orderly
+end of the stream empties them.
 """
 
 from __future__ import annotations
