@@ -15,24 +15,13 @@ from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_msgs.msg import CalibratorState
 from otf_ros import convert, qos
-from otf_ros.testing import node_on_bench
-
-MACHINE = {
-    'name': 'small',
-    'chain': 'w-b-X-Y-Z-t',
-    'axes': {
-        name: {'min': low, 'max': low + 0.3, 'table_pitch': 0.1}
-        for name, low in {'X': 0.0, 'Y': 0.0, 'Z': -0.3}.items()
-    },
-    'target_offset': [0.0, 0.0, -0.15],
-    'tracker': {'u_range': 0.5e-6, 'u_angle': 2.0e-6},
-}
+from otf_ros.testing import SMALL_MACHINE, node_on_bench
 
 
 @pytest.fixture
 def machine_file(tmp_path) -> Path:
     file = tmp_path / 'machine.yaml'
-    file.write_text(yaml.safe_dump(MACHINE))
+    file.write_text(yaml.safe_dump(SMALL_MACHINE))
     return file
 
 

@@ -14,25 +14,14 @@ from otf_core.model.machine import machine_from_dict
 from otf_core.model.tables import tables_to_dict
 from otf_core.sim.cell import random_tables
 from otf_msgs.srv import Compensate
-from otf_ros.testing import node_on_bench
-
-MACHINE = {
-    'name': 'small',
-    'chain': 'w-b-X-Y-Z-t',
-    'axes': {
-        name: {'min': low, 'max': low + 0.3, 'table_pitch': 0.1}
-        for name, low in {'X': 0.0, 'Y': 0.0, 'Z': -0.3}.items()
-    },
-    'target_offset': [0.0, 0.0, -0.15],
-    'tracker': {'u_range': 0.5e-6, 'u_angle': 2.0e-6},
-}
+from otf_ros.testing import SMALL_MACHINE, node_on_bench
 
 
 @pytest.fixture
 def tables_file(tmp_path) -> Path:
     file, rng = tmp_path / 'tables.json', np.random.default_rng(5)
     file.write_text(
-        json.dumps(tables_to_dict(random_tables(machine_from_dict(MACHINE), 5e-5, rng)))
+        json.dumps(tables_to_dict(random_tables(machine_from_dict(SMALL_MACHINE), 5e-5, rng)))
     )
     return file
 

@@ -14,24 +14,13 @@ from otf_core.errors import ConfigError
 from otf_core.model.machine import load_machine
 from otf_path_planner.node import PathPlanner
 from otf_ros import convert, qos
-from otf_ros.testing import node_on_bench
-
-MACHINE = {
-    'name': 'small',
-    'chain': 'w-b-X-Y-Z-t',
-    'axes': {
-        name: {'min': low, 'max': low + 0.3, 'table_pitch': 0.1}
-        for name, low in {'X': 0.0, 'Y': 0.0, 'Z': -0.3}.items()
-    },
-    'target_offset': [0.0, 0.0, -0.15],
-    'tracker': {'u_range': 0.5e-6, 'u_angle': 2.0e-6},
-}
+from otf_ros.testing import SMALL_MACHINE, node_on_bench
 
 
 @pytest.fixture
 def machine_file(tmp_path) -> Path:
     file = tmp_path / 'machine.yaml'
-    file.write_text(yaml.safe_dump(MACHINE))
+    file.write_text(yaml.safe_dump(SMALL_MACHINE))
     return file
 
 

@@ -20,6 +20,17 @@ PATIENCE = 30.0
 """s"""
 ALONE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'}
 """Nodes of other processes are not discovered, so tests may run side by side."""
+SMALL_MACHINE: dict[str, Any] = {
+    'name': 'small',
+    'chain': 'w-b-X-Y-Z-t',
+    'axes': {
+        name: {'min': low, 'max': low + 0.3, 'table_pitch': 0.1}
+        for name, low in {'X': 0.0, 'Y': 0.0, 'Z': -0.3}.items()
+    },
+    'target_offset': [0.0, 0.0, -0.15],
+    'tracker': {'u_range': 0.5e-6, 'u_angle': 2.0e-6},
+}
+"""Content of a machine.yaml."""
 
 
 class Bench:
