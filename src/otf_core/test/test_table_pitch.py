@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A table pitch finer than the data can follow is said before anything is solved."""
+"""A table pitch finer than the data can follow is reported before anything is solved."""
 
 import logging
 

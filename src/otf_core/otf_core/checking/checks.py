@@ -255,7 +255,7 @@ BEAM = Check('beam', _check_beam)
 
 
 COMPLETE_PATH = 0.98
-"""Driven share from which on nothing is said."""
+"""Driven share from which on nothing is reported."""
 SHORT_LEG = 4.0
 """Corner exclusions; a leg no longer is not looked for."""
 LEG_SEEN = 0.5

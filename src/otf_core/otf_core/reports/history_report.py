@@ -183,7 +183,7 @@ def _step_words(history: History, step: Step) -> str:
 
 
 def _unnamed(step: Step) -> str:
-    """What is said where no motion changed significantly."""
+    """What is stated where no motion changed significantly."""
     return 'no single motion, all together did' if step.significant else 'no motion beyond chance'
 
 

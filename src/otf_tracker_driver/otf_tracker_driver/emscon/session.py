@@ -191,7 +191,7 @@ class Session:
             if not self._streaming:
                 self.state.phase = state.READY
                 if self.state.hindrance and self.state.hindrance.kind != Flow.STARTING:
-                    self.state.hindrance = None  # a stream that is asked for just now is not ended
+                    self.state.hindrance = None  # a stream requested just now is not ended
                 await self._pause(link, None)
                 continue
             try:
