@@ -57,7 +57,11 @@ def test_every_way_to_write_a_small_number_is_a_number(read, number):
     ('old', 'new', 'words'),
     [
         ('w-b-X-Y-Z-t', '[w, b]', r"^\S*machine.yaml: chain: expected a text, got \['w', 'b'\]$"),
-        ('name:', 'feed: 3\nname:', 'feed: unknown key; known here: name, .*, limits, .*signals$'),
+        (
+            'name:',
+            'feed: 3\nname:',
+            'feed: unknown key; known here: name, .*, limits, .*signals, targets$',
+        ),
         ('chain:', 'chian:', r'chian: unknown key; is chain meant\?$'),
         ('name:', 'Name:', r'Name: unknown key; is name meant\?$'),
         ('target_offset', 'target_ofset', r'target_ofset: unknown key; is target_offset meant\?$'),
@@ -139,7 +143,8 @@ def test_wrong_content_names_file_and_key(read, old, new, key):
 @pytest.mark.parametrize(
     'chain',
     ['w-b-X-Y-t', 'w-b-X-Y-Z-Z-t', 'w-b-X-Y-Y-t', 'b-w-X-Y-Z-t', 'w-X-Y-Z-t', 'w-b-b-X-Y-Z-t',
-     'X-b-Y-Z', 'w-b-X-Y-Z-t-', 'w-b-x-y-z-t', 'w b X Y Z t', 'w-b-X-Y-Z-C-t', 'wbXYZt', 'w-t'],
+     'X-b-Y-Z', 'w-b-X-Y-Z-t-', 'w-b-x-y-z-t', 'w b X Y Z t', 'w-b-X-Y-Z-C-C-t',
+     'w-A-B-b-X-Y-Z-C-t', 'wbXYZt', 'w-t'],
 )  # fmt: skip
 def test_chain_that_is_none_is_refused_with_its_text(read, chain):
     with pytest.raises(ConfigError, match=r'machine\.yaml: chain: ') as caught:
@@ -221,3 +226,57 @@ def test_arrays_of_ranges_follow_the_axis_order_not_the_file_order(read):
     lines = GOOD.splitlines(keepends=True)
     swapped = ''.join([*lines[:3], lines[5], lines[4], lines[3], *lines[6:]])
     np.testing.assert_array_equal(read(swapped).lower, [0.0, 0.0, -0.4])
+
+
+FIVE = """\
+name: u5
+chain: w-C-A-b-Y-X-Z-t
+axes:
+  X: {min: -0.3, max: 0.3, table_pitch: 0.03}
+  Y: {min: -0.25, max: 0.25, table_pitch: 0.03}
+  Z: {min: 0.0, max: 0.6, table_pitch: 0.03}
+  A: {kind: rotary, min: -0.5, max: 1.9, table_pitch: 0.1, direction: [2, 0, 0], centre: [0, 0, 0.05]}
+  C: {kind: rotary, min: 0, max: 6.2832, table_pitch: 0.2, direction: [0, 0, 1], centre: [0, 0, 0], endless: true}
+target_offset: [0.0, 0.0, -0.15]
+tracker: {u_range: 0.5e-6, u_angle: 2.0e-6, link: b}
+targets:
+  tool: {u: 5.0e-6}
+  nest-1: {link: w, place: [0.2, 0.03, 0.1], u: 1.0e-3}
+"""  # noqa: E501
+
+
+def test_five_axes_are_read_and_written_back(read):
+    machine = read(FIVE)
+    assert machine.axis_names == ('X', 'Y', 'Z', 'A', 'C')
+    assert machine.rotary_names == ('A', 'C')
+    assert machine.axes['A'].direction == (1.0, 0.0, 0.0)
+    assert machine.location == ('Y0A', 'Z0A', 'B0A', 'C0A', 'X0C', 'Y0C', 'A0C', 'B0C')
+    assert len(machine.motions) == 30
+    assert machine.targets['tool'].place == (0.0, 0.0, -0.15)
+    assert machine.targets['tool'].u == 5e-6
+    assert machine_from_dict(machine.to_dict()).to_dict() == machine.to_dict()
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'words'),
+    [
+        ('max: 6.2832', 'max: 360', r'C: max: 360 rad .*; is it in degrees\? Write 6.28319 rad'),
+        ('table_pitch: 0.1,', 'table_pitch: 5,', r'axes: A: table_pitch: 5.0 rad .* in degrees\?'),
+        ('kind: rotary, min: -0.5', 'min: -0.5', 'axes: A: kind: missing'),
+        ('[2, 0, 0]', '[0, 0, 0]', 'axes: A: direction: is zero'),
+        (', centre: [0, 0, 0.05]', '', 'axes: A: centre: missing'),
+        ('endless: true', 'endless: 1', 'axes: C: endless: expected true or false'),
+        ('min: -0.3, max', 'kind: rotary, min: -0.3, max', "axes: X: kind: must be 'linear'"),
+        ('link: b', 'link: t', 'tracker: link: expected .w.'),
+        ('link: w', 'link: b', 'targets: nest-1: link: expected .w.'),
+        ('u: 1.0e-3', 'u: 1.0', 'targets: nest-1: u: 1 is out of range'),
+        ('place: [0.2', 'place: [200', 'targets: nest-1: place: .*unit is m, not mm'),
+        ('tool: {u', 'tool: {link: w, u', "targets: tool: place: the target 'tool'"),
+        ('w-C-A-b', 'w-C-A-B-b', 'rotary axes C, A, B; each'),
+        ('u: 1.0e-3}', 'u: 1.0e-3, height: 1}', 'targets: nest-1: height: unknown key'),
+    ],
+)  # fmt: skip
+def test_mistakes_in_rotary_axes_and_targets_name_the_key(read, old, new, words):
+    assert FIVE.count(old) == 1
+    with pytest.raises(ConfigError, match=words):
+        read(FIVE.replace(old, new))

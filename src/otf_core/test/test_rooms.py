@@ -17,7 +17,7 @@ FLOORS = (
     ('planning',),
     ('diagnosis',),
     ('calibration',),
-    ('budget', 'contradictions', 'sim'),
+    ('budget', 'contradictions', 'rotary', 'sim'),
     ('inputs', 'solving'),
     ('effects', 'pieces', 'comparison', 'exports', 'fleet'),
     ('bags', 'live', 'noise', 'prediction', 'tracking'),

@@ -102,7 +102,10 @@ def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) ->
     >>> bool((again.samples.stamp_ns == recording.samples.stamp_ns).all())
     True
     """
-    content = bag.BagContent(recording.samples, recording.path)
+    parts = recording.axis_paths
+    content = bag.BagContent(
+        recording.samples, None if parts else recording.path, axis_paths=parts
+    )
     bag.write_bag(folder, content, overwrite=overwrite)
 
 

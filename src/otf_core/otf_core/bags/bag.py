@@ -25,6 +25,7 @@ from otf_core.bags.screening import MixedSamples, Screening
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import InputError
 from otf_core.files.text_table import LeftOut
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -41,20 +42,24 @@ class BagContent:
     ----------
     samples : Samples
         Stamps strictly increase.
-    path : NominalPath
+    path : NominalPath, optional
+        None where axis paths stand for it.
     remarks : tuple of str
         What was repaired or left out, in words.
     left_out : tuple of LeftOut
         Lines of a text that are no samples, by reason.
     signals : mapping of SignalSpec to Signal
         To be written beside them; reading is ``signals.read_signals``.
+    axis_paths : tuple of AxisPath
+        Parts of a run of a machine with rotary axes.
     """
 
     samples: Samples
-    path: NominalPath
+    path: NominalPath | None
     remarks: tuple[str, ...] = ()
     signals: Mapping[SignalSpec, Signal] = field(default_factory=dict)
     left_out: tuple[LeftOut, ...] = ()
+    axis_paths: tuple[AxisPath, ...] = ()
 
 
 def read_bag(
@@ -122,13 +127,16 @@ def content_of(
     """
     for part in parts:
         part.require(part.point)
-        if part.path is not None and len(parts) == 1:
+        if part.path is not None and len(parts) == 1 and not part.axis_paths:
             part.require(part.path)
     where = str(sources[0]) if len(sources) == 1 else f'{sources[0]} and {len(sources) - 1} more'
     samples, remarks = _told(where, parts)
     left_out = tuple(lines for part in parts for lines in part.left_out)
-    driven = path_of(str(path or where), parts)
-    return BagContent(samples, driven, tuple(remarks), left_out=left_out)
+    axis_paths = tuple(own for part in parts for own in part.axis_paths)
+    driven = None
+    if not axis_paths or any(part.paths for part in parts):
+        driven = path_of(str(path or where), parts)
+    return BagContent(samples, driven, tuple(remarks), left_out=left_out, axis_paths=axis_paths)
 
 
 def points_of(part: Reading, source: str | Path) -> Samples:
@@ -192,5 +200,10 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
         raise InputError(f'{folder}: stamps of samples to write have to increase strictly')
     if remarks:
         raise InputError(f'{folder}: samples would not be read as they are: {remarks[0]}')
-    usable_path(f'{folder}: path', content.path.points)
-    write_recording(Path(folder), samples, content.path, overwrite, content.signals)
+    if content.path is not None:
+        usable_path(f'{folder}: path', content.path.points)
+    elif not content.axis_paths:
+        raise InputError(f'{folder}: a bag needs a path')
+    write_recording(
+        Path(folder), samples, content.path, overwrite, content.signals, content.axis_paths
+    )

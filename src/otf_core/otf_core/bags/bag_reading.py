@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.bags.bag_source import locate
-from otf_core.bags.cdr import FORMS, POINT_FORM, decode_path, decode_points, form_of
+from otf_core.bags.cdr import FORMS, POINT_FORM, decode_axes, decode_path, decode_points, form_of
 from otf_core.bags.column import Column
 from otf_core.bags.mcap_messages import MessageBlock
 from otf_core.bags.sample_order import usable_path
-from otf_core.bags.topics import PATH, POINT, Topic
+from otf_core.bags.topics import AXES, PATH, POINT, Topic
 from otf_core.errors import InputError
 from otf_core.files.text_table import LeftOut
+from otf_core.model.axis_path import AxisPath
+from otf_core.model.machine import TOOL
 from otf_core.model.path import NominalPath
 
 
@@ -50,6 +52,7 @@ class Reading(Protocol):
     point: Topic
     path: Topic | None
     paths: list[NDArray[np.float64]]
+    axis_paths: list[AxisPath]
     foreign: Counter[str]
     remarks: list[str]
     left_out: list[LeftOut]
@@ -80,6 +83,8 @@ class BagReading:
         All that are in the bag.
     paths : list of ndarray, shape (n, 3), m
         Different ones.
+    axis_paths : list of AxisPath
+        Parts of a run of a machine with rotary axes, as they come.
     remarks : list of str
         What was left out.
     foreign : Counter of str
@@ -111,13 +116,14 @@ class BagReading:
         self._frame, self._form = point.frame, POINT_FORM
         self.topics: dict[str, str] = {}
         self.paths: list[NDArray[np.float64]] = []
+        self.axis_paths: list[AxisPath] = []
         self.remarks: list[str] = []
         self.left_out: list[LeftOut] = []
         self.said: list[str] = []
         self.publisher: int | None = None
         self.foreign: Counter[str] = Counter()
         types: dict[str, tuple[str, ...]] = {point.name: tuple(FORMS)}
-        types |= {} if path is None else {path.name: (path.type,)}
+        types |= {} if path is None else {path.name: (path.type,), AXES.name: (AXES.type,)}
         found = locate(source)
         self._files = len(found.files)
         for block in found.messages(types, self.topics, self.remarks, recover=recover):
@@ -148,6 +154,9 @@ class BagReading:
             self._add_points(block)
             return
         assert self.path is not None
+        if block.topic == AXES.name:
+            self._add_axes(block)
+            return
         for start, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
             data = bytes(block.buffer[start : start + size])
             if data == self._last_path:
@@ -158,6 +167,12 @@ class BagReading:
                 self.paths = different([*self.paths, path])
             else:
                 self._cleared += 1
+
+    def _add_axes(self, block: MessageBlock) -> None:
+        for start, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
+            frame, names, positions = decode_axes(bytes(block.buffer[start : start + size]))
+            if len(positions):
+                self.axis_paths.append(AxisPath(names, positions, frame or TOOL))
 
     def _add_points(self, block: MessageBlock) -> None:
         if not self._points and block.start.size:

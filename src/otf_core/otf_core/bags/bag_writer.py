@@ -11,14 +11,14 @@ import os
 import shutil
 import uuid
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import yaml
 
-from otf_core.bags.cdr import SECOND_NS, encode_path, encode_points
+from otf_core.bags.cdr import SECOND_NS, encode_axes, encode_path, encode_points
 from otf_core.bags.rosbag2_metadata import (
     CREATOR,
     Part,
@@ -27,8 +27,9 @@ from otf_core.bags.rosbag2_metadata import (
     metadata_text,
 )
 from otf_core.bags.signal_messages import signal_messages
-from otf_core.bags.topics import PATH, POINT, Topic
+from otf_core.bags.topics import AXES, PATH, POINT, Topic
 from otf_core.errors import ConfigError, InputError
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -41,9 +42,10 @@ FILE_NAME = 'bag_0.mcap'
 def write_recording(
     folder: Path,
     samples: Samples,
-    path: NominalPath,
+    path: NominalPath | None,
     overwrite: bool,
     signals: Mapping[SignalSpec, Signal] = MappingProxyType({}),
+    axis_paths: Sequence[AxisPath] = (),
 ) -> None:
     """Write points, path and signals; see ``bag.write_bag``."""
     folder = Path(os.path.abspath(folder))
@@ -56,7 +58,7 @@ def write_recording(
         new = folder.parent / f'.{folder.name}.{uuid.uuid4().hex}.new'
         new.mkdir()
         try:
-            _write_files(new, samples, path, signals)
+            _write_files(new, samples, path, signals, axis_paths)
             _replace(new, folder)
         finally:
             shutil.rmtree(new, ignore_errors=True)
@@ -90,7 +92,11 @@ def _replace(new: Path, folder: Path) -> None:
 
 
 def _write_files(
-    folder: Path, samples: Samples, path: NominalPath, signals: Mapping[SignalSpec, Signal]
+    folder: Path,
+    samples: Samples,
+    path: NominalPath | None,
+    signals: Mapping[SignalSpec, Signal],
+    axis_paths: Sequence[AxisPath],
 ) -> None:
     from mcap.writer import CompressionType, Writer  # with rosbags: 0.2 s only writers pay
     from rosbags.typesys import Stores, get_typestore
@@ -99,7 +105,9 @@ def _write_files(
     # a log time is unsigned; stamps may have any epoch
     log_time = np.maximum(samples.stamp_ns, 0).tolist()
     beside = signal_messages(signals, store)
-    counts = Counter({PATH: 1, POINT: len(samples)}) + Counter(topic for _, topic, _ in beside)
+    driven = _driven(path, axis_paths, int(samples.stamp_ns[0]))
+    counts = Counter(topic for topic, _ in driven) + Counter({POINT: len(samples)})
+    counts += Counter(topic for _, topic, _ in beside)
     hashes = {topic: store.hash_rihs01(topic.type) for topic in counts}
     start, end = (
         f([log_time[k], *(beside[k][0] for _ in beside[:1])]) for f, k in ((min, 0), (max, -1))
@@ -115,14 +123,24 @@ def _write_files(
             schema = writer.register_schema(topic.type, 'ros2msg', text.encode())
             about = channel_metadata(topic)
             channels[topic] = writer.register_channel(topic.name, 'cdr', schema, about)
-        first = encode_path(path.points, int(samples.stamp_ns[0]), PATH.frame)
-        writer.add_message(channels[PATH], log_time[0], first, log_time[0])
+        for topic, first in driven:
+            writer.add_message(channels[topic], log_time[0], first, log_time[0])
         for time, topic, data in _in_order(samples, log_time, beside):
             writer.add_message(channels[topic], time, data, time)
         inner = yaml.safe_dump(metadata, sort_keys=False)
         writer.add_metadata('rosbag2', {'serialized_metadata': inner})
         writer.finish()  # type: ignore[no-untyped-call]
     (folder / 'metadata.yaml').write_text(metadata_text(metadata), encoding='utf-8')
+
+
+def _driven(
+    path: NominalPath | None, axis_paths: Sequence[AxisPath], stamp_ns: int
+) -> list[tuple[Topic, bytes]]:
+    """Messages that say what was driven."""
+    found = [(AXES, encode_axes(p.axes, p.positions, stamp_ns, p.target)) for p in axis_paths]
+    if path is not None:
+        found.insert(0, (PATH, encode_path(path.points, stamp_ns, PATH.frame)))
+    return found
 
 
 def _in_order(

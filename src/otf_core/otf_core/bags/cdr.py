@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -318,6 +319,83 @@ def decode_path(data: bytes, frame: str) -> NDArray[np.float64]:
     except ValueError as error:
         raise InputError(f'message is no nav_msgs/msg/Path in CDR ({error})') from None
     return np.array(points, dtype=np.float64).reshape(-1, 3)
+
+
+def decode_axes(data: bytes) -> tuple[str, tuple[str, ...], NDArray[np.float64]]:
+    """Decode one trajectory_msgs/msg/JointTrajectory.
+
+    Returns
+    -------
+    frame : str
+        Its frame_id.
+    names : tuple of str
+        Of the joints.
+    positions : ndarray, shape (n, k)
+        Of the joints at every point; times, velocities and efforts are left out.
+
+    Raises
+    ------
+    InputError
+        If it is none, or a point has other positions than there are joints.
+    """
+    rows = []
+    try:
+        reader = CdrReader(data)
+        reader.numbers('iI')
+        frame = reader.text()
+        names = tuple(reader.text() for _ in range(_counted(reader, data, 5)))
+        for i in range(_counted(reader, data, 24)):
+            own, *_ = [_values(reader, data) for _ in range(4)]
+            reader.numbers('iI')
+            if len(own) != len(names):
+                raise InputError(f'point {i} has {len(own)} positions of {len(names)} joints')
+            rows.append(own)
+        reader.finish()
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(
+            f'message is no trajectory_msgs/msg/JointTrajectory in CDR ({error})'
+        ) from None
+    return frame, names, np.array(rows, dtype=np.float64).reshape(-1, len(names))
+
+
+def _counted(reader: CdrReader, data: bytes, least: int) -> int:
+    """Read the length of a sequence whose items take some bytes at least."""
+    count = int(reader.numbers('I')[0])
+    if count * least > len(data):
+        raise ValueError(f'{count} items do not fit into {len(data)} bytes')
+    return count
+
+
+def _values(reader: CdrReader, data: bytes) -> tuple[float, ...]:
+    """Read a sequence of float64."""
+    count = _counted(reader, data, 8)
+    return reader.numbers(f'{count}d') if count else ()
+
+
+def encode_axes(
+    names: Sequence[str], positions: NDArray[np.float64], stamp_ns: int, frame: str
+) -> bytes:
+    """Encode a JointTrajectory, little endian, without times, velocities and efforts."""
+    body = bytearray(struct.pack('<iI', *divmod(stamp_ns, SECOND_NS)))
+
+    def add(form: str, width: int, *values: float) -> None:
+        body.extend(bytes(-len(body) % width) + struct.pack(f'<{form}', *values))
+
+    def text(word: str) -> None:
+        raw = word.encode() + b'\0'
+        add('I', 4, len(raw))
+        body.extend(raw)
+
+    text(frame)
+    add('I', 4, len(names))
+    for name in names:
+        text(name)
+    add('I', 4, len(positions))
+    for row in positions.tolist():
+        add('I', 4, len(row))
+        add(f'{len(row)}d', 8, *row)
+        add('IIIiI', 4, 0, 0, 0, 0, 0)
+    return b'\x00\x01\x00\x00' + bytes(body)
 
 
 def encode_points(

@@ -29,6 +29,9 @@ class Topic:
 
 POINT = Topic('/tracker/point', 'geometry_msgs/msg/PointStamped', 'tracker', 1000, 'volatile')
 PATH = Topic('/planner/path', 'nav_msgs/msg/Path', 'machine', 1, 'transient_local')
+AXES = Topic('/planner/axes', 'trajectory_msgs/msg/JointTrajectory', '', 1, 'transient_local')
+"""In place of a path, of machines with rotary axes: a message for every part of a run; its frame
+names the target."""
 STATUS = Topic('/tracker/status', 'otf_msgs/msg/TrackerStatus', 'tracker', 1, 'transient_local')
 """Only in journals; nothing depends on it offline."""
 GAP = Topic('/tracker/gap', 'otf_msgs/msg/TrackerGap', 'tracker', 1000, 'transient_local')

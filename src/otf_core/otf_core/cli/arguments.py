@@ -90,6 +90,10 @@ def _add_calibrate_options(sub: argparse.ArgumentParser) -> None:
         'them; plain/ keeps the calibration without correction',
     )  # fmt: skip
     sub.add_argument(
+        '--same-station', action='store_true',
+        help='the tracker was not moved between the recordings (machines with rotary axes)',
+    )  # fmt: skip
+    sub.add_argument(
         '--residuals-csv', action='store_true', help='also write the residuals as residuals.csv'
     )
     sub.add_argument(

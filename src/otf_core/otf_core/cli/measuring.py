@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +69,10 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     out = output_folder(arguments, *arguments.bag, *arguments.machine, *(arguments.path or ()))
     with progress_of(arguments, 'reading', CALIBRATE) as progress:
         recordings = read_recordings(arguments)
+        if recordings[0].machine.rotary_names:
+            return _calibrate_axes(arguments, config, recordings, out, progress)
+        if arguments.same_station:
+            raise ConfigError('--same-station: for machines with rotary axes only')
         result = calibrate_runs(recordings, config, progress, PREPARATIONS[arguments.method])
         progress('writing', 0.0)
         facts = facts_of(result)
@@ -84,6 +89,40 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     _note_missing(out)
     _answer_calibration(arguments, facts, files)
     return _judged(arguments, result)
+
+
+def _calibrate_axes(
+    arguments: argparse.Namespace,
+    config: CalibrationConfig,
+    recordings: list[Recording],
+    out: OutputFolder,
+    progress: Callable[[str, float], None],
+) -> int:
+    """Error tables of a machine with rotary axes."""
+    from otf_core.reports.rotary_calibration import sections, summary, write_calibration
+    from otf_core.reports.section import sections_to_dict, sections_to_text
+    from otf_core.rotary.calibrate import calibrate_axes
+
+    for option in ('residuals_csv', 'certificate'):
+        if getattr(arguments, option):
+            raise ConfigError(
+                f'--{option.replace("_", "-")}: not available for machines with rotary axes'
+            )
+    result = calibrate_axes(
+        recordings, config, progress, arguments.method, same_station=arguments.same_station
+    )
+    progress('writing', 0.0)
+    with out.filled('calibrate') as folder:
+        files = write_calibration(result, folder, report=arguments.report, missing=out.missing)
+    _note_missing(out)
+    all_sections = sections(result)
+    words = sections_to_text(all_sections) if arguments.verbose else summary(result)
+    open_next = 'report.html' if arguments.report else 'summary.txt'
+    words = f'{words}\nopen {Path(arguments.out) / open_next}; all numbers: --verbose, summary.txt'
+    answer_from(arguments, words, files, TABLES, report=sections_to_dict(all_sections))
+    if arguments.quiet and result.failed_gates:
+        note(f'otf: {"; ".join(result.failed_gates)}')
+    return QUALITY_GATE_FAILED if result.failed_gates else 0
 
 
 def _note_missing(out: OutputFolder) -> None:
@@ -205,31 +244,38 @@ def run_predict(arguments: argparse.Namespace) -> int:
     """Volumetric errors at points, from error tables."""
     import numpy as np
 
-    from otf_core.files.csv_points import begins_with, write_csv
+    from otf_core.files.csv_points import ends_head, write_csv
     from otf_core.files.output import OutputFile
-    from otf_core.inputs.points_file import read_points
+    from otf_core.inputs.points_file import read_points, read_positions
+    from otf_core.model.tables import load_tables
     from otf_core.prediction.predict import predict
 
-    header = 'x,y,z,dx,dy,dz,u_dx,u_dy,u_dz,inside'
+    tail = 'dx,dy,dz,u_dx,u_dy,u_dz,inside'
     out = OutputFile(
         arguments.out,
-        lambda path: begins_with(path, header),
+        lambda path: ends_head(path, tail),
         overwrite=arguments.overwrite,
         inputs=(arguments.tables, arguments.points),
     )
-    points, read_as = read_points(arguments.points)
+    content = load_tables(arguments.tables)
+    names = content.tables.machine.axis_names
+    if len(names) > 3:
+        points, read_as = read_positions(arguments.points, names), ''
+    else:
+        points, read_as = read_points(arguments.points)
     if read_as:
         note(f'otf predict: {read_as}')
     offset = None if arguments.target_offset is None else np.array(arguments.target_offset)
-    prediction = predict(arguments.tables, points, offset, arguments.points)
+    prediction = predict(content, points, offset, arguments.points)
     columns = np.hstack([points, prediction.error, prediction.u])
+    header = f'{",".join(names).lower()},{tail}'
     with out.filled() as partial:
         write_csv(partial, header, columns, prediction.inside)
     for text in prediction.notes:
         note(f'otf predict: {text}')
-    names, within = header.split(','), prediction.inside.astype(int).tolist()
+    heads, within = header.split(','), prediction.inside.astype(int).tolist()
     rows = zip(columns.tolist(), within, strict=True) if arguments.json else ()
-    data = {'points': [dict(zip(names, [*row, inside], strict=True)) for row, inside in rows]}
+    data = {'points': [dict(zip(heads, [*row, inside], strict=True)) for row, inside in rows]}
     about = {'notes': list(prediction.notes), 'u_contains': prediction.holds}
     answer(arguments, prediction.summary, {**about, **data, 'out': arguments.out})
     return 0

@@ -20,6 +20,15 @@ def begins_with(path: str | Path, header: str) -> bool:
         return False
 
 
+def ends_head(path: str | Path, tail: str) -> bool:
+    """Tell whether the first line of a file ends with these columns."""
+    try:
+        with open(path, 'rb') as file:
+            return file.readline(1000).rstrip(b'\n').endswith(tail.encode())
+    except OSError:
+        return False
+
+
 def tidy(value: float) -> float:
     """A length as it is written: to 1e-12 m, without the noise of sums and without -0.0."""
     return round(float(value), 12) + 0.0

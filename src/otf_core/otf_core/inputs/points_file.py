@@ -41,6 +41,41 @@ def read_points(name: str | Path) -> tuple[Array, str]:
         raise ConfigError(f'{error} (expected the header x,y,z, in m, or with units)') from None
 
 
+def read_positions(name: str | Path, axes: tuple[str, ...]) -> Array:
+    """Axis positions (n, k), m and rad, of a CSV with the letters of the axes as its header.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, has another header, or a line is no position.
+    """
+    header = ','.join(axes).lower()
+    try:
+        lines = Path(name).read_text(encoding='utf-8-sig').splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f'{name}: cannot be read ({error})') from None
+    head = lines[0].replace(' ', '').lower() if lines else ''
+    if sorted(head.split(',')) != sorted(header.split(',')):
+        raise ConfigError(f'{name}: has the header {head[:60]!r}; expected {header}, in m and rad')
+    order = [head.split(',').index(a.lower()) for a in axes]
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        try:
+            values = [float(v) for v in line.split(',')]
+        except ValueError:
+            values = []
+        if len(values) != len(axes) or not np.all(np.isfinite(values)):
+            raise ConfigError(
+                f'{name}: line {number}: expected {len(axes)} numbers, got {line[:60]!r}'
+            )
+        rows.append([values[k] for k in order])
+    if not rows:
+        raise ConfigError(f'{name}: holds no positions')
+    return np.array(rows)
+
+
 def _points(table: TextTable, columns: Columns) -> tuple[Array, str]:
     read = table.numbers({c.place: c.name for c in columns.point})
     faults = dict(table.faults)

@@ -10,13 +10,15 @@ from pathlib import Path
 from otf_core.bags.bag import BagContent, content_of, points_of
 from otf_core.bags.bag_reading import BagReading
 from otf_core.bags.signals import read_signals
-from otf_core.bags.topics import PATH, POINT, called
-from otf_core.errors import ConfigError
+from otf_core.bags.topics import AXES, PATH, POINT, called
+from otf_core.errors import ConfigError, InputError
 from otf_core.inputs.path_file import read_path
 from otf_core.inputs.text_points import TextReading, is_text
-from otf_core.model.machine import Machine, load_machine
+from otf_core.model.axis_path import AxisPath, nominal_track
+from otf_core.model.machine import TOOL, Machine, load_machine
 from otf_core.model.observation import Samples
-from otf_core.pieces.runs import Recording
+from otf_core.model.path import NominalPath
+from otf_core.pieces.runs import Recording, blamed
 
 AnyReading = BagReading | TextReading
 
@@ -129,12 +131,35 @@ def read_recording(
     declared = () if len(sources) > 1 or is_text(sources[0]) else used.signals
     signals = read_signals(sources[0], given.signals, declared)
     name = str(sources[0])
+    with blamed(name):
+        path, parts = _driven(content, used)
     return Recording(
         content.samples,
-        content.path,
+        path,
         used,
         name,
         content.remarks,
         signals,
         left_out=content.left_out,
+        axis_paths=parts,
     )
+
+
+def _driven(content: BagContent, machine: Machine) -> tuple[NominalPath, tuple[AxisPath, ...]]:
+    """Path, and the parts of a machine with rotary axes, whose track it is then."""
+    parts = tuple(part.of(machine) for part in content.axis_paths)
+    if machine.rotary_names:
+        if not parts:
+            raise InputError(
+                f'{AXES.name} is missing; of a machine with the rotary axes '
+                f'{", ".join(machine.rotary_names)} a bag holds axis positions ({AXES.type})'
+            )
+        return nominal_track(machine, parts), parts
+    if content.path is not None:
+        return content.path, ()
+    if len(parts) != 1 or parts[0].target != TOOL:
+        raise InputError(
+            f'{AXES.name} has {len(parts)} parts; of a machine without rotary axes one part with '
+            f"the target '{TOOL}' is expected, or several bags"
+        )
+    return NominalPath(parts[0].positions), ()

@@ -34,6 +34,7 @@ from otf_core.inputs.columns import (
     read_table,
 )
 from otf_core.inputs.timestamps import read_times
+from otf_core.model.axis_path import AxisPath
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -73,6 +74,8 @@ class TextReading:
         Empty: there are none.
     paths : list of ndarray, shape (n, 3), m
         Empty until one is given.
+    axis_paths : list of AxisPath
+        Empty.
     remarks : list of str
         What was left out.
     left_out : list of LeftOut
@@ -99,6 +102,7 @@ class TextReading:
         self.path: Topic | None = PATH
         self.topics: dict[str, str] = {}
         self.paths: list[Array] = []
+        self.axis_paths: list[AxisPath] = []
         self.remarks: list[str] = []
         self.foreign: Counter[str] = Counter()
         self.publisher: int | None = None

@@ -30,7 +30,7 @@ from scipy.linalg import block_diag
 
 from otf_core.errors import InputError
 from otf_core.model.kinematics import motion_influence
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
 
@@ -134,7 +134,7 @@ def motion_readings(measurement: DirectMeasurement, machine: Machine) -> dict[st
     found = {}
     for axis, readings in measurement.axes.items():
         q = np.tile(readings.point, (len(readings.position), 1))
-        q[:, AXES.index(axis)] = readings.position
+        q[:, machine.column(axis)] = readings.position
         value = readings.value.copy()
         for k, letter in enumerate(ROTATIONS, start=3):
             lever = motion_influence(at, ErrorMotion(letter, axis), q)

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 
 Array = NDArray[np.float64]
 
 
 def lattice(machine: Machine, count: int = 7) -> Array:
-    """Regular lattice of count points per axis over the ranges, shape (count**3, 3), m."""
+    """Regular lattice of count points per axis over the ranges, shape (count**k, k), m and rad."""
     ends = zip(machine.lower, machine.upper, strict=True)
     grids = np.meshgrid(*(np.linspace(a, b, count) for a, b in ends), indexing='ij')
     return np.stack([g.ravel() for g in grids], axis=1)
@@ -29,14 +29,15 @@ def covered_grid(machine: Machine, points: Array, count: int) -> Array:
     low, high = points.min(axis=0), points.max(axis=0)
     axes = {
         a: replace(machine.axes[a], min=float(low[k]), max=float(high[k]))
-        for k, a in enumerate(AXES)
+        for k, a in enumerate(machine.axis_names)
     }
     return lattice(replace(machine, axes=axes), count)
 
 
 def driven_grid(tables: ErrorTables, count: int = 7) -> Array:
     """Lattice over the range of the tables, shape (count**3, 3), m."""
-    ends = np.array([tables.motions[f'E{a}{a}'].position[[0, -1]] for a in AXES])
+    names = tables.machine.axis_names
+    ends = np.array([tables.motions[f'E{a}{a}'].position[[0, -1]] for a in names])
     return covered_grid(tables.machine, ends.T, count)
 
 

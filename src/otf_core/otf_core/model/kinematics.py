@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigid-body kinematics of three linear axes: first order (fitted) and exact (simulated).
+"""Rigid-body kinematics of the target: first order (fitted) and exact (simulated).
+
+Machines with rotary axes: see ``joints``. What follows is the case of three linear axes, where the
+position of the target is that of the axes.
 
 First order, docs/conventions.md: e(q) = sum over axes a of t_a(q_a) + r_a(q_a) x L_a(q), plus
 squareness (-C0Y y + B0Z z, -A0Z z, 0). Exact: the same chain with full rotation matrices.
@@ -11,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ShapeError
-from otf_core.model.machine import AXES, Machine
-from otf_core.model.motions import DIRECTIONS, MOTIONS, SQUARENESS, ErrorMotion
+from otf_core.model import joints
+from otf_core.model.machine import Machine
+from otf_core.model.motions import AXES, DIRECTIONS, MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
 
 Points = NDArray[np.float64]
@@ -111,20 +115,29 @@ def squareness_influence(name: str, q: Points) -> Points:
     return np.stack(columns, axis=1)
 
 
+def nominal_position(machine: Machine, q: Points) -> Points:
+    """Nominal position (n, 3), m, of the target at axis positions (n, k), m and rad."""
+    if machine.rotary_names:
+        return joints.Sight.of_tool(machine).nominal(q)
+    return _checked(q)
+
+
 def displacement(tables: ErrorTables, q: Points) -> Points:
     """First-order volumetric error.
 
     Parameters
     ----------
     tables : ErrorTables
-    q : ndarray, shape (n, 3), m
+    q : ndarray, shape (n, k), m and rad
         Programmed axis positions.
 
     Returns
     -------
     ndarray, shape (n, 3), m
-        Actual minus nominal position of the target relative to the table.
+        Actual minus nominal position of the target relative to the table, in its frame.
     """
+    if tables.machine.rotary_names:
+        return joints.Sight.of_tool(tables.machine).at(q).displacement(tables)
     q = _checked(q)
     total = np.zeros_like(q)
     arms = {axis: lever(tables.machine, axis, q) for axis in AXES}
@@ -159,13 +172,16 @@ def exact_position(tables: ErrorTables, q: Points) -> Points:
     Parameters
     ----------
     tables : ErrorTables
-    q : ndarray, shape (n, 3), m
+    q : ndarray, shape (n, k), m and rad
 
     Returns
     -------
     ndarray, shape (n, 3), m
-        In the machine frame; equals q where all errors are zero.
+        In the machine frame; equals q where all errors are zero. With rotary axes in the frame of
+        the table, ``nominal_position`` where all errors are zero.
     """
+    if tables.machine.rotary_names:
+        return joints.exact_position(tables, joints.Sight.of_tool(tables.machine), q)
     from scipy.spatial.transform import Rotation  # loaded on use: predicting needs none
 
     q = _checked(q)

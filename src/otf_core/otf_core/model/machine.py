@@ -11,6 +11,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,41 +24,130 @@ from otf_core.model.circumstances import Circumstances, circumstances_from_field
 from otf_core.model.declared import DeclaredUncertainty, declared_from_fields
 from otf_core.model.declared_signals import SignalSpec, signals_from_fields
 from otf_core.model.limits import Limits, limits_from_fields
+from otf_core.model.motions import (
+    AXES,
+    DIRECTIONS,
+    LETTERS,
+    ROTARY,
+    SQUARENESS,
+    ErrorMotion,
+    location_names,
+)
 from otf_core.model.presets import TRACKERS, chosen
-
-AXES = ('X', 'Y', 'Z')
-"""What axes of machines are called, in the order of the columns of positions.
-
-For this room alone: all others ask the machine for its own (``axis_names``); the directions of
-space are ``frames.XYZ``.
-"""
 
 KEYS = (
     'name', 'chain', 'axes', 'target_offset', 'tracker', 'uncertainty', 'limits', 'instrument',
-    'conditions', 'certificate', 'signals',
+    'conditions', 'certificate', 'signals', 'targets',
 )  # fmt: skip
 """Of machine.yaml; all from ``uncertainty`` on are optional."""
 
 
+TOOL = 'tool'
+"""Target that every machine has: at ``target_offset``."""
+LINKS = TABLE, BED, SPINDLE = 'w', 'b', 't'
+"""Links of a machine by their letters in the chain."""
+MOST_ROTARY = 2
+LARGEST_ANGLE = 100.0
+"""rad; ends of the range of a rotary axis, turned several times, stay below."""
+FULL_TURN = 2.0 * math.pi
+USUAL_U = 1e-3
+"""m; standard uncertainty of the place of a target on the table where none is stated."""
+
+Vector = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Axis:
-    """Travel of one linear axis: ``min`` and ``max`` in m, nominal node spacing in m."""
+    """Travel of one axis: ``min``, ``max`` and nominal node spacing, m, or rad where it turns.
+
+    Attributes
+    ----------
+    direction : tuple of float, optional
+        Of a rotary axis alone: unit vector about which the target turns right-handed relative to
+        the table.
+    centre : tuple of float
+        m; a point of that line, machine coordinates, all axes at zero.
+    endless : bool
+        Errors repeat after a full turn.
+    """
 
     min: float
     max: float
     table_pitch: float
+    direction: Vector | None = None
+    centre: Vector = (0.0, 0.0, 0.0)
+    endless: bool = False
+
+    @property
+    def rotary(self) -> bool:
+        """Tell whether the axis turns."""
+        return self.direction is not None
+
+    @property
+    def unit(self) -> str:
+        """Of its positions: m or rad."""
+        return 'rad' if self.rotary else 'm'
+
+    def wrapped(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions (any shape) at which errors are known: an endless axis within one turn."""
+        if not self.endless:
+            return q
+        turned = self.min + np.mod(q - self.min, FULL_TURN)
+        return np.where((q >= self.min) & (q <= self.max), q, turned)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Layout of machine.yaml."""
+        data: dict[str, Any] = {
+            'min': self.min,
+            'max': self.max,
+            'table_pitch': self.table_pitch,
+        }
+        if self.direction is None:
+            return data
+        return {
+            'kind': 'rotary',
+            **data,
+            'direction': list(self.direction),
+            'centre': list(self.centre),
+            'endless': self.endless,
+        }
+
+
+@dataclass(frozen=True)
+class Target:
+    """A place that holds a reflector.
+
+    Attributes
+    ----------
+    link : str
+        ``w`` on the table, ``t`` on the tool side.
+    place : tuple of float
+        m, in the frame of its link: machine coordinates, all axes at zero.
+    u : float
+        m; standard uncertainty of every coordinate, 0 for a known place.
+    """
+
+    link: str
+    place: Vector
+    u: float = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Layout of machine.yaml."""
+        return {'link': self.link, 'place': list(self.place), 'u': self.u}
 
 
 @dataclass(frozen=True)
 class TrackerSpec:
     """Specified standard uncertainties: ``u_range`` in m along the beam, ``u_angle`` in rad.
 
-    ``preset`` names the class of tracker that what is not given comes from.
+    ``preset`` names the class of tracker that what is not given comes from; ``link`` is what the
+    tracker stands on, table (``w``) or bed (``b``).
     """
 
     u_range: float
     u_angle: float
     preset: str | None = None
+    link: str = TABLE
 
 
 @dataclass(frozen=True)
@@ -80,11 +170,17 @@ class Chain:
         """Return the chain of a string like ``w-Y-b-X-Z-t``; ConfigError if it is none."""
         parts = text.split('-')
         inner = parts[1:-1]
-        axes = sorted(p for p in inner if p != 'b')
+        axes = sorted(p for p in inner if p != 'b' and p not in ROTARY)
+        turning = [p for p in inner if p in ROTARY]
         if parts[0] != 'w' or parts[-1] != 't' or inner.count('b') != 1 or axes != list(AXES):
             raise ConfigError(
                 f"chain: '{text}' is no kinematic chain; write w, the axes X, Y, Z once each and "
                 f"the base b between them, then t, as in 'w-Y-b-X-Z-t'"
+            )
+        if len(turning) > len(set(turning)) or len(turning) > MOST_ROTARY:
+            raise ConfigError(
+                f"chain: '{text}' has the rotary axes {', '.join(turning)}; each stands there "
+                f'once, and there are at most {MOST_ROTARY}'
             )
         base = inner.index('b')
         return cls(tuple(inner[:base]), tuple(inner[base + 1 :]))
@@ -97,7 +193,7 @@ class Chain:
     def axis_names(self) -> tuple[str, ...]:
         """Its axes, in the order of the columns of positions."""
         own = (*self.table_side, *self.target_side)
-        return tuple(a for a in AXES if a in own)
+        return tuple(a for a in LETTERS if a in own)
 
     def lever_axes(self, axis: str) -> tuple[str, ...]:
         """Axes whose travel is part of the lever arm L of an axis (docs/conventions.md)."""
@@ -108,7 +204,7 @@ class Chain:
 
 @dataclass(frozen=True)
 class Machine:
-    """One machine with three linear axes and the tracker on its table.
+    """One machine with three linear axes, up to two rotary ones, and its tracker.
 
     Attributes
     ----------
@@ -126,6 +222,8 @@ class Machine:
         Instrument, conditions and certificate, for reports alone.
     signals : tuple of SignalSpec
         What is recorded beside the samples.
+    targets : mapping of str to Target
+        Places of reflectors; ``tool`` is at ``target_offset``.
     file_sha256 : str
         SHA-256 of the file it was read from; empty if there is none.
     """
@@ -140,6 +238,7 @@ class Machine:
     stated: Circumstances = field(default_factory=Circumstances)
     signals: tuple[SignalSpec, ...] = ()
     file_sha256: str = field(default='', repr=False, compare=False)
+    stated_targets: Mapping[str, Target] = field(default_factory=dict)
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -147,13 +246,57 @@ class Machine:
         return self.chain.axis_names
 
     @property
+    def rotary_names(self) -> tuple[str, ...]:
+        """Its rotary axes."""
+        return tuple(a for a in self.axis_names if self.axes[a].rotary)
+
+    @cached_property
+    def motions(self) -> tuple[ErrorMotion, ...]:
+        """Error motions of all axes: EXX, EYX ... ECX, EXY ..."""
+        return tuple(ErrorMotion(d, axis) for axis in self.axis_names for d in DIRECTIONS)
+
+    @property
+    def squareness(self) -> tuple[str, ...]:
+        """Squareness errors of its linear axes."""
+        return SQUARENESS
+
+    @cached_property
+    def location(self) -> tuple[str, ...]:
+        """Location errors of its rotary axes, such as X0C."""
+        return tuple(n for axis in self.rotary_names for n in location_names(axis))
+
+    @property
+    def scalars(self) -> tuple[str, ...]:
+        """Squareness and location errors in the order of a covariance."""
+        return (*self.squareness, *self.location)
+
+    @property
+    def targets(self) -> dict[str, Target]:
+        """All places of reflectors by name, ``tool`` first."""
+        own = self.stated_targets.get(TOOL)
+        offset = (*(float(v) for v in self.target_offset),)
+        tool = Target(SPINDLE, (offset[0], offset[1], offset[2]), own.u if own else 0.0)
+        return {TOOL: tool, **{n: t for n, t in self.stated_targets.items() if n != TOOL}}
+
+    def column(self, axis: str) -> int:
+        """Column of an axis in positions (n, k)."""
+        return self.axis_names.index(axis)
+
+    def wrapped(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions (n, k) at which errors are known, see ``Axis.wrapped``."""
+        if not any(axis.endless for axis in self.axes.values()):
+            return q
+        columns = zip(self.axis_names, q.T, strict=True)
+        return np.stack([self.axes[a].wrapped(own) for a, own in columns], axis=1)
+
+    @property
     def lower(self) -> NDArray[np.float64]:
-        """Lower ends of the axis ranges, shape (3,), m."""
+        """Lower ends of the axis ranges, shape (k,), m and rad."""
         return np.array([self.axes[a].min for a in self.axis_names])
 
     @property
     def upper(self) -> NDArray[np.float64]:
-        """Upper ends of the axis ranges, shape (3,), m."""
+        """Upper ends of the axis ranges, shape (k,), m and rad."""
         return np.array([self.axes[a].max for a in self.axis_names])
 
     def to_dict(self) -> dict[str, Any]:
@@ -164,15 +307,14 @@ class Machine:
         data: dict[str, Any] = {
             'name': self.name,
             'chain': str(self.chain),
-            'axes': {
-                a: {'min': v.min, 'max': v.max, 'table_pitch': v.table_pitch}
-                for a, v in self.axes.items()
-            },
+            'axes': {a: v.to_dict() for a, v in self.axes.items()},
             'target_offset': [float(v) for v in self.target_offset],
             'tracker': {'u_range': self.tracker.u_range, 'u_angle': self.tracker.u_angle},
         }
         if self.tracker.preset is not None:
             data['tracker']['preset'] = self.tracker.preset
+        if self.tracker.link != TABLE:
+            data['tracker']['link'] = self.tracker.link
         if self.uncertainty is not None:
             data['uncertainty'] = dict(self.uncertainty.values)
             if self.uncertainty.preset is not None:
@@ -184,6 +326,8 @@ class Machine:
                 data[key] = dict(getattr(self.stated, key))
         if self.signals:
             data['signals'] = {s.wanted: s.to_dict() for s in self.signals}
+        if self.stated_targets:
+            data['targets'] = {n: t.to_dict() for n, t in self.stated_targets.items()}
         return data
 
 
@@ -211,15 +355,15 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
         raise ConfigError(f'{where}: {error}') from None
     axes_fields = top.mapping('axes')
     axes = {}
-    for label in AXES:
+    for label in chain.axis_names:
         fields = axes_fields.mapping(label)
-        axes[label] = _axis(fields)
+        axes[label] = _rotary_axis(fields) if label in ROTARY else _axis(fields)
         fields.done()
     axes_fields.done()
     offset = np.array(top.vector('target_offset', 3))
     if np.max(np.abs(offset)) > 10:
         top.fail('target_offset', f'{offset.tolist()} m is no length of a tool; unit is m, not mm')
-    spec = _tracker(top.mapping('tracker'))
+    spec = _tracker(top.mapping('tracker'), chain)
     declared = None
     if top.has('uncertainty'):
         declared = declared_from_fields(top.mapping('uncertainty'), spec.preset)
@@ -235,11 +379,37 @@ def machine_from_dict(data: Any, where: str = 'machine') -> Machine:
     if top.has('signals'):
         section = top.mapping('signals')
         signals = signals_from_fields(section, section.keys)
+    targets = _targets(top.mapping('targets'), offset) if top.has('targets') else {}
     top.done(known=KEYS)
-    return Machine(name, chain, axes, offset, spec, declared, limits, circumstances, signals)
+    return Machine(
+        name, chain, axes, offset, spec, declared, limits, circumstances, signals,
+        stated_targets=targets,
+    )  # fmt: skip
 
 
-def _tracker(fields: Fields) -> TrackerSpec:
+def _targets(fields: Fields, offset: NDArray[np.float64]) -> dict[str, Target]:
+    """Places of reflectors; ``tool`` states its uncertainty alone."""
+    found: dict[str, Target] = {}
+    for name in fields.keys:
+        own = fields.mapping(name)
+        link = own.text('link') if own.has('link') or name != TOOL else SPINDLE
+        if link not in (TABLE, SPINDLE):
+            own.fail(
+                'link', f"expected 'w' (on the table) or 't' (on the tool side), got '{link}'"
+            )
+        place = own.vector('place', 3) if own.has('place') or name != TOOL else offset.tolist()
+        if max(map(abs, place)) > 10:
+            own.fail('place', f'{place} m lies outside any machine; unit is m, not mm')
+        if name == TOOL and (link != SPINDLE or not np.allclose(place, offset, atol=1e-9)):
+            own.fail('place', "the target 'tool' is at target_offset on the tool side")
+        usual = USUAL_U if link == TABLE else 0.0
+        u = own.number('u', low=0.0, high=0.05, unit='m', closed=True) if own.has('u') else usual
+        own.done(known=('link', 'place', 'u'))
+        found[name] = Target(link, (place[0], place[1], place[2]), u)
+    return found
+
+
+def _tracker(fields: Fields, chain: Chain) -> TrackerSpec:
     preset = fields.text('preset') if fields.has('preset') else None
     values: dict[str, float] = {}
     if preset is not None:
@@ -247,11 +417,61 @@ def _tracker(fields: Fields) -> TrackerSpec:
     for key, unit in (('u_range', 'm'), ('u_angle', 'rad')):
         if preset is None or fields.has(key):
             values[key] = fields.number(key, low=0.0, high=1e-2, unit=unit)
-    fields.done(known=('preset', 'u_range', 'u_angle'))
-    return TrackerSpec(values['u_range'], values['u_angle'], preset)
+    link = fields.text('link') if fields.has('link') else TABLE
+    if link not in (TABLE, BED):
+        fields.fail('link', f"expected 'w' (on the table) or 'b' (on the bed), got '{link}'")
+    if link == BED and chain.table_side and not set(chain.axis_names) & set(ROTARY):
+        fields.fail(
+            'link',
+            f"'b': seen from the bed {', '.join(chain.table_side)} do not move the target; place "
+            f'the tracker on the table',
+        )
+    fields.done(known=('preset', 'u_range', 'u_angle', 'link'))
+    return TrackerSpec(values['u_range'], values['u_angle'], preset, link)
+
+
+def _rotary_axis(fields: Fields) -> Axis:
+    kind = fields.text('kind')
+    if kind != 'rotary':
+        fields.fail('kind', f"must be 'rotary' for this letter, got '{kind}'")
+    low, high = (_angle(fields, key) for key in ('min', 'max'))
+    if not high > low:
+        fields.fail('max', f'{high} rad is not above min = {low} rad; the range is empty')
+    pitch = fields.number('table_pitch', low=0.0, high=LARGEST_ANGLE, unit='rad')
+    if pitch > high - low or math.ceil((high - low) / pitch) > 1000:
+        asked = '; is it in degrees?' if math.radians(pitch) <= high - low else ''
+        fields.fail('table_pitch', f'{pitch} rad does not suit a range of {high - low} rad{asked}')
+    direction = np.array(fields.vector('direction', 3))
+    size = float(np.linalg.norm(direction))
+    if size < 1e-9:
+        fields.fail('direction', 'is zero; expected a vector along the axis')
+    centre = fields.vector('centre', 3)
+    if max(map(abs, centre)) > 100:
+        fields.fail('centre', f'{centre} m lies outside any machine; unit is m, not mm')
+    endless = fields.take('endless') if fields.has('endless') else False
+    if not isinstance(endless, bool):
+        fields.fail('endless', f'expected true or false, got {endless!r}')
+    if endless and high - low > FULL_TURN * (1 + 1e-3):
+        fields.fail(
+            'max', f'of an endless axis at most a full turn above min, {low + FULL_TURN:g}'
+        )
+    fields.done(known=('kind', 'min', 'max', 'table_pitch', 'direction', 'centre', 'endless'))
+    x, y, z = (float(v) for v in direction / size)
+    return Axis(low, high, pitch, (x, y, z), (centre[0], centre[1], centre[2]), endless)
+
+
+def _angle(fields: Fields, key: str) -> float:
+    """An end of the range of a rotary axis, rad."""
+    value = fields.number(key, low=-1e5, high=1e5, unit='rad', closed=True)
+    if abs(value) > 8 * FULL_TURN or (abs(value) >= 15 and value % 5 == 0):
+        fields.fail(key, f'{value:g} rad is {abs(value) / FULL_TURN:.1f} turns; is it in degrees? '
+                         f'Write {math.radians(value):.6g} rad')  # fmt: skip
+    return value
 
 
 def _axis(fields: Fields) -> Axis:
+    if fields.has('kind') and (kind := fields.text('kind')) != 'linear':
+        fields.fail('kind', f"must be 'linear' for X, Y and Z, got '{kind}'")
     low = fields.number('min', low=-100.0, high=100.0, unit='m', closed=True)
     high = fields.number('max', low=-100.0, high=100.0, unit='m', closed=True)
     if not high > low:

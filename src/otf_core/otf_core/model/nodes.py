@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.model.machine import AXES, Axis, Machine
+from otf_core.model.machine import Axis, Machine
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
         quarter of the spacing to an end that is not the axis' own gives way to it.
     """
     nodes = {}
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(machine.axis_names):
         spec = machine.axes[axis]
         grid = axis_nodes(spec)
         own = np.abs(np.array([low[k] - spec.min, high[k] - spec.max])) < SAME_PLACE

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import InputError, ShapeError
-from otf_core.model.machine import AXES, Machine
+from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
 
 Array = NDArray[np.float64]
@@ -86,7 +86,7 @@ def plan_for_path(path: NominalPath, config: PlannerConfig) -> Plan:
 
 def check_inside(path: NominalPath, machine: Machine) -> None:
     """Refuse a path that leaves the axis ranges; InputError names point and axis."""
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(machine.axis_names):
         beyond = np.maximum(
             machine.lower[k] - path.points[:, k], path.points[:, k] - machine.upper[k]
         )

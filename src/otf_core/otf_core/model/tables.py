@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error tables: 18 error motions and 3 squareness errors (ISO 230-1), piecewise linear.
+"""Error tables: motions, squareness and location errors (ISO 230-1), piecewise linear.
 
-A table is linear between its nodes and constant outside them.
+A table is linear between its nodes and constant outside them; of an endless axis it repeats.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ from otf_core.files.strict_yaml import shown
 from otf_core.model.machine import Machine, machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 
-SCHEMA = 'otf-error-tables/1'
+SCHEMA, ROTARY_SCHEMA = 'otf-error-tables/1', 'otf-error-tables/2'
+"""The second one of machines with a rotary axis."""
 FIT_COUNTS = ('samples', 'used', 'unknowns', 'rank')
 FIT_LENGTHS = ('path_mae_before', 'path_mae_after', 'residual_rms')
 ORTHONORMAL = 1e-4
@@ -36,7 +37,7 @@ class MotionTable:
 
     Attributes
     ----------
-    position : ndarray, shape (k,), m
+    position : ndarray, shape (k,), m or rad
         Nodes, ascending, as programmed axis positions.
     value : ndarray, shape (k,), m or rad
         Actual minus nominal, target relative to table.
@@ -69,6 +70,15 @@ class Squareness:
 
 
 @dataclass(frozen=True)
+class LocationError:
+    """A location error of a rotary axis: value and standard uncertainty, m or rad."""
+
+    value: float = 0.0
+    u: float = 0.0
+    identifiable: bool = True
+
+
+@dataclass(frozen=True)
 class ErrorTables:
     """Error tables of one machine.
 
@@ -77,6 +87,8 @@ class ErrorTables:
     machine : Machine
     motions : mapping of motion name (EXX ... ECZ) to MotionTable
     squareness : mapping of C0Y, B0Z, A0Z to Squareness
+    location : mapping of name, such as X0C, to LocationError
+        Of the rotary axes; empty without any.
 
     Examples
     --------
@@ -90,6 +102,11 @@ class ErrorTables:
     machine: Machine
     motions: Mapping[str, MotionTable]
     squareness: Mapping[str, Squareness]
+    location: Mapping[str, LocationError] = field(default_factory=dict)
+
+    def scalar(self, name: str) -> float:
+        """Value of a squareness or location error, m or rad."""
+        return (self.squareness[name] if name in self.squareness else self.location[name]).value
 
     def scaled(self, factor: float) -> ErrorTables:
         """Return the same tables with every error multiplied by a factor."""
@@ -97,6 +114,7 @@ class ErrorTables:
             self,
             motions={k: replace(m, value=m.value * factor) for k, m in self.motions.items()},
             squareness={k: Squareness(s.value * factor, s.u) for k, s in self.squareness.items()},
+            location={k: replace(v, value=v.value * factor) for k, v in self.location.items()},
         )
 
     def on(self, machine: Machine) -> ErrorTables:
@@ -122,20 +140,26 @@ def with_uncertainty(tables: ErrorTables, covariance: NDArray[np.float64]) -> Er
     ----------
     tables : ErrorTables
     covariance : ndarray, shape (m, m), m and rad
-        Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order.
+        Of squareness and location errors and the nodes of all motions in that order.
     """
+    machine = tables.machine
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     squareness = {
         name: replace(tables.squareness[name], u=float(u[k])) for k, name in enumerate(SQUARENESS)
     }
+    location = {
+        name: replace(own, u=float(u[k]) * own.identifiable)
+        for k, name in enumerate(machine.location, start=len(SQUARENESS))
+        for own in [tables.location[name]]
+    }
     motions: dict[str, MotionTable] = {}
-    start = len(SQUARENESS)
-    for name in MOTIONS:
+    start = len(machine.scalars)
+    for name in machine.motions:
         table = tables.motions[name]
         stop = start + len(table.position)
         motions[name] = replace(table, u=u[start:stop] if table.identifiable else 0.0 * table.u)
         start = stop
-    return replace(tables, motions=motions, squareness=squareness)
+    return replace(tables, motions=motions, squareness=squareness, location=location)
 
 
 @dataclass(frozen=True)
@@ -162,11 +186,14 @@ class TablesFile:
 def tables_to_dict(tables: ErrorTables) -> dict[str, Any]:
     """Return the tables as plain data in the layout of error_tables.json."""
     motions = {}
-    for name in MOTIONS:
+    machine = tables.machine
+    for name in machine.motions:
         table = tables.motions[name]
+        turning = {'position_unit': machine.axes[name.axis].unit} if machine.rotary_names else {}
         motions[name] = {
             'axis': name.axis,
             'unit': unit_of(name),
+            **turning,
             'position': table.position.tolist(),
             'value': table.value.tolist(),
             'u': table.u.tolist(),
@@ -174,15 +201,22 @@ def tables_to_dict(tables: ErrorTables) -> dict[str, Any]:
         }
         if table.node_identifiable is not None:
             motions[name]['node_identifiable'] = table.node_identifiable.tolist()
-    return {
-        'schema': SCHEMA,
-        'machine': tables.machine.to_dict(),
+    data: dict[str, Any] = {
+        'schema': ROTARY_SCHEMA if machine.rotary_names else SCHEMA,
+        'machine': machine.to_dict(),
         'motions': motions,
         'squareness': {
             k: {'value': tables.squareness[k].value, 'u': tables.squareness[k].u}
             for k in SQUARENESS
         },
     }
+    if machine.rotary_names:
+        data['location'] = {
+            k: {'value': own.value, 'u': own.u, 'identifiable': own.identifiable}
+            for k in machine.location
+            for own in [tables.location[k]]
+        }
+    return data
 
 
 def _number(value: Any, where: str) -> float:
@@ -229,10 +263,11 @@ def _array(
     return np.array(_members(entry[key], f'{where}: {key}', check, size))
 
 
-def _motion(entry: Any, name: ErrorMotion, where: str) -> MotionTable:
+def _motion(entry: Any, name: ErrorMotion, machine: Machine, where: str) -> MotionTable:
     if not isinstance(entry, Mapping):
         raise ConfigError(f'{where}: expected position, value and u, got {shown(entry)}')
-    for key, right in (('unit', name.unit), ('axis', name.axis)):
+    along = machine.axes[name.axis].unit
+    for key, right in (('unit', name.unit), ('axis', name.axis), ('position_unit', along)):
         if entry.get(key, right) != right:
             raise ConfigError(f"{where}: {key}: must be '{right}', got {shown(entry[key])}")
     position = _array(entry, 'position', where)
@@ -253,6 +288,15 @@ def _squareness(data: Mapping[str, Any], name: str, where: str) -> Squareness:
     return Squareness(
         _number(entry.get('value', 0.0), f'{where}: {name}: value'),
         _not_negative(entry.get('u', 0.0), f'{where}: {name}: u'),
+    )
+
+
+def _location(data: Mapping[str, Any], name: str, where: str) -> LocationError:
+    entry = _mapping(data, name, where)
+    return LocationError(
+        _number(entry.get('value', 0.0), f'{where}: {name}: value'),
+        _not_negative(entry.get('u', 0.0), f'{where}: {name}: u'),
+        _flag(entry.get('identifiable', True), f'{where}: {name}: identifiable'),
     )
 
 
@@ -288,26 +332,42 @@ def tables_from_dict(data: Any, where: str) -> TablesFile:
     ConfigError
         Names the file, the motion and what is wrong with it.
     """
-    if not isinstance(data, Mapping) or data.get('schema') != SCHEMA:
+    schemas = (SCHEMA, ROTARY_SCHEMA)
+    if not isinstance(data, Mapping) or data.get('schema') not in schemas:
         raise ConfigError(f"{where}: no error tables; expected schema '{SCHEMA}'")
-    motions = _named(data, 'motions', MOTIONS, where)
-    missing = [name for name in MOTIONS if name not in motions]
-    if missing:
-        raise ConfigError(f'{where}: motions: {missing[0] if motions else "all"} missing')
+    if data['schema'] == SCHEMA:
+        _complete(_named(data, 'motions', MOTIONS, where), MOTIONS, where)
+    machine = machine_from_dict(data.get('machine'), f'{where}: machine')
+    own = SCHEMA if not machine.rotary_names else ROTARY_SCHEMA
+    if data['schema'] != own:
+        raise ConfigError(f"{where}: schema: must be '{own}' for the chain {machine.chain}")
+    motions = _named(data, 'motions', machine.motions, where)
+    _complete(motions, machine.motions, where)
     squareness = _named(data, 'squareness', SQUARENESS, where)
+    location = _named(data, 'location', machine.location, where) if machine.location else {}
     tables = ErrorTables(
-        machine_from_dict(data.get('machine'), f'{where}: machine'),
-        {name: _motion(motions[name], name, f'{where}: {name}') for name in MOTIONS},
+        machine,
+        {name: _motion(motions[name], name, machine, f'{where}: {name}')
+         for name in machine.motions},
         {name: _squareness(squareness, name, f'{where}: squareness') for name in SQUARENESS},
-    )
+        {name: _location(location, name, f'{where}: location') for name in machine.location},
+    )  # fmt: skip
     _check_alignment(_mapping(data, 'alignment', where), f'{where}: alignment')
     _check_fit(_mapping(data, 'fit', where), f'{where}: fit')
     known = tables_to_dict(tables)
     extra = {k: v for k, v in data.items() if k not in known}
     angles = {name: _mapping(squareness, name, where) for name in SQUARENESS}
+    angles |= {name: _mapping(location, name, where) for name in machine.location}
     silent = tuple(name for name, entry in angles.items() if 'value' not in entry)
     given = {**{n: e for n, e in angles.items() if n not in silent}, **motions}
     return TablesFile(tables, extra, silent, tuple(n for n, e in given.items() if 'u' not in e))
+
+
+def _complete(motions: Mapping[str, Any], names: Sequence[str], where: str) -> None:
+    """Refuse tables that lack a motion."""
+    missing = [name for name in names if name not in motions]
+    if missing:
+        raise ConfigError(f'{where}: motions: {missing[0] if motions else "all"} missing')
 
 
 def _check_alignment(entry: Mapping[str, Any], where: str) -> None:

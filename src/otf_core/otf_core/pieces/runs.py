@@ -15,6 +15,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.files.text_table import LeftOut
 from otf_core.memory import BLOCK
+from otf_core.model.axis_path import AxisPath
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.machine import Machine
 from otf_core.model.nodes import table_nodes
@@ -59,6 +60,8 @@ class Recording:
         nothing.
     left_out : tuple of LeftOut
         Lines of a text that are no samples, by reason.
+    axis_paths : tuple of AxisPath
+        Parts that were driven, of a machine with rotary axes; ``path`` is their track then.
 
     Examples
     --------
@@ -77,6 +80,7 @@ class Recording:
     signals: Mapping[str, Signal] = field(default_factory=dict)
     seen: Followed | None = None
     left_out: tuple[LeftOut, ...] = ()
+    axis_paths: tuple[AxisPath, ...] = ()
 
 
 @contextmanager

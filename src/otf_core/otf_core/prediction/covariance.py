@@ -10,18 +10,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.machine import Machine
+
 Array = NDArray[np.float64]
 
 
-def pack_covariance(covariance: NDArray[np.float64]) -> dict[str, Any]:
+def pack_covariance(
+    covariance: NDArray[np.float64], machine: Machine | None = None
+) -> dict[str, Any]:
     """Return a covariance as plain data: lower triangle, row by row, exact to the last bit."""
     lower = covariance[np.tril_indices(len(covariance))].astype('<f8')
     return {
-        'order': 'C0Y, B0Z, A0Z, then the nodes of EXX, EYX, EZX, EAX, EBX, ECX, EXY ... ECZ',
+        'order': _order(machine),
         'size': len(covariance),
         'packing': 'lower triangle by rows, little-endian float64, base64',
         'data': base64.b64encode(lower.tobytes()).decode('ascii'),
     }
+
+
+def _order(machine: Machine | None) -> str:
+    """Order of its rows in words."""
+    last, location = 'Z', ''
+    if machine is not None and machine.rotary_names:
+        last, location = machine.axis_names[-1], f'{", ".join(machine.location)}, '
+    return (
+        f'C0Y, B0Z, A0Z, {location}then the nodes of EXX, EYX, EZX, EAX, EBX, ECX, EXY ... '
+        f'EC{last}'
+    )
 
 
 def unpack_covariance(packed: Any, size: int) -> NDArray[np.float64] | None:

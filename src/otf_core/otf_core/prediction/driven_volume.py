@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
 
 Array = NDArray[np.float64]
@@ -140,11 +139,12 @@ def table_ranges(tables: ErrorTables) -> tuple[Array, Array]:
 
     Returns
     -------
-    low, high : ndarray, shape (3,), m
+    low, high : ndarray, shape (k,), m and rad
     """
-    low, high = np.zeros(3), np.zeros(3)
-    for k, axis in enumerate(tables.machine.axis_names):
-        own = [tables.motions[m] for m in MOTIONS if m.axis == axis]
+    machine = tables.machine
+    low, high = np.zeros((2, len(machine.axis_names)))
+    for k, axis in enumerate(machine.axis_names):
+        own = [tables.motions[m] for m in machine.motions if m.axis == axis]
         seen = [t for t in own if t.identifiable and len(t.position) > 1]
         if seen:
             low[k] = max(t.position[0] for t in seen)
@@ -156,7 +156,11 @@ def table_ranges(tables: ErrorTables) -> tuple[Array, Array]:
 
 
 def inside(tables: ErrorTables, driven: DrivenVolume | None, q: Array) -> NDArray[np.bool_]:
-    """Tell which points (n, 3), m, lie in the range of the tables and in what was driven."""
+    """Tell which positions (n, k), m and rad, lie in the tables and in what was driven.
+
+    The hull of what was driven is that of the linear axes.
+    """
     low, high = table_ranges(tables)
-    within = np.all((q >= low - EDGE) & (q <= high + EDGE), axis=1)
-    return np.asarray(within if driven is None else within & driven.holds(q))
+    at = tables.machine.wrapped(q)
+    within = np.all((at >= low - EDGE) & (at <= high + EDGE), axis=1)
+    return np.asarray(within if driven is None else within & driven.holds(q[:, :3]))

@@ -63,8 +63,15 @@ LIKE_INCHES = 'inches: write x_in,y_in,z_in into the header'
 def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
     """Refuse points that no such machine can reach; tell of those outside its axes."""
     machine, (low, high) = tables.machine, table_ranges(tables)
+    names = machine.axis_names
+    if q.ndim != 2 or q.shape[1] != len(names):
+        raise ConfigError(
+            f'{where}: positions of {", ".join(names)} are needed, with the header '
+            f'{",".join(names).lower()}; got {q.shape[-1]} columns'
+        )
     low, high = np.minimum(low, machine.lower), np.maximum(high, machine.upper)
-    out = np.maximum(np.maximum(low - q, q - high), 0.0)
+    at = machine.wrapped(q)
+    out = np.maximum(np.maximum(low - at, at - high), 0.0)
     absurd = out > ABSURD * (high - low)
     if absurd.any():
         point, k = (int(i) for i in np.argwhere(absurd)[0])
@@ -73,11 +80,14 @@ def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
             for factor, words in ((1e-3, LIKE_MM), (0.0254, LIKE_INCHES))
             if np.all((factor * q >= low - 0.1) & (factor * q <= high + 0.1))
         ]
-        x, y, z = q[point]
+        place, unit = ', '.join(f'{v:g}' for v in q[point]), machine.axes[names[k]].unit
+        asked = f', and these look like {" or ".join(scaled)}' if scaled else ''
+        if unit == 'rad':
+            asked = '; is it in degrees?'
         raise ConfigError(
-            f'{where}: point {point + 1} ({x:g}, {y:g}, {z:g}) lies {out[point, k]:g} m outside '
-            f'the range of axis {machine.axis_names[k]}, {low[k]:g} m to {high[k]:g} m; '
-            'points are in m' + (f', and these look like {" or ".join(scaled)}' if scaled else '')
+            f'{where}: point {point + 1} ({place}) lies {out[point, k]:g} {unit} outside '
+            f'the range of axis {names[k]}, {low[k]:g} {unit} to {high[k]:g} {unit}; '
+            f'points are in m{" and rad" if machine.rotary_names else ""}{asked}'
         )
     count = int(np.sum(np.any(out > 1e-6, axis=1)))
     if not count:
@@ -85,7 +95,7 @@ def check_points(tables: ErrorTables, q: Array, where: str) -> list[str]:
     k = int(np.argmax(out.max(axis=0)))
     return [
         f'{count} of {len(q)} points lie outside the axis ranges of the machine, by up to '
-        f'{1e3 * out[:, k].max():.4g} mm (axis {machine.axis_names[k]})'
+        f'{1e3 * out[:, k].max():.4g} m{machine.axes[names[k]].unit} (axis {names[k]})'
     ]
 
 
@@ -132,8 +142,8 @@ def predict(
     source : str, Path or TablesFile
         A file or what it holds, in any gauge; its covariance, if any, is used, and likewise its
         prior.
-    q : ndarray, shape (n, 3), m
-        Programmed axis positions.
+    q : ndarray, shape (n, k), m and rad
+        Programmed axis positions, in the order of the axes of the machine.
     target_offset : ndarray, shape (3,), m, optional
         Predict for this one instead of the one that was measured with, e.g. for another tool.
         Rotations that the data did not see act through the difference: they enter u by their

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import displacement
-from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, TablesFile, load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.driven_volume import DrivenVolume, driven_from_dict, inside, table_ranges
@@ -25,6 +24,7 @@ from otf_core.prediction.table_prior import (
     unseen_variance,
 )
 from otf_core.prediction.uncertainty import prediction_uncertainty
+from otf_core.prediction.volumetric import table_places
 
 Array = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ class Predictor:
         name = 'tables' if isinstance(source, TablesFile) else str(source)
         measured, extra = content.tables, content.extra
         machine = replace(measured.machine, target_offset=_offset(measured, target_offset))
-        size = len(SQUARENESS) + sum(len(measured.motions[m].position) for m in MOTIONS)
+        size = sum(s.stop - s.start for s in table_places(measured).values())
         covariance = unpack_covariance(extra.get('covariance'), size)
         return cls(
             tables=replace(measured, machine=machine),
@@ -121,16 +121,21 @@ class Predictor:
 
     def unseen(self, q: Array) -> Mapping[str, Array]:
         """Columns (n, 3) of what was not seen and acts on positions through the new offset."""
+        if self.measured.machine.rotary_names:
+            return {}
         low, high = table_ranges(self.measured)
         offset = self.tables.machine.target_offset
         return unseen_columns(self.measured, self.not_seen, q, low, high, offset)
 
     def at(self, q: Array) -> Evaluated:
-        """Evaluate at programmed axis positions (n, 3), m."""
-        nodes: dict[str, Array] = {m: self.tables.motions[m].position for m in MOTIONS}
-        u = prediction_uncertainty(self.tables.machine, nodes, self.covariance, q)
-        variance = u**2 + growth_variance(self.tables, self.prior, q)
-        variance += unseen_variance(self.unseen(q), self.prior, q)
+        """Evaluate at programmed axis positions (n, k), m and rad."""
+        machine = self.tables.machine
+        nodes: dict[str, Array] = {m: self.tables.motions[m].position for m in machine.motions}
+        u = prediction_uncertainty(machine, nodes, self.covariance, q)
+        variance = u**2
+        if not machine.rotary_names:
+            variance += growth_variance(self.tables, self.prior, q)
+            variance += unseen_variance(self.unseen(q), self.prior, q)
         error = displacement(self.tables, q)
         return Evaluated(error, np.sqrt(variance), inside(self.measured, self.driven, q))
 
@@ -156,8 +161,9 @@ def _lacking(content: TablesFile, from_nodes: bool) -> tuple[str, ...]:
 
 
 def _independent(tables: ErrorTables) -> Array:
-    own = [np.array([tables.squareness[k].u]) for k in SQUARENESS]
-    own += [tables.motions[k].u for k in MOTIONS]
+    own = [np.array([tables.squareness[k].u]) for k in tables.machine.squareness]
+    own += [np.array([tables.location[k].u]) for k in tables.machine.location]
+    own += [tables.motions[k].u for k in tables.machine.motions]
     return np.diag(np.concatenate(own) ** 2)
 
 
@@ -176,8 +182,11 @@ def _contained(tables: ErrorTables, extra: Mapping[str, Any]) -> str:
 def _not_seen(tables: ErrorTables, extra: Mapping[str, Any]) -> tuple[str, ...]:
     """Names of motions and squareness errors that the data did not see."""
     listed = extra.get('not_identifiable')
-    squareness = [n for n in SQUARENESS if isinstance(listed, list) and n in listed]
-    return (*squareness, *(m for m in MOTIONS if not tables.motions[m].identifiable))
+    machine = tables.machine
+    squareness = [n for n in machine.squareness if isinstance(listed, list) and n in listed]
+    location = [n for n in machine.location if not tables.location[n].identifiable]
+    motions = (m for m in machine.motions if not tables.motions[m].identifiable)
+    return (*squareness, *location, *motions)
 
 
 def _offset(tables: ErrorTables, wanted: Array | None) -> Array:

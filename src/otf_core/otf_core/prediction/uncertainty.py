@@ -6,9 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.model.joints import Sight
 from otf_core.model.kinematics import motion_influence, squareness_influence
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, SQUARENESS
+from otf_core.model.motions import DIRECTIONS
 from otf_core.model.nodes import hat_matrix
 
 Array = NDArray[np.float64]
@@ -21,21 +22,39 @@ def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Arra
     ----------
     machine : Machine
     nodes : mapping of motion name to ndarray, m
-    q : ndarray, shape (n, 3), m
+    q : ndarray, shape (n, k), m and rad
 
     Returns
     -------
     ndarray, shape (n, 3, 3 + sum of nodes)
-        C0Y, B0Z, A0Z, then the nodes of EXX, EYX, ... ECZ.
+        C0Y, B0Z, A0Z, location errors, then the nodes of EXX, EYX, ... ECZ ...
     """
-    columns = [squareness_influence(name, q)[:, :, None] for name in SQUARENESS]
+    if machine.rotary_names:
+        return _rotary_rows(machine, nodes, q)
+    columns = [squareness_influence(name, q)[:, :, None] for name in machine.squareness]
     hats: list[tuple[Array, Array]] = [(np.zeros(0), q)] * 3
-    for name in MOTIONS:
+    for name in machine.motions:
         known, hat = hats[name.place]
         if not np.array_equal(known, nodes[name]):  # motions of one axis share their nodes
             hat = hat_matrix(nodes[name], q[:, name.place])
             hats[name.place] = nodes[name], hat
         columns.append(motion_influence(machine, name, q)[:, :, None] * hat[:, None, :])
+    return np.concatenate(columns, axis=2)
+
+
+def _rotary_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Array:
+    """Rows of a machine with rotary axes, see ``prediction_rows``."""
+    seen = Sight.of_tool(machine).at(q)
+    columns = [seen.scalars[name][:, :, None] for name in machine.scalars]
+    hats: dict[str, tuple[Array, Array]] = {}
+    for name in machine.motions:
+        known, hat = hats.get(name.axis, (np.zeros(0), q))
+        if not np.array_equal(known, nodes[name]):  # motions of one axis share their nodes
+            own = machine.axes[name.axis].wrapped(q[:, machine.column(name.axis)])
+            hat = hat_matrix(nodes[name], own)
+            hats[name.axis] = nodes[name], hat
+        influence = seen.motions[name.axis][:, :, DIRECTIONS.index(name.direction)]
+        columns.append(influence[:, :, None] * hat[:, None, :])
     return np.concatenate(columns, axis=2)
 
 
@@ -50,14 +69,14 @@ def prediction_uncertainty(
     nodes : mapping of motion name to ndarray, m
     covariance : ndarray, shape (m, m)
         Of squareness and nodes, in the order of ``prediction_rows``.
-    q : ndarray, shape (n, 3), m
+    q : ndarray, shape (n, k), m and rad
 
     Returns
     -------
     ndarray, shape (n, 3), m
         k = 1, for the errors in the gauge of the tables.
     """
-    result = np.empty_like(q)
+    result = np.empty((len(q), 3))
     for start in range(0, len(q), 500):
         rows = prediction_rows(machine, nodes, q[start : start + 500])
         flat = rows.reshape(-1, rows.shape[2])

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from otf_core.model.evaluation import free_rows, lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
-from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.table_prior import MotionPrior, beyond_variance
 from otf_core.prediction.uncertainty import prediction_rows
@@ -26,22 +25,25 @@ Array = NDArray[np.float64]
 
 
 def table_places(tables: ErrorTables) -> dict[str, slice]:
-    """Places of squareness errors and motions in a covariance of tables."""
-    sizes = [1] * len(SQUARENESS) + [len(tables.motions[m].position) for m in MOTIONS]
+    """Places of squareness and location errors and motions in a covariance of tables."""
+    machine = tables.machine
+    sizes = [1] * len(machine.scalars)
+    sizes += [len(tables.motions[m].position) for m in machine.motions]
     ends = np.concatenate([[0], np.cumsum(sizes)]).tolist()
-    names = (*SQUARENESS, *MOTIONS)
+    names = (*machine.scalars, *machine.motions)
     return {n: slice(a, b) for n, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
 
 
 def table_values(tables: ErrorTables) -> Array:
     """Values of squareness errors and nodes in the order of a covariance, shape (m,)."""
-    squareness = [tables.squareness[n].value for n in SQUARENESS]
-    return np.concatenate([squareness, *(tables.motions[m].value for m in MOTIONS)])
+    machine = tables.machine
+    scalars = [tables.scalar(n) for n in machine.scalars]
+    return np.concatenate([scalars, *(tables.motions[m].value for m in machine.motions)])
 
 
 def table_rows(tables: ErrorTables, q: Array) -> Array:
     """Derivatives of the volumetric error at q (n, 3) by all of these, shape (n, 3, m)."""
-    nodes: dict[str, Array] = {m: tables.motions[m].position for m in MOTIONS}
+    nodes: dict[str, Array] = {m: tables.motions[m].position for m in tables.machine.motions}
     return prediction_rows(tables.machine, nodes, q)
 
 

@@ -15,14 +15,14 @@ from otf_core.errors import ConfigError
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.frames import RigidTransform
-from otf_core.model.kinematics import displacement, exact_position
+from otf_core.model.kinematics import displacement, exact_position, nominal_position
 from otf_core.model.machine import Machine
-from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
+from otf_core.model.motions import SQUARENESS, unit_of
 from otf_core.model.nodes import axis_nodes
 from otf_core.model.observation import Samples
 from otf_core.model.plan import Plan
 from otf_core.model.signals import Signal
-from otf_core.model.tables import ErrorTables, MotionTable, Squareness
+from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, displaced, run_state
 from otf_core.sim.signals import signal_courses, simulated_signals
@@ -81,15 +81,24 @@ def random_tables(machine: Machine, size: float, rng: np.random.Generator) -> Er
     ErrorTables
     """
     motions: dict[str, MotionTable] = {}
-    for name in MOTIONS:
+    longest = float(np.max((machine.upper - machine.lower)[:3]))
+    for name in machine.motions:
         nodes = axis_nodes(machine.axes[name.axis])
-        reach = 1.0 if unit_of(name) == 'm' else 1.0 / float(np.max(machine.upper - machine.lower))
+        reach = 1.0 if unit_of(name) == 'm' else 1.0 / longest
         value = reach * _random_curve(nodes, rng)
         motions[name] = MotionTable(nodes, value, np.zeros_like(value))
+        if machine.axes[name.axis].endless:
+            value = value - np.linspace(0.0, value[-1] - value[0], len(value))
+            motions[name] = MotionTable(nodes, value, np.zeros_like(value))
     squareness = {name: Squareness(float(rng.normal())) for name in SQUARENESS}
-    tables = ErrorTables(machine, motions, squareness)
-    points = lattice(machine)
-    now = mean_length(without_rigid_motion(displacement(tables, points), points))
+    location = {
+        n: LocationError((1.0 if unit_of(n) == 'm' else 1.0 / longest) * float(rng.normal()))
+        for n in machine.location
+    }
+    tables = ErrorTables(machine, motions, squareness, location)
+    q = lattice(machine) if not machine.rotary_names else lattice(machine, 5)
+    at = nominal_position(machine, q)
+    now = mean_length(without_rigid_motion(displacement(tables, q), at))
     return tables.scaled(size / now)
 
 

@@ -41,6 +41,11 @@ class Basis:
     degree: int
 
     @property
+    def periodic(self) -> bool:
+        """Tell whether the functions repeat."""
+        return False
+
+    @property
     def size(self) -> int:
         """Number of functions."""
         return len(self.knots) + self.degree - 1 if len(self.knots) > 1 else 1

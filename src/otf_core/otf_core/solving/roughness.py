@@ -33,7 +33,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
+from otf_core.model.motions import MOTIONS, ErrorMotion, is_motion, unit_of
 from otf_core.solving.basis import Basis
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.positive import Positive
@@ -93,11 +93,25 @@ def kernel(basis: Basis, logs: Array) -> tuple[Array, list[Array]]:
     """Covariance of g + w at the centres of a basis, and its derivatives by the logarithms."""
     low, high = basis.knots[0], basis.knots[-1]
     x = (basis.centres - low) / max(high - low, 1e-12)
+    if basis.periodic:
+        return _periodic_kernel(np.abs(x[:, None] - x), logs)
     apart = np.square((x[:, None] - x) / np.exp(logs[1]))
     smooth = np.exp(logs[0] - 0.5 * apart)
     first, last = np.minimum(x[:, None], x), np.maximum(x[:, None], x)
     kinks = np.exp(logs[2]) * (first**2 * last / 2.0 - first**3 / 6.0)
     return smooth + kinks, [smooth, smooth * apart, kinks]
+
+
+def _periodic_kernel(apart: Array, logs: Array) -> tuple[Array, list[Array]]:
+    """The same on a circle, by distances (n, n) in turns: chords, and periodic splines.
+
+    The kernel of the latter is -B4(d) / 24 with the fourth Bernoulli polynomial (Wahba, 2.1).
+    """
+    chord = np.square(np.sin(np.pi * apart) / np.pi / np.exp(logs[1]))
+    smooth = np.exp(logs[0] - 0.5 * chord)
+    fourth = apart**4 - 2.0 * apart**3 + apart**2 - 1.0 / 30.0
+    kinks = np.exp(logs[2]) * (-fourth / 24.0)
+    return smooth + kinks, [smooth, smooth * chord, kinks]
 
 
 class CoefficientPrior:
@@ -119,7 +133,7 @@ class CoefficientPrior:
         self._map = (gauge @ basis.from_values)[kept]
         slope = gauge[kept] @ x
         self._fixed = JITTER * np.eye(len(kept))
-        if not motion.is_straightness:
+        if not motion.is_straightness and not basis.periodic:
             self._fixed += slope_size**2 * np.outer(slope, slope)
 
     def at(self, logs: Array) -> tuple[Array, list[Array]]:
@@ -206,7 +220,7 @@ class Search:
         self.places: dict[str, slice] = {}
         self.priors: dict[str, CoefficientPrior] = {}
         for name, span, end in zip(accepted, spans, ends, strict=True):
-            if name in MOTIONS and span.stop > span.start:  # two nodes leave no straightness
+            if is_motion(name) and span.stop > span.start:  # two nodes leave no straightness
                 motion = ErrorMotion.of(name)
                 self.places[name] = slice(end - (span.stop - span.start), end)
                 self.priors[name] = CoefficientPrior(motion, unknowns.bases[motion.axis])

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from otf_core.model.motions import MOTIONS
+from otf_core.model.motions import is_motion
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.positive import Positive
 from otf_core.solving.unknowns import Unknowns, is_reversal
@@ -64,7 +64,7 @@ def smoothness(unknowns: Unknowns) -> Array:
     total = np.zeros((unknowns.full, unknowns.full))
     for name, block in unknowns.blocks.items():
         count = block.stop - block.start
-        if count > 2 and name in MOTIONS:
+        if count > 2 and is_motion(name):
             bend = np.diff(np.eye(count), 2, axis=0)
             total[block, block] = bend.T @ bend
     gauge = unknowns.gauge.toarray()

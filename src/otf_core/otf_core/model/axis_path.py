@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Paths of machines with rotary axes: axis positions at the corners, driven linearly between.
+
+A part is what is driven with one reflector in view; between parts it is moved by hand. The track
+of the reflector on a leg is a curve p(q), q linear from corner to corner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import InputError, ShapeError
+from otf_core.model.joints import Sight
+from otf_core.model.machine import Machine
+from otf_core.model.path import NominalPath
+
+Array = NDArray[np.float64]
+
+MIN_MOTION = 1e-9
+"""m or rad; corners that differ by less are one."""
+TRACK_STEP, TRACK_TURN = 5e-3, 0.03
+"""m of travel and rad of rotation between points of a track that stands for the curve."""
+
+
+@dataclass(frozen=True)
+class AxisPath:
+    """One part of a run.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        Letters of the axes, in the order of the columns.
+    positions : array_like, shape (n, k), m and rad
+        Axis positions at the corners, in driving order.
+    target : str
+        Name of the target in machine.yaml.
+
+    Raises
+    ------
+    ShapeError
+        If the columns do not go with the axes.
+    InputError
+        If there are fewer than two different corners or a position is not finite.
+    """
+
+    axes: tuple[str, ...]
+    positions: Array
+    target: str = 'tool'
+
+    def __post_init__(self) -> None:
+        """Check shape and content."""
+        q = np.asarray(self.positions, dtype=float)
+        object.__setattr__(self, 'positions', q)
+        if q.ndim != 2 or q.shape[1] != len(self.axes):
+            raise ShapeError(f'positions of {", ".join(self.axes)}: got shape {q.shape}')
+        if not np.all(np.isfinite(q)):
+            first = int(np.flatnonzero(~np.isfinite(q).all(axis=1))[0])
+            raise InputError(f'axis positions: corner {first} is not finite')
+        if len(q) < 2 or np.abs(np.diff(q, axis=0)).max() <= MIN_MOTION:
+            raise InputError(f'axis positions: {len(q)} corners without any motion between them')
+
+    def of(self, machine: Machine) -> AxisPath:
+        """The same in the order of the axes of a machine, without repeated corners.
+
+        Raises
+        ------
+        InputError
+            If axes or target are not those of the machine, or an axis leaves its range.
+        """
+        if sorted(self.axes) != sorted(machine.axis_names):
+            raise InputError(
+                f'axis positions are of {", ".join(self.axes)}, the machine {machine.name} has '
+                f'{", ".join(machine.axis_names)}; do recording and machine.yaml belong together?'
+            )
+        if self.target not in machine.targets:
+            raise InputError(
+                f"target '{self.target}' is not among the targets of machine.yaml "
+                f'({", ".join(machine.targets)})'
+            )
+        q = self.positions[:, [self.axes.index(a) for a in machine.axis_names]]
+        _check_ranges(machine, q)
+        moved = np.abs(np.diff(q, axis=0)).max(axis=1) > MIN_MOTION
+        return AxisPath(machine.axis_names, q[np.append(True, moved)], self.target)
+
+
+def _check_ranges(machine: Machine, q: Array) -> None:
+    for k, name in enumerate(machine.axis_names):
+        axis = machine.axes[name]
+        if axis.endless:
+            continue
+        out = np.maximum(axis.min - q[:, k], q[:, k] - axis.max)
+        if out.max() > 1e-3:
+            asked = '; is it in degrees?' if axis.rotary and out.max() > 3.0 else ''
+            raise InputError(
+                f'axis positions: corner {int(out.argmax())} leaves the range of axis {name} by '
+                f'{out.max():.4g} {axis.unit}{asked}'
+            )
+
+
+def along_legs(positions: Array, step: float, turn: float, linear: int = 3) -> Array:
+    """Places on a path, in legs from its first corner, close to each other and all corners.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (n, k), m and rad
+    step, turn : float
+        Most that linear axes travel (m) and rotary ones turn (rad) between two places.
+    linear : int
+        Number of linear axes, which come first.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Number of the leg plus the share of it that is done.
+    """
+    legs = np.abs(np.diff(positions, axis=0))
+    travel = np.linalg.norm(legs[:, :linear], axis=1) / step
+    angle = legs[:, linear:].max(axis=1, initial=0.0) / turn
+    parts = np.maximum(np.ceil(np.maximum(travel, angle)), 1.0).astype(np.int64)
+    first = np.cumsum(parts) - parts
+    inner = (np.arange(parts.sum()) - np.repeat(first, parts)) / np.repeat(parts, parts)
+    return np.append(np.repeat(np.arange(len(parts)), parts) + inner, float(len(parts)))
+
+
+def position_at(positions: Array, place: Array) -> Array:
+    """Axis positions (m, k) at places (m,) on a path, see ``along_legs``."""
+    leg = np.clip(place.astype(np.int64), 0, len(positions) - 2)
+    share = (place - leg)[:, None]
+    return np.asarray((1.0 - share) * positions[leg] + share * positions[leg + 1])
+
+
+def nominal_track(machine: Machine, parts: Sequence[AxisPath]) -> NominalPath:
+    """Track of the reflectors of all parts in the frame of the tracker's link, as a polyline."""
+    tracks = []
+    for part in parts:
+        own = part.of(machine)
+        place = along_legs(own.positions, TRACK_STEP, TRACK_TURN)
+        q = position_at(own.positions, place)
+        tracks.append(Sight.of_target(machine, own.target).nominal(q))
+    points = np.concatenate(tracks)
+    if np.ptp(points, axis=0).max() < 1e-6:
+        raise InputError(
+            f'the reflector does not move relative to the tracker (link {machine.tracker.link}); '
+            f'check targets and tracker: link in machine.yaml'
+        )
+    return NominalPath(points)

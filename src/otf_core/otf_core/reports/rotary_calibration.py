@@ -1,0 +1,490 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``otf calibrate`` writes of a machine with rotary axes: tables, text, report."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.files.csv_points import tidy
+from otf_core.files.writing import ensure_folder, write_if_it_fits, write_text
+from otf_core.model.expanded import COVERAGE_FACTOR, micro_unit, micro_with_expanded, with_expanded
+from otf_core.model.kinematics import displacement
+from otf_core.model.motions import DIRECTIONS, ErrorMotion, location_names, unit_of
+from otf_core.model.provenance import STANDARD, provenance
+from otf_core.model.tables import tables_to_dict
+from otf_core.noise.fields import noise_to_fields
+from otf_core.prediction.covariance import pack_covariance
+from otf_core.prediction.driven_volume import driven_volume
+from otf_core.reports.calibration_sections.error_motions import squareness_words
+from otf_core.reports.drawing.panel import Panel, polyline, svg
+from otf_core.reports.drawing.panel import words as svg_words
+from otf_core.reports.drawing.scale import Scale, around
+from otf_core.reports.page import Heading, page_html
+from otf_core.reports.section import Picture, Section, State, Table, sections_to_text
+from otf_core.rotary.calibrate import AxisCalibration, first_pose
+from otf_core.rotary.tabulation import evenly_spread, without_rigid
+
+Array = NDArray[np.float64]
+
+GAUGE = (
+    'linear axes: positioning and rotations zero at axis position 0, else at the minimum, '
+    'straightness zero at both ends; rotary axes: all six motions zero at position 0, else at the '
+    'minimum; location errors are the least-squares line over the nodes'
+)
+TABLES_FILE, REPORT_FILE, SUMMARY_FILE = 'error_tables.json', 'report.html', 'summary.txt'
+SECOND_AXIS = 3
+GRID = 7
+"""Positions of every rotary axis at which the volume error is drawn."""
+DEGREES = 180.0 / math.pi
+
+
+def result_to_dict(result: AxisCalibration) -> dict[str, Any]:
+    """Return a calibration as plain data in the layout of error_tables.json."""
+    pose = first_pose(result)
+    alignment = {'rotation': pose.rotation.tolist(), 'translation': pose.translation.tolist()}
+    done, machine = result.solution, result.machine
+    data = tables_to_dict(result.tables)
+    for name, words in result.advice.items():
+        place = 'motions' if name in data['motions'] else None
+        place = place or ('location' if name in data['location'] else 'squareness')
+        data[place][name]['needs'] = words
+    data |= {
+        'targets': {
+            name: {'place': place.tolist(), 'u': u.tolist()}
+            for name, (place, u) in result.targets.items()
+        },
+        'alignment': alignment,
+        'tracker_link': machine.tracker.link,
+        'fit': asdict(result.fit),
+        'runs': [
+            {
+                'name': Path(s.run.name).name,
+                'parts': [
+                    {
+                        'target': p.path.target,
+                        'corners': len(p.path.positions),
+                        'driven': m.driven[k],
+                    }
+                    for k, p in enumerate(m.parts)
+                ],
+                'alignment': {
+                    'rotation': done.poses[s.run.station].rotation.tolist(),
+                    'translation': done.poses[s.run.station].translation.tolist(),
+                },
+                'pieces': len(s.run.pieces),
+                'noise': noise_to_fields(s.noise),
+                'misfit': asdict(s.misfit),
+            }
+            for s, m in zip(done.runs, result.matched, strict=True)
+        ],
+        'run_id': result.run_id,
+        'gauge': GAUGE,
+        'spacing': {'table_pitch_over': result.made.fraction},
+        'covariance': pack_covariance(result.made.covariance, machine),
+        'driven': driven_volume(
+            result.corners, result.config.corner_exclusion + result.config.piece_length
+        ).to_dict(),
+        'driven_axes': {
+            axis: [float(result.driven[0][k]), float(result.driven[1][k])]
+            for k, axis in enumerate(machine.axis_names)
+        },
+        'not_identifiable': list(result.made.hidden),
+        'warnings': list(result.warnings),
+        'failed_gates': list(result.failed_gates),
+        'volumetric_error': volume_sizes(result),
+        'config': asdict(result.config),
+        'provenance': about(result),
+    }
+    return data
+
+
+def about(result: AxisCalibration) -> dict[str, Any]:
+    """The block ``provenance``."""
+    return provenance('calibrate', method=result.method, runs=result.origin, coverage=STANDARD)
+
+
+def volume_sizes(result: AxisCalibration) -> dict[str, Any]:
+    """Size of the error vectors over the driven ranges, m, the best rigid motion taken out."""
+    q = evenly_spread(*result.driven, count=2000)
+    field = without_rigid(result.machine, q, displacement(result.tables, q).reshape(-1, 1))
+    length = np.linalg.norm(field.reshape(-1, 3), axis=1)
+    return {
+        'points': len(q),
+        'mean': float(length.mean()),
+        'p95': float(np.quantile(length, 0.95)),
+        'max': float(length.max()),
+        'rigid_motion': 'taken out',
+    }
+
+
+def _rows_csv(result: AxisCalibration) -> str:
+    lines = ['motion,axis,position,position_unit,value,unit,u,identifiable']
+    for motion in result.machine.motions:
+        table = result.tables.motions[motion]
+        known = table.node_identifiable
+        flags = np.ones(len(table.position), dtype=bool) if known is None else known
+        along = result.machine.axes[motion.axis].unit
+        for position, value, u, seen in zip(
+            table.position, table.value, table.u, flags, strict=True
+        ):
+            lines.append(
+                f'{motion},{motion.axis},{tidy(position)!r},{along},{float(value) + 0.0!r},'
+                f'{motion.unit},{float(u)!r},{str(bool(seen)).lower()}'
+            )
+    for name in result.machine.scalars:
+        value, u, seen = _scalar(result, name)
+        lines.append(f'{name},,,,{value!r},{unit_of(name)},{u!r},{str(seen).lower()}')
+    return '\n'.join(lines) + '\n'
+
+
+def _scalar(result: AxisCalibration, name: str) -> tuple[float, float, bool]:
+    """Value, standard uncertainty, and whether the data show a scalar."""
+    tables = result.tables
+    if name in tables.squareness:
+        own = tables.squareness[name]
+        return own.value, own.u, name not in result.made.hidden
+    location = tables.location[name]
+    return location.value, location.u, location.identifiable
+
+
+def location_words(result: AxisCalibration, name: str) -> str:
+    """Say which way the line of an axis lies, in both habits of sign."""
+    value, u, seen = _scalar(result, name)
+    axis = name[2]
+    if not seen:
+        return f'{name}: not identifiable; needs {result.advice.get(name, "another path")}'
+    wide = COVERAGE_FACTOR * u
+    stated = micro_with_expanded(abs(value), wide, unit_of(name))
+    if unit_of(name) == 'm':
+        side = f'{"+" if value >= 0 else "-"}{name[0]}'
+        return (
+            f'{name} = {micro_with_expanded(value, wide)}: the average line of {axis} lies '
+            f'{stated} towards {side} of its nominal place. A control that stores the centre of '
+            f'{axis} is to add {with_expanded(1e3 * value, 1e3 * wide)} mm to its {name[0]}; a '
+            f'table of corrections holds the opposite sign'
+        )
+    turn = np.eye(3)['ABC'.index(name[0])] * np.sign(value or 1.0)
+    direction = np.array(result.machine.axes[axis].direction)
+    lean = np.cross(turn, direction)
+    k = int(np.argmax(np.abs(lean)))
+    along = int(np.argmax(np.abs(direction)))
+    side = f'{"+" if lean[k] >= 0 else "-"}{"XYZ"[k]}'
+    end = f'{"+" if direction[along] >= 0 else "-"}{"XYZ"[along]}'
+    arcsec = abs(value) * DEGREES * 3600.0
+    return (
+        f'{name} = {micro_with_expanded(value, wide, "rad")} ({arcsec:.2f} arcsec): the average '
+        f'line of {axis} leans {stated} from {end} towards {side}; the correction has the '
+        f'opposite sign'
+    )
+
+
+def sections(result: AxisCalibration) -> list[Section]:
+    """Sections of the report."""
+    return [
+        _overview(result),
+        _motions(result),
+        _lines(result),
+        _volume(result),
+        _targets(result),
+        _fit(result),
+        _conventions(result),
+    ]
+
+
+def _overview(result: AxisCalibration) -> Section:
+    size, fit = volume_sizes(result), result.fit
+    u = micro_with_expanded(size['mean'], COVERAGE_FACTOR * result.made.grid_u)
+    hidden = ', '.join(result.made.hidden) or 'nothing'
+    words = (
+        f'Mean volumetric error over the driven ranges of all axes {u} (U of an error vector, '
+        f'k = 2); largest {1e6 * size["max"]:.1f} um.',
+        f'Pieces of the path are {1e6 * fit.path_mae_before:.2f} um off on average before and '
+        f'{1e6 * fit.path_mae_after:.2f} um after compensation.',
+        f'Not seen: {hidden}.',
+        *result.warnings,
+        *(f'Failed: {text}' for text in result.failed_gates),
+    )
+    text = (
+        f'{result.machine.name}, chain {result.machine.chain}: '
+        f'{"measurement not good" if result.failed_gates else "measurement good"}',
+        *words,
+    )
+    return Section('overview', '', words, {'volume': size, **asdict(fit)}, text=text)
+
+
+def _tile_rows(result: AxisCalibration) -> tuple[tuple[str, str, str], ...]:
+    size = volume_sizes(result)
+    return (
+        ('mean volumetric error', f'{1e6 * size["mean"]:.1f} um', 'over all axes'),
+        (
+            'uncertainty of a vector',
+            f'{1e6 * COVERAGE_FACTOR * result.made.grid_u:.1f} um',
+            'k = 2',
+        ),
+        ('residual', f'{1e6 * result.fit.residual_rms:.2f} um', 'rms of the pieces'),
+    )
+
+
+def _motions(result: AxisCalibration) -> Section:
+    rows, lines = [], ['motion  unit    nodes       min       max         U']
+    for motion in result.machine.motions:
+        table = result.tables.motions[motion]
+        unit = micro_unit(motion.unit)
+        start = (str(motion), unit, str(len(table.position)))
+        if not table.identifiable:
+            needs = result.advice.get(str(motion), '')
+            rows.append((*start, 'not identifiable', '', needs))
+            lines.append(f'{motion:<8}{unit:<8}{len(table.position):>5}   not identifiable')
+            lines.append(f'        needs {needs}')
+            continue
+        low, high = 1e6 * table.value.min(), 1e6 * table.value.max()
+        wide = COVERAGE_FACTOR * 1e6 * float(table.u.max())
+        rows.append((*start, f'{low:.2f}', f'{high:.2f}', f'{wide:.2f}'))
+        size = len(table.position)
+        lines.append(f'{motion:<8}{unit:<8}{size:>5}{low:>10.2f}{high:>10.2f}{wide:>10.2f}')
+    head = ('motion', 'unit', 'nodes', 'min', 'max', 'largest U (k = 2), or what it needs')
+    return Section(
+        'motions',
+        'Error motions',
+        ('Rotary axes over degrees, linear axes over mm; band: U (k = 2).',),
+        tables=(Table(head, tuple(rows), (2, 3, 4, 5), folded='all motions'),),
+        text=('', *lines),
+        draw=lambda: _pictures(result),
+    )
+
+
+def _pictures(result: AxisCalibration) -> Sequence[Picture]:
+    names = result.machine.axis_names
+    found = []
+    for axis in names:
+        panels = tuple(_panel(result, ErrorMotion(d, axis)) for d in DIRECTIONS)
+        rotary = result.machine.axes[axis].rotary
+        found.append(Picture(panels, '', columns=3, title=f'Axis {axis}'))
+        if rotary:
+            found.append(
+                Picture(
+                    (_polar(result, axis),),
+                    f'Radial motion of {axis} about its average line; the circle is zero, the '
+                    f'scale is magnified.',
+                    title=f'Radial motion of {axis}',
+                )
+            )
+    return found
+
+
+def _panel(result: AxisCalibration, motion: ErrorMotion) -> str:
+    table, spec = result.tables.motions[motion], result.machine.axes[motion.axis]
+    factor, unit = (DEGREES, 'deg') if spec.rotary else (1e3, 'mm')
+    x = factor * table.position
+    ends = (float(x[0]), float(x[-1])) if len(x) > 1 else (float(x[0]) - 0.5, float(x[0]) + 0.5)
+    along = Scale(*ends, f'{motion.axis} ({unit})')
+    label = f'{motion} ({"µm" if motion.is_translation else "µrad"})'
+    if not table.identifiable:
+        marks = [svg_words(190.0, 100.0, 'not identifiable in these data', 'middle soft')]
+        return Panel(along, Scale(-1.0, 1.0, label, marks=1)).draw(
+            marks, f'{motion}: not identifiable', str(motion)
+        )
+    y, wide = 1e6 * table.value, COVERAGE_FACTOR * 1e6 * table.u
+    panel = Panel(along, around(np.concatenate([y - wide, y + wide]), label))
+    marks = [panel.band(x, y - wide, y + wide, 'after band')]
+    if panel.y.low < 0 < panel.y.high:
+        marks.append(panel.level(0.0, 'soft'))
+    marks += [panel.line(x, y, 'after'), panel.dots(x, y, 'after node')]
+    return panel.draw(marks, f'{motion} over {motion.axis}, with uncertainty', str(motion))
+
+
+def _polar(result: AxisCalibration, axis: str) -> str:
+    """Radial motion in the direction to the angle itself, about a circle."""
+    direction = np.array(result.machine.axes[axis].direction)
+    along = int(np.argmax(np.abs(direction)))
+    first, second = ((along + 1) % 3, (along + 2) % 3)
+    position = result.tables.motions[f'E{"XYZ"[first]}{axis}'].position
+    angle = np.linspace(position[0], position[-1], 361)
+    radial = 1e6 * (
+        np.cos(angle) * result.tables.motions[f'E{"XYZ"[first]}{axis}'].at(angle)
+        + np.sin(angle) * result.tables.motions[f'E{"XYZ"[second]}{axis}'].at(angle)
+    )
+    reach = max(float(np.abs(radial).max()), 1e-3)
+    radius, centre = 70.0, 120.0
+
+    def place(values: Array) -> Array:
+        size = radius + 35.0 * values / reach
+        return np.column_stack([centre + size * np.cos(angle), centre - size * np.sin(angle)])
+
+    marks = [
+        f'<path class="line soft" d="{polyline(place(np.zeros_like(radial)))}"/>',
+        f'<path class="line after" d="{polyline(place(radial))}"/>',
+        svg_words(centre, centre, f'35 px = {reach:.2f} µm', 'middle soft'),
+        svg_words(centre + radius + 42.0, centre, '0 deg', 'soft'),
+    ]
+    return svg(290.0, 240.0, marks, f'radial motion of {axis}')
+
+
+def _lines(result: AxisCalibration) -> Section:
+    words = []
+    for name in result.machine.squareness:
+        value, u, seen = _scalar(result, name)
+        if seen:
+            words.append(f'{name}: {squareness_words(name, value, COVERAGE_FACTOR * u)}')
+        else:
+            words.append(f'{name}: not identifiable')
+    for axis in result.machine.rotary_names:
+        words += [location_words(result, n) for n in location_names(axis)]
+    data = {
+        n: {'value': value, 'u': u, 'identifiable': seen}
+        for n in result.machine.scalars
+        for value, u, seen in [_scalar(result, n)]
+    }
+    return Section(
+        'location',
+        'Squareness of linear axes, location of rotary axes',
+        tuple(words),
+        data,
+        text=('', *words),
+    )
+
+
+def _volume(result: AxisCalibration) -> Section:
+    names = result.machine.rotary_names
+    low, high = result.driven
+    columns = [result.machine.column(a) for a in names]
+    ends = [np.linspace(low[k], high[k], GRID) for k in columns]
+    cells = np.stack([g.ravel() for g in np.meshgrid(*ends, indexing='ij')], axis=1)
+    inner = evenly_spread(low, high, count=60)
+    everywhere = np.concatenate([_with(inner, columns, cell) for cell in cells])
+    field = displacement(result.tables, everywhere).reshape(-1, 1)
+    free = without_rigid(result.machine, everywhere, field).reshape(len(cells), -1, 3)
+    sizes = 1e6 * np.linalg.norm(free, axis=2).mean(axis=1)
+    first = [f'{DEGREES * v:.0f}' for v in ends[0]]
+    if len(names) == 1:
+        pairs = zip(first, sizes, strict=True)
+        table = Table(
+            (f'{names[0]} (deg)', 'mean error (um)'),
+            tuple((a, f'{v:.1f}') for a, v in pairs),
+            (0, 1),
+        )
+    else:
+        grid = sizes.reshape(GRID, -1)
+        head = (f'{names[0]} \\ {names[1]} (deg)', *(f'{DEGREES * v:.0f}' for v in ends[1]))
+        rows = tuple((a, *(f'{v:.1f}' for v in row)) for a, row in zip(first, grid, strict=True))
+        table = Table(head, rows, tuple(range(len(head))))
+    words = (
+        f'Mean length of the error vector of the target (um) over {", ".join(names)}, the linear '
+        f'axes anywhere in their driven ranges; the best rigid motion of the table is taken out.',
+    )
+    return Section('volume', 'Volumetric error over the rotary axes', words, tables=(table,))
+
+
+def _with(q: Array, columns: list[int], values: Array) -> Array:
+    found = q.copy()
+    found[:, columns] = values
+    return found
+
+
+def _targets(result: AxisCalibration) -> Section:
+    rows, lines = [], ['']
+    for name, (place, u) in result.targets.items():
+        stated = result.machine.targets[name]
+        cells = tuple(
+            with_expanded(1e3 * p, COVERAGE_FACTOR * 1e3 * v)
+            for p, v in zip(place, u, strict=True)
+        )
+        moved = 1e3 * float(np.linalg.norm(place - np.array(stated.place)))
+        rows.append((name, stated.link, *cells, f'{moved:.3f}'))
+        lines.append(f'target {name} (link {stated.link}): {", ".join(cells)} mm')
+    head = ('target', 'link', 'x (mm)', 'y (mm)', 'z (mm)', 'away from nominal (mm)')
+    return Section(
+        'targets',
+        'Places of the reflectors',
+        ('As found, with U (k = 2); exact where machine.yaml states u = 0.',),
+        {n: {'place': p.tolist(), 'u': u.tolist()} for n, (p, u) in result.targets.items()},
+        (Table(head, tuple(rows), (2, 3, 4, 5)),),
+        tuple(lines),
+    )
+
+
+def _fit(result: AxisCalibration) -> Section:
+    fit = result.fit
+    rows = (
+        ('samples', f'{fit.samples}, used {fit.used}, left out as outliers {fit.outliers}'),
+        ('pieces', str(fit.pieces)),
+        ('unknowns', f'{fit.unknowns}, determined {fit.rank}'),
+        ('path driven', f'{100 * fit.coverage:.1f} %'),
+        ('variance of the residuals over that expected', f'{fit.variance_ratio:.3f}'),
+    )
+    text = ('', *(f'{a}: {b}' for a, b in rows))
+    return Section('fit', 'Fit', (), asdict(fit), (Table(('', ''), rows),), text)
+
+
+def _conventions(result: AxisCalibration) -> Section:
+    words = (
+        'Errors are actual minus nominal, of the target relative to the table, in the frame of '
+        'the table; symbols of ISO 230-1 and ISO 230-7.',
+        f'Gauge: {GAUGE}.',
+        *(f'{name} is not seen: it needs {why}.' for name, why in result.advice.items()),
+    )
+    return Section('conventions', 'Conventions', words, text=('', *words))
+
+
+def write_calibration(
+    result: AxisCalibration,
+    folder: str | Path,
+    *,
+    report: bool = True,
+    missing: dict[str, str] | None = None,
+) -> list[Path]:
+    """Write all files of a calibration, the most important first.
+
+    Parameters
+    ----------
+    result : AxisCalibration
+    folder : str or Path
+    report : bool
+        Write report.html.
+    missing : dict of str to str, optional
+        See ``reports.calibration.write_calibration``.
+    """
+    folder = ensure_folder(folder)
+    write_text(folder / TABLES_FILE, json.dumps(result_to_dict(result), indent=1) + '\n')
+    wanted = {
+        'error_tables.csv': lambda: write_text(folder / 'error_tables.csv', _rows_csv(result)),
+        SUMMARY_FILE: lambda: write_text(folder / SUMMARY_FILE, format_result(result) + '\n'),
+    }
+    if report:
+        wanted[REPORT_FILE] = lambda: write_text(folder / REPORT_FILE, page(result))
+    written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
+    return [folder / TABLES_FILE, *(folder / name for name in written)]
+
+
+def page(result: AxisCalibration) -> str:
+    """Return the report as one page."""
+    good = not result.failed_gates
+    heading = Heading(
+        f'Calibration of {result.machine.name}',
+        'The measurement is good.' if good else 'The measurement is not good.',
+        (
+            State(
+                'measurement good' if good else 'measurement not good', 'good' if good else 'bad'
+            ),
+        ),
+        _tile_rows(result),
+    )
+    return page_html(heading, sections(result))
+
+
+def format_result(result: AxisCalibration) -> str:
+    """Return summary.txt."""
+    return sections_to_text(sections(result))
+
+
+def summary(result: AxisCalibration) -> str:
+    """The first lines of it."""
+    return sections_to_text([_overview(result)])

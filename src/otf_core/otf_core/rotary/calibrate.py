@@ -1,0 +1,469 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From recordings of a machine with rotary axes to error tables."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import OTF, STANDSTILL, CalibrationConfig
+from otf_core.errors import ConfigError, InputError
+from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import SPINDLE, TABLE, Machine
+from otf_core.model.nodes import table_nodes
+from otf_core.model.provenance import Origin, origins
+from otf_core.model.tables import ErrorTables
+from otf_core.noise.standstill import noise_model
+from otf_core.pieces.runs import Recording, blamed, check_same_machine
+from otf_core.rotary.matching import OFF, Matched, is_known, match
+from otf_core.rotary.reduction import AxisPieces, reduce_to_pieces, reduce_to_stops
+from otf_core.rotary.rows import AxisRun
+from otf_core.rotary.solution import AxisSolution, solve_robustly, tables_of
+from otf_core.rotary.tabulation import AxisTables, tabulate
+from otf_core.rotary.unknowns import bases_of, layout, place_block
+from otf_core.threads import one_thread
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+MIN_COVERAGE = 0.8
+"""Share of the path below which a calibration fails the quality gate."""
+MAX_OUTLIERS = 0.2
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """Size and quality of a fit; see ``calibration.result.Fit``."""
+
+    samples: int
+    used: int
+    outliers: int
+    pieces: int
+    unknowns: int
+    rank: int
+    coverage: float
+    path_mae_before: float
+    path_mae_after: float
+    residual_rms: float
+    variance_ratio: float
+    inflation: float
+    iterations: int
+
+
+@dataclass(frozen=True)
+class AxisCalibration:
+    """What a calibration of a machine with rotary axes found.
+
+    Attributes
+    ----------
+    run_id : str
+    machine : Machine
+    made : AxisTables
+    solution : AxisSolution
+    matched : tuple of Matched
+        Of every recording.
+    targets : mapping of target to (ndarray, ndarray), each of shape (3,), m
+        Place and its standard uncertainty, of those that were seen.
+    driven : tuple of ndarray, shape (k,)
+        Lowest and highest positions of the axes.
+    corners : ndarray, shape (n, 3), m
+        Linear axes where pieces lie, for the hull of what was driven.
+    fit : AxisFit
+    warnings, failed_gates : tuple of str
+    advice : mapping of name to str
+        What would show an error that the data do not show.
+    method : str
+    config : CalibrationConfig
+    origin : tuple of Origin
+    """
+
+    run_id: str
+    machine: Machine
+    made: AxisTables
+    solution: AxisSolution
+    matched: tuple[Matched, ...]
+    targets: Mapping[str, tuple[Array, Array]]
+    driven: tuple[Array, Array]
+    corners: Array
+    fit: AxisFit
+    warnings: tuple[str, ...]
+    failed_gates: tuple[str, ...]
+    advice: Mapping[str, str]
+    method: str
+    config: CalibrationConfig
+    origin: tuple[Origin, ...]
+
+    @property
+    def tables(self) -> ErrorTables:
+        """Error tables with their standard uncertainties."""
+        return self.made.tables
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 4 where a quality gate failed."""
+        return 4 if self.failed_gates else 0
+
+
+def calibrate_axes(
+    recordings: Sequence[Recording],
+    config: CalibrationConfig,
+    progress: Progress,
+    method: str = OTF,
+    *,
+    same_station: bool = False,
+) -> AxisCalibration:
+    """Calibrate.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Of one machine with rotary axes.
+    config : CalibrationConfig
+    progress : callable(stage, fraction)
+    method : str
+        'otf', or 'standstill': only the stops at the corners.
+    same_station : bool
+        The tracker was not moved between the recordings.
+
+    Raises
+    ------
+    InputError
+        If samples and path do not belong together or determine nothing.
+    """
+    with one_thread():
+        return _calibrated(recordings, config, progress, method, same_station)
+
+
+def _calibrated(
+    recordings: Sequence[Recording],
+    config: CalibrationConfig,
+    progress: Progress,
+    method: str,
+    same_station: bool,
+) -> AxisCalibration:
+    check_same_machine(recordings)
+    machine = recordings[0].machine
+    progress('aligning', 0.0)
+    matched: list[Matched] = []
+    for k, recording in enumerate(recordings):
+        with blamed(recording.name):
+            known = matched[0] if same_station and matched else None
+            found = match(
+                recording.samples,
+                recording.machine,
+                recording.axis_paths,
+                known.pose if known else None,
+                known.places if known else None,
+            )
+            check_matched(found)
+            matched.append(found)
+        progress('aligning', (k + 1) / (len(recordings) + 1))
+    low, high = driven_ranges(machine, matched)
+    nodes = table_nodes(machine, low, high)
+    places = common_places(machine, matched)
+    stations = [0 if same_station else k for k in range(len(recordings))]
+    seen = {p.path.target for m in matched for p in m.parts}
+    free = tuple(n for n, t in machine.targets.items() if n in seen and t.u > 0.0)
+    noises = []
+    for recording in recordings:
+        with blamed(recording.name):
+            noises.append(noise_model(recording.samples, machine.tracker, config.standstill_speed))
+    progress('solving', 0.0)
+    unknowns = layout(machine, bases_of(machine, nodes), max(stations) + 1, free)
+
+    def reduced(k: int, one: Matched, tables: ErrorTables | None) -> AxisPieces:
+        with blamed(recordings[k].name):
+            if method == STANDSTILL:
+                return reduce_to_stops(recordings[k].samples, one, config)
+            return reduce_to_pieces(recordings[k].samples, one, nodes, config, tables)
+
+    done, logs, fitted, tables = None, None, None, None
+    before = 0.0
+    for _ in range(2):
+        runs = []
+        for k, one in enumerate(matched):
+            pieces = reduced(k, one, tables)
+            name = recordings[k].name
+            runs.append(
+                AxisRun(
+                    machine, one.parts, pieces, one.pose, places, places, stations[k], name, free
+                )
+            )
+        if done is None:
+            before = _mean_distance(runs)
+        done, fitted = solve_robustly(
+            runs, noises, unknowns, config, progress, tables, logs, fitted
+        )
+        logs, tables = done.roughness.logs, tables_of(machine, unknowns, done.solution.value)
+        places = dict(done.places)
+        matched = [
+            replace(m, pose=done.poses[stations[k]], places=places) for k, m in enumerate(matched)
+        ]
+    assert done is not None
+    return _assembled(recordings, matched, done, config, method, (low, high), before)
+
+
+def _mean_distance(runs: Sequence[AxisRun]) -> float:
+    """Mean distance of the pieces from the curves at the poses of the runs, m."""
+    found = []
+    for run in runs:
+        off = run.pose.apply(run.pieces.xyz) - run.pieces.nominal
+        along = np.einsum('ij,ij->i', off, run.pieces.direction)
+        found.append(np.linalg.norm(off - along[:, None] * run.pieces.direction, axis=1))
+    return float(np.concatenate(found).mean())
+
+
+def check_matched(found: Matched) -> None:
+    """Refuse a track that does not fit its curves.
+
+    Raises
+    ------
+    InputError
+        Names the part and how far it is off.
+    """
+    worst = int(np.argmax(found.distance))
+    if found.distance[worst] > OFF:
+        target = found.parts[worst].path.target
+        raise InputError(
+            f"part {worst + 1} ('{target}'): the track is "
+            f'{1e3 * found.distance[worst]:.2f} mm off the curve that the axes drive; check '
+            f'chain, direction and centre of the rotary axes, and the places of the targets'
+        )
+
+
+def driven_ranges(machine: Machine, matched: Sequence[Matched]) -> tuple[Array, Array]:
+    """Lowest and highest position of every axis where it moves the reflector in view."""
+    low = np.full(len(machine.axis_names), np.inf)
+    high = -low
+    for one in matched:
+        for part in one.parts:
+            met = {j.name for j in one.sight(part.path.target).joints}
+            for k, axis in enumerate(machine.axis_names):
+                if axis in met:
+                    q = machine.axes[axis].wrapped(part.path.positions[:, k])
+                    whole = machine.axes[axis].endless and np.ptp(part.path.positions[:, k]) > 6.0
+                    ends = (
+                        [machine.axes[axis].min, machine.axes[axis].max]
+                        if whole
+                        else [q.min(), q.max()]
+                    )
+                    low[k], high[k] = min(low[k], ends[0]), max(high[k], ends[1])
+    missing = ~np.isfinite(low)
+    low[missing] = high[missing] = np.clip(0.0, machine.lower, machine.upper)[missing]
+    return np.maximum(low, machine.lower), np.minimum(high, machine.upper)
+
+
+def common_places(machine: Machine, matched: Sequence[Matched]) -> dict[str, Array]:
+    """Places of the targets from the first recording that saw them."""
+    places = {name: np.array(t.place) for name, t in machine.targets.items()}
+    for one in reversed(list(matched)):
+        for part in one.parts:
+            places[part.path.target] = one.places[part.path.target]
+    return places
+
+
+def _assembled(
+    recordings: Sequence[Recording],
+    matched: Sequence[Matched],
+    done: AxisSolution,
+    config: CalibrationConfig,
+    method: str,
+    driven: tuple[Array, Array],
+    before: float,
+) -> AxisCalibration:
+    machine, unknowns = done.machine, done.unknowns
+    whitened = [s.whitener.whiten(s.residual) for s in done.runs]
+    rows = sum(w.size for w in whitened)
+    used = effective_unknowns(done)
+    ratio = float(sum(np.sum(w**2) for w in whitened) / max(rows - used, 1.0))
+    inflation = max(1.0, ratio)
+    drawn = unknowns.gauge @ done.roughness.drawn
+    covariance = inflation * (done.solution.covariance + drawn @ drawn.T)
+    made = tabulate(machine, done, driven, config.unidentifiable_above, covariance)
+    targets = {}
+    for name in {p.path.target for m in matched for p in m.parts}:
+        u = np.zeros(3)
+        if place_block(name) in unknowns.blocks:
+            block = unknowns.blocks[place_block(name)]
+            u = np.sqrt(np.maximum(np.diag(covariance[block, block]), 0.0))
+        targets[name] = (np.asarray(done.places[name]), u)
+    after = np.concatenate([np.linalg.norm(s.residual, axis=0) for s in done.runs])
+    coverage = float(
+        np.average(
+            np.concatenate([m.driven for m in matched]),
+            weights=[len(p.path.positions) for m in matched for p in m.parts],
+        )
+    )
+    fit = AxisFit(
+        samples=sum(len(r.samples) for r in recordings),
+        used=sum(s.run.pieces.used for s in done.runs),
+        outliers=sum(s.run.pieces.outliers for s in done.runs),
+        pieces=len(after),
+        unknowns=unknowns.free,
+        rank=done.solution.rank,
+        coverage=coverage,
+        path_mae_before=before,
+        path_mae_after=float(after.mean()),
+        residual_rms=float(np.sqrt(np.mean(after**2))),
+        variance_ratio=ratio,
+        inflation=inflation,
+        iterations=done.iterations,
+    )
+    q = np.concatenate([s.system.q for s in done.runs])
+    sights = [
+        s.run.machine.targets[s.run.parts[k].path.target].link == SPINDLE
+        for s in done.runs
+        for k in s.run.pieces.part
+    ]
+    linear = q[np.array(sights), :3] if any(sights) else q[:, :3]
+    advice = advice_for(machine, matched, made.hidden)
+    return AxisCalibration(
+        run_id=_run_id(recordings, config),
+        machine=machine,
+        made=made,
+        solution=done,
+        matched=tuple(matched),
+        targets=dict(sorted(targets.items())),
+        driven=driven,
+        corners=linear,
+        fit=fit,
+        warnings=tuple(r for one in recordings for r in one.remarks) + _warnings(done, made),
+        failed_gates=_failed(fit),
+        advice=advice,
+        method=method,
+        config=config,
+        origin=origins(recordings),
+    )
+
+
+def effective_unknowns(done: AxisSolution) -> float:
+    """Number of combinations of the unknowns that the data decide: tr(V N)."""
+    free = done.unknowns.kept
+    cover = done.solution.covariance[np.ix_(free, free)]
+    return float(np.sum(cover * done.normal.matrix[: len(free), : len(free)]))
+
+
+def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
+    digest = hashlib.sha256()
+    for r in recordings:
+        parts = [r.samples.stamp_ns, r.samples.xyz, *(p.positions for p in r.axis_paths)]
+        for part in parts:
+            digest.update(np.ascontiguousarray(part).reshape(-1).data)
+        digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
+    digest.update(json.dumps(asdict(config), sort_keys=True).encode())
+    return digest.hexdigest()[:12]
+
+
+def _failed(fit: AxisFit) -> tuple[str, ...]:
+    failed = []
+    if fit.coverage < MIN_COVERAGE:
+        failed.append(
+            f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
+            f'{100 * MIN_COVERAGE:.0f} % needed'
+        )
+    if fit.outliers > MAX_OUTLIERS * fit.samples:
+        failed.append(
+            f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out'
+        )
+    if fit.path_mae_after >= fit.path_mae_before:
+        failed.append('compensation: the tables do not reduce the distance from the path')
+    return tuple(failed)
+
+
+def _warnings(done: AxisSolution, made: AxisTables) -> tuple[str, ...]:
+    found = []
+    for name, table in made.tables.motions.items():
+        if table.identifiable and table.node_identifiable is not None:
+            loose = table.position[~table.node_identifiable]
+            if loose.size:
+                found.append(
+                    f'{name}: not determined by the data at {loose.size} nodes; continued smoothly'
+                )
+    del done
+    return tuple(found)
+
+
+def advice_for(
+    machine: Machine, matched: Sequence[Matched], hidden: Sequence[str]
+) -> dict[str, str]:
+    """Say for every error that the data do not show which path would show it."""
+    found = {}
+    moving = {
+        axis
+        for one in matched
+        for part in one.parts
+        for k, axis in enumerate(machine.axis_names)
+        if np.ptp(part.path.positions[:, k]) > 0
+        and axis in {j.name for j in one.sight(part.path.target).joints}
+    }
+    tools = {
+        tuple(np.round(machine.targets[p.path.target].place, 6))
+        for m in matched
+        for p in m.parts
+        if machine.targets[p.path.target].link == SPINDLE
+    }
+    nests = {
+        p.path.target
+        for m in matched
+        for p in m.parts
+        if machine.targets[p.path.target].link == TABLE
+    }
+    for name in hidden:
+        axis = name[-1]
+        if axis not in moving:
+            found[name] = f'{axis} did not move a reflector in view of the tracker'
+        elif axis in machine.rotary_names:
+            found[name] = _rotary_advice(machine, name, axis, nests, len(matched))
+        elif len(tools) < 2 and name[1] in 'ABC':
+            found[name] = 'a second reflector place on the tool side (another length or off axis)'
+        else:
+            found[name] = (
+                'a reflector off the spindle axis: it acts only as a turn about that axis'
+                if name[1] in 'ABC'
+                else f'longer lines of {axis}, together with the other axes'
+            )
+    return found
+
+
+def _rotary_advice(machine: Machine, name: str, axis: str, nests: set[str], runs: int) -> str:
+    others = [a for a in machine.rotary_names if a != axis]
+    if name[1] == axis or name[1] == '0':
+        combined = (
+            f'{axis} and {others[0]} together' if others else f'{axis} together with a linear axis'
+        )
+        words = (
+            f'legs that drive {combined} in both senses, a path in which the linear axes follow '
+            f'the rotation and creep (TCP), or stops (--method standstill)'
+        )
+        if name[1] == '0' and runs > 1:
+            words += '; one place of the tracker for all parts (one bag, or --same-station)'
+        return words
+    if 0 < len(nests) < 3:
+        return 'three places of the reflector on the table, not in line with the axis'
+    return f'legs of {axis} with the reflector at other radii and heights'
+
+
+def first_pose(result: AxisCalibration) -> RigidTransform:
+    """Pose of the tracker in the first recording, to the link that it stands on."""
+    return result.solution.poses[0]
+
+
+def unknown_places(machine: Machine) -> tuple[str, ...]:
+    """Targets whose places are not known well."""
+    return tuple(n for n in machine.targets if not is_known(machine, n))
+
+
+def require_rotary(recordings: Sequence[Recording]) -> None:
+    """Refuse what a calibration with rotary axes cannot do yet."""
+    for recording in recordings:
+        if not recording.axis_paths:
+            raise ConfigError(
+                f'{Path(recording.name).name}: machines with rotary axes need bags with axis '
+                f'positions (/planner/axes)'
+            )

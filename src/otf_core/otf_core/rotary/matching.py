@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which sample belongs to which place of which part; pose of the tracker and places of reflectors.
+
+Parts are told apart by the broken beam. The arc length of the track says roughly how far a part is
+driven; a rigid fit gives the pose, and pose, places of reflectors on the table and places on the
+curves are then improved together: a sample of deviation d across the curve says
+
+    d . a = (dt + dr x p) . a - (R dr_place) . a,    a across the direction of travel
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.errors import InputError
+from otf_core.model.axis_path import AxisPath, position_at
+from otf_core.model.frames import RigidTransform, rigid_fit
+from otf_core.model.joints import Seen, Sight
+from otf_core.model.machine import SPINDLE, Machine
+from otf_core.model.observation import Samples
+from otf_core.rotary.track import MOST, STEP, Curve, Track, by_length, follow
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+BREAK = 1.9
+"""s; the beam is broken this long where a reflector is moved by hand; 2 s are asked for."""
+MOST_BREAKS = 200
+MISMATCH = 0.3
+"""Log of the ratio of measured and nominal length of a part that counts as one unit of misfit."""
+KNOWN = 1e-4
+"""m; places that are known better give the first pose."""
+ROUNDS = 12
+SETTLED = 1e-7
+"""m; change of the points below which pose and places are good enough to start a solution from."""
+OFF = 2.5e-3
+"""m; robust distance from the curves above which bag and machine do not belong together."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a run as it was measured.
+
+    Attributes
+    ----------
+    path : AxisPath
+        In the order of the axes of the machine.
+    first, last : int
+        Its samples.
+    """
+
+    path: AxisPath
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Matched:
+    """A run whose samples have places on the nominal curves.
+
+    Attributes
+    ----------
+    machine : Machine
+    parts : tuple of Part
+    pose : RigidTransform
+        Tracker to the link that it stands on.
+    places : mapping of target to ndarray, shape (3,), m
+    place : ndarray, shape (n,)
+        Legs done in its part, of every sample; NaN where it belongs to none.
+    part : ndarray of int64, shape (n,)
+        Part of every sample; -1 for none.
+    distance : tuple of float
+        m; median distance of the samples from the curve, for every part.
+    driven : tuple of float
+        Share of the curve that was driven, for every part.
+    """
+
+    machine: Machine
+    parts: tuple[Part, ...]
+    pose: RigidTransform
+    places: Mapping[str, Array]
+    place: Array
+    part: Index
+    distance: tuple[float, ...]
+    driven: tuple[float, ...]
+
+    def sight(self, target: str) -> Sight:
+        """A target at the place that is known of it now."""
+        return sight_at(self.machine, target, self.places)
+
+
+def sight_at(machine: Machine, target: str, places: Mapping[str, Array]) -> Sight:
+    """A target at the place that is known of it."""
+    return replace(Sight.of_target(machine, target), place=places[target])
+
+
+def split_parts(samples: Samples, machine: Machine, paths: Sequence[AxisPath]) -> list[Part]:
+    """Tell the parts of a run apart by the broken beam.
+
+    Where the beam was broken more often than parts were changed, the breaks are taken between
+    which the track is about as long as the curve of every part.
+
+    Raises
+    ------
+    InputError
+        If there are fewer breaks than parts call for.
+    """
+    ends = np.flatnonzero(np.diff(samples.stamp_ns) >= BREAK * 1e9) + 1
+    if len(ends) < len(paths) - 1:
+        raise InputError(
+            f'{len(paths)} parts were published (/planner/axes), but the beam is broken for 2 s '
+            f'only {len(ends)} times; between parts the reflector is moved by hand, or give a bag '
+            f'for each part'
+        )
+    if len(ends) > MOST_BREAKS:
+        gaps = np.diff(samples.stamp_ns)[ends - 1]
+        ends = np.sort(ends[np.argsort(gaps)[-MOST_BREAKS:]])
+    marks = [0, *ends.tolist(), len(samples)]
+    lengths = [Track.of(samples, a, b).length if b - a > 50 else 0.0 for a, b in pairwise(marks)]
+    chords = [float(np.linalg.norm(samples.xyz[e] - samples.xyz[e - 1])) for e in ends]
+    nominal = [Curve.of(Sight.of_target(machine, p.target), p.positions).length for p in paths]
+    pieces = len(lengths)
+    best = np.full((len(paths) + 1, pieces + 1), np.inf)
+    cut = np.zeros((len(paths) + 1, pieces + 1), dtype=np.int64)
+    best[0, 0] = 0.0
+    for k, wanted in enumerate(nominal, start=1):
+        for end in range(k, pieces + 1):
+            length = 0.0
+            for start in range(end - 1, k - 2, -1):
+                length += lengths[start] + (chords[start] if start < end - 1 else 0.0)
+                off = np.log(max(length, 1e-3) / max(wanted, 1e-3)) / MISMATCH
+                total = best[k - 1, start] + off * off
+                if total < best[k, end]:
+                    best[k, end], cut[k, end] = total, start
+    found: list[Part] = []
+    end = pieces
+    for k in range(len(paths), 0, -1):
+        start = int(cut[k, end])
+        found.append(Part(paths[k - 1], marks[start], marks[end]))
+        end = start
+    return found[::-1]
+
+
+def nominal_places(machine: Machine) -> dict[str, Array]:
+    """Places of all targets as machine.yaml states them."""
+    return {name: np.array(t.place) for name, t in machine.targets.items()}
+
+
+def is_known(machine: Machine, name: str) -> bool:
+    """Tell whether the place of a target is given well enough to find the tracker with it."""
+    return machine.targets[name].link == SPINDLE or machine.targets[name].u <= KNOWN
+
+
+@dataclass
+class _Following:
+    """A part while it is matched."""
+
+    part: Part
+    track: Track
+    reach: Array
+
+
+def match(
+    samples: Samples,
+    machine: Machine,
+    paths: Sequence[AxisPath],
+    pose: RigidTransform | None = None,
+    places: Mapping[str, Array] | None = None,
+) -> Matched:
+    """Find pose, places of reflectors and the place of every sample.
+
+    Parameters
+    ----------
+    samples : Samples
+    machine : Machine
+    paths : sequence of AxisPath
+        Parts in driving order, axes as of the machine.
+    pose : RigidTransform, optional
+        Where it is known already.
+    places : mapping of target to ndarray, optional
+        The same.
+
+    Raises
+    ------
+    InputError
+        If track and path do not belong together.
+    """
+    parts = split_parts(samples, machine, paths)
+    known = dict(places) if places is not None else nominal_places(machine)
+    following = []
+    for part in parts:
+        curve = Curve.of(sight_at(machine, part.path.target, known), part.path.positions)
+        track = Track.of(samples, part.first, part.last)
+        if track.length < 0.02:
+            raise InputError(
+                f"part '{part.path.target}': the reflector moves by only "
+                f'{1e3 * track.length:.1f} mm; is a part missing, or a broken beam between parts?'
+            )
+        track = track.resampled(max(STEP, track.length / MOST))
+        following.append(_Following(part, track, by_length(track, curve)))
+    if pose is None:
+        pose = _first_pose(machine, following, known)
+    pose, known = _refined(machine, following, pose, known)
+    return _placed(samples, machine, following, pose, known)
+
+
+def _curve(machine: Machine, one: _Following, places: Mapping[str, Array]) -> Curve:
+    return Curve.of(sight_at(machine, one.part.path.target, places), one.part.path.positions)
+
+
+def _first_pose(
+    machine: Machine, following: Sequence[_Following], places: Mapping[str, Array]
+) -> RigidTransform:
+    """Pose from the arc lengths; parts with known places decide where they fix it."""
+    sure = [f for f in following if is_known(machine, f.part.path.target)]
+    spread = 0.0
+    if sure:
+        points = np.concatenate([f.track.xyz for f in sure])
+        spread = float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1])
+        spread /= np.sqrt(len(points))
+    chosen = sure if spread > 1e-2 else list(following)
+    pose = None
+    for _ in range(6):
+        curves = [_curve(machine, f, places) for f in chosen]
+        for f, curve in zip(chosen, curves, strict=True):
+            if pose is not None:
+                band = 0.05 + 0.02 * curve.length
+                f.reach = follow(f.track, curve, pose.apply(f.track.xyz), band, f.reach)
+        source = np.concatenate([f.track.xyz for f in chosen])
+        target = np.concatenate([c.at(f.reach) for f, c in zip(chosen, curves, strict=True)])
+        before, pose = pose, _robust_fit(source, target)
+        if before is not None:
+            change = np.abs(before.apply(source) - pose.apply(source)).max()
+            if change < 1e-5:
+                break
+    assert pose is not None
+    return pose
+
+
+def _robust_fit(source: Array, target: Array) -> RigidTransform:
+    pose = rigid_fit(source, target)
+    for _ in range(3):
+        off = np.linalg.norm(pose.apply(source) - target, axis=1)
+        near = off <= 3.0 * np.median(off)
+        if near.sum() < 10:
+            break
+        pose = rigid_fit(source[near], target[near])
+    return pose
+
+
+def _refined(
+    machine: Machine,
+    following: Sequence[_Following],
+    pose: RigidTransform,
+    places: Mapping[str, Array],
+) -> tuple[RigidTransform, dict[str, Array]]:
+    """Pose and places of reflectors on the table from the tracks of all parts."""
+    known = dict(places)
+    free = sorted(
+        {
+            f.part.path.target
+            for f in following
+            if machine.targets[f.part.path.target].link != SPINDLE
+            and machine.targets[f.part.path.target].u > 0.0
+        }
+    )
+    column = {name: 6 + 3 * k for k, name in enumerate(free)}
+    size = 6 + 3 * len(free)
+    band = 0.15
+    for _ in range(ROUNDS):
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        for name, at in column.items():
+            u = machine.targets[name].u
+            own = np.arange(at, at + 3)
+            normal[own, own] += 1e-6 / u**2  # next to nothing beside millions of samples
+            right[own] += 1e-6 / u**2 * (np.array(machine.targets[name].place) - known[name])
+        for f in following:
+            curve = _curve(machine, f, known)
+            points = pose.apply(f.track.xyz)
+            f.reach = follow(f.track, curve, points, min(band, 0.5 * curve.length), f.reach)
+            place = curve.place_at(f.reach)
+            place, seen, tangent = closest(
+                sight_at(machine, f.part.path.target, known), f.part.path.positions, place, points
+            )
+            f.reach = curve.reach_at(place)
+            off = points - seen.position
+            off -= tangent * np.einsum('ij,ij->i', off, tangent)[:, None]
+            weight = 1.0 / np.maximum(np.linalg.norm(off, axis=1), 3e-6)
+            rows = np.zeros((len(points), 3, size))
+            rows[:, :, :3] = np.eye(3)
+            for k in range(3):
+                rows[:, :, 3 + k] = np.cross(np.eye(3)[k], points)
+            name = f.part.path.target
+            if name in column:
+                inner = np.eye(3)[None] if seen.inner is None else seen.inner
+                rows[:, :, column[name] : column[name] + 3] = -inner
+            rows -= tangent[:, :, None] * np.einsum('nj,njk->nk', tangent, rows)[:, None]
+            normal += np.einsum('n,nij,nik->jk', weight, rows, rows, optimize=True)
+            right -= np.einsum('n,nij,ni->j', weight, rows, off, optimize=True)
+        step = np.asarray(np.linalg.lstsq(normal, right, rcond=1e-12)[0], dtype=np.float64)
+        pose = pose.moved_by(step[:3], step[3:6])
+        for name, at in column.items():
+            known[name] = known[name] + step[at : at + 3]
+        band = max(0.03, 0.5 * band)
+        if np.abs(step[[0, 1, 2, *range(6, size)]]).max() < SETTLED * 100:
+            break
+    return pose, known
+
+
+def closest(
+    sight: Sight, positions: Array, place: Array, points: Array, rounds: int = 3
+) -> tuple[Array, Seen, Array]:
+    """Closest places of a curve to points, from near ones.
+
+    Returns
+    -------
+    place : ndarray, shape (n,)
+    seen : Seen
+        Reflector there.
+    tangent : ndarray, shape (n, 3)
+        Unit direction of travel.
+    """
+    legs = np.diff(positions, axis=0)
+    last = len(legs) - 1
+    for k in range(rounds + 1):
+        leg = np.clip(place.astype(np.int64), 0, last)
+        seen = sight.at(position_at(positions, place))
+        speed = np.einsum('nij,nj->ni', seen.velocity, legs[leg])
+        size = np.linalg.norm(speed, axis=1)
+        tangent = speed / np.maximum(size, 1e-12)[:, None]
+        if k == rounds:
+            return place, seen, tangent
+        along = np.einsum('ni,ni->n', points - seen.position, tangent)
+        step = np.where(size > 1e-9, along / np.maximum(size, 1e-9), 0.0)
+        place = np.clip(place + np.clip(step, -0.5, 0.5), 0.0, last + 1.0)
+    raise AssertionError('unreachable')
+
+
+def _placed(
+    samples: Samples,
+    machine: Machine,
+    following: Sequence[_Following],
+    pose: RigidTransform,
+    places: Mapping[str, Array],
+) -> Matched:
+    place, number = np.full(len(samples), np.nan), np.full(len(samples), -1, dtype=np.int64)
+    distance, driven = [], []
+    time = samples.time
+    for k, f in enumerate(following):
+        own = slice(f.part.first, f.part.last)
+        curve = _curve(machine, f, places)
+        reach = np.interp(time[own], f.track.time, f.reach)
+        place[own], number[own] = curve.place_at(reach), k
+        off = np.linalg.norm(pose.apply(f.track.xyz) - curve.at(f.reach), axis=1)
+        distance.append(float(np.median(off)))
+        driven.append(float((f.reach.max() - f.reach.min()) / curve.length))
+    parts = tuple(f.part for f in following)
+    return Matched(machine, parts, pose, places, place, number, tuple(distance), tuple(driven))

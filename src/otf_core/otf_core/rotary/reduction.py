@@ -1,0 +1,367 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of matched parts reduced to pieces of the curves, or to stops at the corners.
+
+A piece ends where any axis crosses a node of its table, and is short in travel and in rotation.
+Deviations are those of the samples from their own places on the curve, so that no sagitta enters
+their mean; the direction in which nothing is known is the mean direction of travel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
+from otf_core.model.axis_path import position_at
+from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import Machine
+from otf_core.model.observation import Samples
+from otf_core.model.path import leg_bounds, sides_of_travel
+from otf_core.model.tables import ErrorTables
+from otf_core.noise.standstill import find_standstills
+from otf_core.pieces.outliers import outlying
+from otf_core.rotary.matching import Matched, closest
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+LEVER = 0.2
+"""m; a rotation counts as travel on this radius where lengths of pieces and corners are meant."""
+SMOOTH = 0.2
+"""Change of the unit direction in the axes below which a corner is driven through."""
+TOGETHER = 60
+"""Pieces that share slow noise at most."""
+FEW = 2
+"""Samples of a piece at least."""
+SHORTEST = 1e-3
+"""m of the reflector per m of the axes: on a slower curve no direction is left out safely."""
+AT_STOP = 1.5e-3
+"""m; stops are this near their corners."""
+SETTLED = 0.05
+"""s; shortest stop that is averaged."""
+
+
+@dataclass(frozen=True)
+class AxisPieces:
+    """Means over pieces of the curves of one run, in driving order.
+
+    Attributes
+    ----------
+    q : ndarray, shape (p, k), m and rad
+        Axis positions in the middle.
+    step : ndarray, shape (p, k)
+        Change of the axis positions per unit of place: q moves along it.
+    spread : ndarray, shape (p,)
+        Standard deviation of the places of the samples, in legs.
+    xyz : ndarray, shape (p, 3), m
+        Mean measured point, tracker frame.
+    nominal : ndarray, shape (p, 3), m
+        Mean nominal point at the places of the samples.
+    direction : ndarray, shape (p, 3)
+        Unit direction of travel in the frame of the tracker's link; zero at stops.
+    part : ndarray of int64, shape (p,)
+    leg : ndarray of int64, shape (p,)
+        Pieces that share slow noise.
+    stretch : ndarray of int64, shape (p,)
+        Smooth stretch of the path between two corners.
+    side : ndarray, shape (p, k)
+        Sense of the last travel of every axis.
+    count : ndarray of int64, shape (p,)
+    time, duration : ndarray, shape (p,), s
+    samples, used, outliers : int
+        Of the recording, in pieces, left out for their distance.
+    standstill : bool
+        All three directions count.
+    """
+
+    q: Array
+    step: Array
+    spread: Array
+    xyz: Array
+    nominal: Array
+    direction: Array
+    part: Index
+    leg: Index
+    stretch: Index
+    side: Array
+    count: Index
+    time: Array
+    duration: Array
+    samples: int = 0
+    used: int = 0
+    outliers: int = 0
+    standstill: bool = False
+    stamps: tuple[int, int] = field(default=(0, 0))
+
+    def __len__(self) -> int:
+        """Number of pieces."""
+        return len(self.leg)
+
+    @property
+    def origin(self) -> Array:
+        """Nominal points, which tell lines apart."""
+        return self.nominal
+
+    def without(self, drop: NDArray[np.bool_]) -> AxisPieces:
+        """Leave some out."""
+        if not drop.any():
+            return self
+        names = (
+            'q', 'step', 'spread', 'xyz', 'nominal', 'direction', 'part', 'leg', 'stretch',
+            'side', 'count', 'time', 'duration',
+        )  # fmt: skip
+        kept = {name: getattr(self, name)[~drop] for name in names}
+        lost = int(self.count[drop].sum())
+        return replace(self, **kept, used=self.used - lost, outliers=self.outliers + lost)
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """Lengths along a path by the travel of its axes, rotations on the radius ``LEVER``.
+
+    Attributes
+    ----------
+    corners : ndarray, shape (n,), m
+        From the first corner to every corner.
+    stretch : ndarray of int64, shape (n - 1,)
+        Smooth stretch of every leg.
+    ends : ndarray, shape (s, 2), m
+        Where every stretch begins and ends.
+    """
+
+    corners: Array
+    stretch: Index
+    ends: Array
+
+    @classmethod
+    def of(cls, machine: Machine, positions: Array) -> _Reach:
+        scale = np.array([LEVER if machine.axes[a].rotary else 1.0 for a in machine.axis_names])
+        legs = np.diff(positions, axis=0) * scale
+        length = np.linalg.norm(legs, axis=1)
+        unit = legs / length[:, None]
+        turned = np.linalg.norm(np.diff(unit, axis=0), axis=1) > SMOOTH
+        stretch = np.append(0, np.cumsum(turned)).astype(np.int64)
+        corners = np.append(0.0, np.cumsum(length))
+        first = np.flatnonzero(np.append(True, turned))
+        ends = np.stack([corners[first], corners[np.append(first[1:], len(legs))]], axis=1)
+        return cls(corners, stretch, ends)
+
+
+def reduce_to_pieces(
+    samples: Samples,
+    matched: Matched,
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    tables: ErrorTables | None = None,
+) -> AxisPieces:
+    """Average samples over pieces.
+
+    Parameters
+    ----------
+    samples : Samples
+    matched : Matched
+    nodes : mapping of axis to ndarray, m and rad
+    config : CalibrationConfig
+    tables : ErrorTables, optional
+        Errors that are taken off before the closest places are looked for.
+
+    Raises
+    ------
+    InputError
+        If nothing is left.
+    """
+    parts = range(len(matched.parts))
+    tried = [_of_part(samples, matched, k, nodes, config, tables) for k in parts]
+    found = [f for f in tried if f is not None]
+    if not found:
+        raise InputError('no sample is left on the path away from its corners')
+    return joined(samples, found)
+
+
+def joined(samples: Samples, found: Sequence[AxisPieces]) -> AxisPieces:
+    """Pieces of several parts as one, legs and stretches numbered through."""
+    legs = np.cumsum([0, *(f.leg.max() + 1 for f in found)])
+    stretches = np.cumsum([0, *(f.stretch.max() + 1 for f in found)])
+    names = (
+        'q', 'step', 'spread', 'xyz', 'nominal', 'direction', 'part', 'side', 'count', 'time',
+        'duration',
+    )  # fmt: skip
+    arrays = {n: np.concatenate([getattr(f, n) for f in found]) for n in names}
+    return AxisPieces(
+        **arrays,
+        leg=np.concatenate([f.leg + n for f, n in zip(found, legs, strict=False)]),
+        stretch=np.concatenate([f.stretch + n for f, n in zip(found, stretches, strict=False)]),
+        samples=len(samples),
+        used=sum(f.used for f in found),
+        outliers=sum(f.outliers for f in found),
+        standstill=found[0].standstill,
+        stamps=(int(samples.stamp_ns[0]), int(samples.stamp_ns[-1])),
+    )
+
+
+def _of_part(
+    samples: Samples,
+    matched: Matched,
+    number: int,
+    nodes: Mapping[str, Array],
+    config: CalibrationConfig,
+    tables: ErrorTables | None,
+) -> AxisPieces | None:
+    machine, part = matched.machine, matched.parts[number]
+    positions, sight = part.path.positions, matched.sight(part.path.target)
+    reach = _Reach.of(machine, positions)
+    own = np.arange(part.first, part.last)
+    place = matched.place[own]
+    leg = np.clip(place.astype(np.int64), 0, len(positions) - 2)
+    along = np.interp(place, np.arange(len(positions)), reach.corners)
+    ends = reach.ends[reach.stretch[leg]]
+    margin = np.minimum(config.corner_exclusion, 0.25 * (ends[:, 1] - ends[:, 0]))
+    own = own[(along - ends[:, 0] > margin) & (ends[:, 1] - along > margin)]
+    if len(own) < 10:
+        return None
+    points = matched.pose.apply(samples.xyz[own])
+    wanted = points
+    if tables is not None:
+        wanted = points - sight.at(position_at(positions, matched.place[own])).displacement(tables)
+    place, seen, tangent = closest(sight, positions, matched.place[own], wanted)
+    deviation = points - seen.position
+    leg = np.clip(place.astype(np.int64), 0, len(positions) - 2)
+    stretch = reach.stretch[leg]
+    offset = np.ascontiguousarray(deviation.T)
+    far = outlying(
+        lambda chosen: np.ascontiguousarray(offset[:, chosen]),
+        leg_bounds(stretch),
+        config.outlier_limit,
+    )
+    keep = np.flatnonzero(~far)
+    own, place, leg, stretch = own[keep], place[keep], leg[keep], stretch[keep]
+    tangent, nominal = tangent[keep], seen.position[keep]
+
+    q = position_at(positions, place)
+    along = np.interp(place, np.arange(len(positions)), reach.corners)
+    key = [stretch, np.floor((along - reach.ends[stretch, 0]) / config.piece_length)]
+    for k, axis in enumerate(machine.axis_names):
+        key.append(np.searchsorted(nodes[axis], machine.axes[axis].wrapped(q[:, k]) + 1e-9))
+    marks = np.stack([np.asarray(part_of, dtype=np.int64) for part_of in key], axis=1)
+    new = np.append(True, np.any(np.diff(marks, axis=0) != 0, axis=1))
+    late = np.append(False, np.diff(samples.stamp_ns[own]) > 0.5e9)
+    piece = np.cumsum(new | late) - 1
+    total = int(piece[-1]) + 1
+    count = np.bincount(piece, minlength=total)
+
+    def mean(values: Array) -> Array:
+        if values.ndim == 1:
+            return np.bincount(piece, values, total) / count
+        return np.stack([np.bincount(piece, v, total) / count for v in values.T], axis=1)
+
+    direction = mean(tangent)
+    size = np.linalg.norm(direction, axis=1)
+    middle, time = mean(place), samples.time[own]
+    first = np.searchsorted(piece, np.arange(total))
+    at_leg = leg[first]
+    steps = np.diff(positions, axis=0)
+    # a piece may lie on several chords of a smooth stretch: its own mean step
+    step = mean(steps[leg])
+    spread = np.sqrt(np.maximum(mean(place**2) - middle**2, 0.0))
+    unit = steps / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-12)
+    pieces = AxisPieces(
+        q=mean(q),
+        step=step,
+        spread=spread,
+        xyz=mean(samples.xyz[own]),
+        nominal=mean(nominal),
+        direction=direction / np.maximum(size, 1e-12)[:, None],
+        part=np.full(total, number),
+        leg=_shared(stretch[first], mean(time)),
+        stretch=stretch[first],
+        side=sides_of_travel(unit)[at_leg],
+        count=count,
+        time=mean(time),
+        duration=np.asarray(count * samples.step, dtype=np.float64),
+        used=len(own),
+        outliers=int(far.sum()),
+    )
+    return pieces.without((count < FEW) | (size < 0.5))
+
+
+def _shared(stretch: Index, time: Array) -> Index:
+    """Number of the pieces that share slow noise: of one stretch, not too many, without a gap."""
+    new = np.append(True, np.diff(stretch) != 0) | np.append(False, np.diff(time) > 5.0)
+    start = np.maximum.accumulate(np.where(new, np.arange(len(stretch)), 0))
+    place = np.arange(len(stretch)) - start
+    return np.asarray(np.cumsum(new | (place % TOGETHER == 0)) - 1)
+
+
+def reduce_to_stops(samples: Samples, matched: Matched, config: CalibrationConfig) -> AxisPieces:
+    """Average the stops at the corners.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    found = []
+    for number, part in enumerate(matched.parts):
+        one = _stops_of_part(samples, matched, number, config)
+        if one is None:
+            raise InputError(
+                f"part {number + 1} ('{part.path.target}'): no stop lies at a corner of its path; "
+                f'use the method otf for a run without stops'
+            )
+        found.append(one)
+    return joined(samples, found)
+
+
+def _stops_of_part(
+    samples: Samples, matched: Matched, number: int, config: CalibrationConfig
+) -> AxisPieces | None:
+    part = matched.parts[number]
+    positions, sight = part.path.positions, matched.sight(part.path.target)
+    own = samples.part(part.first, part.last)
+    spans = find_standstills(own, config.standstill_speed, SETTLED)
+    corner_at = sight.nominal(positions)
+    rows = []
+    for a, b in spans.tolist():
+        xyz = own.xyz[a:b]
+        off = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1)
+        good = xyz[off <= config.outlier_limit * max(float(np.median(off)), 1e-9)]
+        place = float(np.median(matched.place[part.first + a : part.first + b]))
+        point = matched.pose.apply(good.mean(axis=0)[None])[0]
+        low, high = max(0, int(place) - 2), min(len(positions), int(place) + 4)
+        corner = low + int(np.argmin(np.linalg.norm(corner_at[low:high] - point, axis=1)))
+        if np.linalg.norm(corner_at[corner] - point) < AT_STOP and len(good) > FEW:
+            rows.append((corner, good.mean(axis=0), len(good), a, b))
+    if not rows:
+        return None
+    columns = [np.array(v) for v in zip(*rows, strict=True)]
+    at, xyz, count = columns[:3]
+    first, last = columns[3] + part.first, columns[4] + part.first
+    steps = np.diff(positions, axis=0, prepend=positions[:1])
+    unit = steps / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-12)
+    total = len(at)
+    return AxisPieces(
+        q=positions[at],
+        step=np.zeros_like(positions[at]),
+        spread=np.zeros(total),
+        xyz=xyz,
+        nominal=corner_at[at],
+        direction=np.zeros((total, 3)),
+        part=np.full(total, number),
+        leg=np.arange(total),
+        stretch=np.arange(total),
+        side=sides_of_travel(unit)[at],
+        count=count,
+        time=0.5 * (samples.time[first] + samples.time[last - 1]),
+        duration=samples.time[last - 1] - samples.time[first],
+        used=int(count.sum()),
+        standstill=True,
+    )
+
+
+def moved(pieces: AxisPieces, pose: RigidTransform) -> Array:
+    """Measured points of pieces in the frame of the tracker's link, shape (p, 3), m."""
+    return pose.apply(pieces.xyz)

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of all pieces of a run: deviations across the curves and their derivatives.
+
+For the direction a of a row, the point p = R x + t and the nominal point p(q; place)
+
+    a . (p - p(q)) = a . e(q) + a . R_link dplace - a . (dt + dr x p)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.beam_frame import beam_frame
+from otf_core.model.frames import RigidTransform
+from otf_core.model.joints import Seen
+from otf_core.model.machine import Machine
+from otf_core.model.tables import ErrorTables
+from otf_core.noise.model import beam_shares, path_frame
+from otf_core.rotary.matching import Part, sight_at
+from otf_core.rotary.reduction import AxisPieces
+from otf_core.rotary.unknowns import place_block
+from otf_core.solving.unknowns import Unknowns, pose_block
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class AxisRows:
+    """Derivatives of the deviations of one run; dense rows are made for a few pieces at a time.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    count : int
+        Pieces.
+    fixed : mapping of block to ndarray, shape (c, p, k)
+        Poses, places, squareness and location errors.
+    motions : mapping of axis to list of (ndarray (c, p, 6), ndarray (p, size))
+        Influence of its six motions along the rows, and its functions, at every shift.
+    splines : ndarray, shape (p, k)
+        Where the axes are: pieces with alike rows are treated together.
+    """
+
+    unknowns: Unknowns
+    count: int
+    fixed: Mapping[str, Array]
+    motions: Mapping[str, list[tuple[Array, Array]]]
+    splines: Index
+
+    def prepare(self) -> None:
+        """Nothing to prepare."""
+
+    def dense(self, pieces: Index | slice) -> Array:
+        """Rows (c, m, full) of some pieces."""
+        sample = next(iter(self.fixed.values()))[:, pieces]
+        rows = np.zeros((*sample.shape[:2], self.unknowns.full))
+        for name, own in self.fixed.items():
+            rows[:, :, self.unknowns.blocks[name]] = own[:, pieces]
+        for axis, shifts in self.motions.items():
+            for k, d in enumerate('XYZABC'):
+                block = self.unknowns.blocks[f'E{d}{axis}']
+                rows[:, :, block] = sum(
+                    six[:, pieces, k, None] * (weight[pieces] / len(shifts))
+                    for six, weight in shifts
+                )
+        return rows
+
+    def touched(
+        self, pieces: Index, width: int = 0, blocks: Collection[str] | None = None
+    ) -> tuple[Index, Array]:
+        """Rows of some pieces by the unknowns that they depend on; see ``design.Design``."""
+        rows = self.dense(pieces)
+        columns = np.flatnonzero(np.any(rows, axis=(0, 1)))
+        found = np.zeros((*rows.shape[:2], len(columns) + width))
+        found[:, :, : len(columns)] = rows[:, :, columns]
+        return columns, found
+
+    def times(self, value: Array) -> Array:
+        """Deviations (c, p) for values of the unknowns (full,)."""
+        total = sum(own @ value[self.unknowns.blocks[n]] for n, own in self.fixed.items())
+        for axis, shifts in self.motions.items():
+            blocks = [self.unknowns.blocks[f'E{d}{axis}'] for d in 'XYZABC']
+            coefficients = np.stack([value[b] for b in blocks], axis=1) / len(shifts)
+            for six, weight in shifts:
+                total = total + np.einsum('cpk,pk->cp', six, weight @ coefficients)
+        return np.asarray(total)
+
+
+@dataclass(frozen=True)
+class AxisSystem:
+    """Rows of a run, not yet weighted; see ``solving.system.System``.
+
+    Attributes
+    ----------
+    q : ndarray, shape (p, k), m and rad
+    axes : ndarray, shape (c, p, 3)
+    deviation : ndarray, shape (c, p), m
+    rows : AxisRows
+    shares : ndarray, shape (3, c, p)
+    """
+
+    q: Array
+    axes: Array
+    deviation: Array
+    rows: AxisRows
+    shares: Array
+
+
+@dataclass(frozen=True)
+class AxisRun:
+    """One run reduced to pieces.
+
+    Attributes
+    ----------
+    machine : Machine
+    parts : tuple of Part
+    pieces : AxisPieces
+    pose : RigidTransform
+        Tracker to the link that it stands on.
+    places : mapping of target to ndarray, shape (3,), m
+        As known now.
+    base : mapping of target to ndarray, shape (3,), m
+        At which the nominal points of the pieces were computed.
+    station : int
+        Place of the tracker.
+    name : str
+    """
+
+    machine: Machine
+    parts: tuple[Part, ...]
+    pieces: AxisPieces
+    pose: RigidTransform
+    places: Mapping[str, Array]
+    base: Mapping[str, Array]
+    station: int
+    name: str = ''
+    free: tuple[str, ...] = field(default=())
+
+    def placed(self, pose: RigidTransform, places: Mapping[str, Array]) -> AxisRun:
+        """The same with another pose and other places."""
+        return replace(self, pose=pose, places=places)
+
+    def by_target(self) -> dict[str, NDArray[np.bool_]]:
+        """Which pieces are of which target."""
+        names = np.array([p.path.target for p in self.parts])[self.pieces.part]
+        return {str(n): names == n for n in np.unique(names)}
+
+
+def _filled(count: int, own: NDArray[np.bool_], values: Array) -> Array:
+    found = np.zeros((values.shape[0], count, *values.shape[2:]))
+    found[:, own] = values
+    return found
+
+
+def build_rows(run: AxisRun, unknowns: Unknowns, tables: ErrorTables | None) -> AxisSystem:
+    """Set up the rows of all pieces of a run.
+
+    Parameters
+    ----------
+    run : AxisRun
+    unknowns : Unknowns
+    tables : ErrorTables, optional
+        Of the last iteration, for the places along the curves.
+    """
+    pieces, machine = run.pieces, run.machine
+    points = run.pose.apply(pieces.xyz)
+    beam = beam_frame(pieces.xyz)
+    along = [run.pose.rotate(d) for d in beam[1:]]
+    if pieces.standstill:
+        axes = np.stack(along)
+    else:
+        axes = np.stack(path_frame(pieces.direction, along[0]))
+    count = axes.shape[1]
+    q, off = pieces.q.copy(), points - pieces.nominal
+    fixed = {pose_block(run.station): np.concatenate([-axes, -np.cross(points, axes)], axis=2)}
+    motions: dict[str, list[tuple[Array, Array]]] = {}
+    for name, own in run.by_target().items():
+        sight = sight_at(machine, name, run.places)
+        seen = sight.at(q[own])
+        inner = np.eye(3)[None] if seen.inner is None else seen.inner
+        off[own] -= np.einsum('nij,j->ni', inner, run.places[name] - run.base[name])
+        if not pieces.standstill:
+            wanted = off[own] if tables is None else off[own] - seen.displacement(tables)
+            q[own] += _along(seen, pieces, own, wanted)
+            seen = sight.at(q[own])
+            inner = np.eye(3)[None] if seen.inner is None else seen.inner
+        if name in run.free:
+            turned = np.einsum(
+                'cni,nij->cnj', axes[:, own], np.broadcast_to(inner, (own.sum(), 3, 3))
+            )
+            fixed[place_block(name)] = _filled(count, own, turned)
+        for scalar, moved in seen.scalars.items():
+            column = np.einsum('cni,ni->cn', axes[:, own], moved)[:, :, None]
+            before = fixed.get(scalar, 0.0)
+            fixed[scalar] = before + _filled(count, own, column)
+        shifts = [np.zeros(int(own.sum()))]
+        if not pieces.standstill:
+            shifts = [pieces.spread[own], -pieces.spread[own]]
+        for number, shift in enumerate(shifts):
+            at = sight.at(q[own] + shift[:, None] * pieces.step[own])
+            for axis, six in at.motions.items():
+                basis = unknowns.bases[axis]
+                place = machine.axes[axis].wrapped(at.q[:, machine.column(axis)])
+                weight = np.zeros((count, basis.size))
+                weight[own] = basis.matrix(place)
+                projected = np.einsum('cni,nik->cnk', axes[:, own], six)
+                whole = _filled(count, own, projected)
+                known = motions.setdefault(axis, [])
+                if number < len(known):
+                    six_before, weight_before = known[number]
+                    known[number] = (six_before + whole, weight_before + weight)
+                else:
+                    known.append((whole, weight))
+    cells = [
+        np.rint(32.0 * (q[:, k] - q[:, k].min()) / max(np.ptp(q[:, k]), 1e-9))
+        for k in range(q.shape[1])
+    ]
+    rows = AxisRows(unknowns, count, fixed, motions, np.stack(cells, axis=1).astype(np.int64))
+    return AxisSystem(
+        q=q,
+        axes=axes,
+        deviation=np.einsum('cni,ni->cn', axes, off),
+        rows=rows,
+        shares=beam_shares(pieces.xyz, run.pose, axes),
+    )
+
+
+def _along(seen: Seen, pieces: AxisPieces, own: NDArray[np.bool_], wanted: Array) -> Array:
+    """Change of the axis positions (m, k) that takes the nominal points along their curves."""
+    speed = np.einsum('nij,nj->ni', seen.velocity, pieces.step[own])
+    size = np.maximum(np.linalg.norm(speed, axis=1), 1e-9)
+    share = np.einsum('ni,ni->n', wanted, speed) / size**2
+    return np.asarray(np.clip(share, -0.2, 0.2)[:, None] * pieces.step[own])

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint solution of all runs: poses, places of targets, location errors and motions.
+
+Solve, move poses and places, take the places along the curves anew from the compensated points,
+until nothing changes; leave out pieces far from the solution, fit the noise, solve again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.config import CalibrationConfig
+from otf_core.errors import InputError
+from otf_core.model.frames import RigidTransform
+from otf_core.model.machine import Machine
+from otf_core.model.path import leg_bounds
+from otf_core.model.tables import ErrorTables, LocationError, MotionTable, Squareness
+from otf_core.noise.model import Misfit, NoiseModel, misfit_of, scaled
+from otf_core.pieces.outliers import GROSS, RAYLEIGH_MEDIAN
+from otf_core.rotary.rows import AxisRun, AxisSystem, build_rows
+from otf_core.rotary.unknowns import place_block
+from otf_core.solving.noise_fit import FittedNoise, fit_noise
+from otf_core.solving.normal import NormalEquations, normal_equations
+from otf_core.solving.roughness import Roughness, Search
+from otf_core.solving.solution import Solution, solve
+from otf_core.solving.unknowns import Unknowns, pose_block
+from otf_core.solving.whitener import Whitener
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+LEAST = 2e-6
+"""m; pieces that are off by less are never left out."""
+REPETITIONS = 4
+NOISE_SETTLED = 0.1
+FINE = 8
+"""Parts of an interval between knots in tables for use inside."""
+
+
+@dataclass(frozen=True)
+class SolvedAxisRun:
+    """One run at the solution.
+
+    Attributes
+    ----------
+    run : AxisRun
+    system : AxisSystem
+    whitener : Whitener
+    residual : ndarray, shape (c, p), m
+    noise : NoiseModel
+        Of single samples, as the residuals say it.
+    misfit : Misfit
+    """
+
+    run: AxisRun
+    system: AxisSystem
+    whitener: Whitener
+    residual: Array
+    noise: NoiseModel
+    misfit: Misfit
+
+
+@dataclass(frozen=True)
+class AxisSolution:
+    """Solution of all runs.
+
+    Attributes
+    ----------
+    machine : Machine
+    unknowns : Unknowns
+    solution : Solution
+    roughness : Roughness
+    normal : NormalEquations
+        Of all rows, what is known of places included.
+    runs : tuple of SolvedAxisRun
+    poses : tuple of RigidTransform
+        Of the places of the tracker.
+    places : mapping of target to ndarray, shape (3,), m
+    iterations : int
+    """
+
+    machine: Machine
+    unknowns: Unknowns
+    solution: Solution
+    roughness: Roughness
+    normal: NormalEquations
+    runs: tuple[SolvedAxisRun, ...]
+    poses: tuple[RigidTransform, ...]
+    places: Mapping[str, Array]
+    iterations: int
+
+
+def tables_of(machine: Machine, unknowns: Unknowns, value: Array) -> ErrorTables:
+    """Fine tables of a solution, for use inside; without uncertainties."""
+    motions: dict[str, MotionTable] = {}
+    for name in machine.motions:
+        basis = unknowns.bases[name.axis]
+        position = basis.finer(FINE)
+        inner = basis.matrix(position) @ value[unknowns.blocks[name]]
+        motions[name] = MotionTable(position, inner, np.zeros(len(position)))
+
+    def scalar(name: str) -> float:
+        return float(value[unknowns.blocks[name].start])
+
+    return ErrorTables(
+        machine,
+        motions,
+        {n: Squareness(scalar(n)) for n in machine.squareness},
+        {n: LocationError(scalar(n)) for n in machine.location},
+    )
+
+
+def solve_robustly(
+    runs: Sequence[AxisRun],
+    noises: Sequence[NoiseModel],
+    unknowns: Unknowns,
+    config: CalibrationConfig,
+    progress: Progress,
+    tables: ErrorTables | None = None,
+    logs: Mapping[str, Array] | None = None,
+    fitted: Sequence[Array | None] | None = None,
+) -> tuple[AxisSolution, list[Array | None]]:
+    """Solve, leave out what is far from the solution, fit the noise, solve again.
+
+    Returns
+    -------
+    solution : AxisSolution
+    fitted : list of ndarray, shape (5,)
+        What the residuals say of the noise of every run, see ``noise_fit``.
+    """
+    runs = list(runs)
+    known: list[Array | None] = list(fitted) if fitted is not None else [None] * len(runs)
+    done = None
+    for repetition in range(REPETITIONS):
+        done = _settle(runs, noises, known, unknowns, config, progress, tables, logs)
+        tables = tables_of(done.machine, unknowns, done.solution.value)
+        logs = done.roughness.logs
+        same = True
+        for k, solved in enumerate(done.runs):
+            drop = _far(solved, config.outlier_limit)
+            found = _noise(solved, noises[k], done.solution.covariance, known[k])
+            before = known[k]
+            if drop.any() or before is None or not _alike(found, before):
+                same = False
+            known[k] = found.logs
+            runs[k] = replace(solved.run, pieces=solved.run.pieces.without(drop))
+        progress('solving', (repetition + 1) / (REPETITIONS + 1))
+        if same:
+            break
+    assert done is not None
+    return done, known
+
+
+def _alike(found: FittedNoise, before: Array) -> bool:
+    return bool(np.all(np.abs(found.logs - before) < np.maximum(NOISE_SETTLED, 0.5 * found.u)))
+
+
+def _noise(
+    solved: SolvedAxisRun, noise: NoiseModel, covariance: Array, start: Array | None
+) -> FittedNoise:
+    system, pieces = cast(Any, solved.system), cast(Any, solved.run.pieces)
+    return fit_noise(system, pieces, solved.residual, noise, covariance, start)
+
+
+def _far(solved: SolvedAxisRun, limit: float) -> NDArray[np.bool_]:
+    """Pieces far from the solution, or from the others of their line."""
+    own = solved.residual.copy()
+    for low, high in leg_bounds(solved.run.pieces.leg):
+        if high - low > 2:
+            own[:, low:high] -= np.median(solved.residual[:, low:high], axis=1, keepdims=True)
+    near, whole = (np.linalg.norm(v, axis=0) for v in (own, solved.residual))
+    sigma, wide = (float(np.median(v)) / RAYLEIGH_MEDIAN for v in (near, whole))
+    return np.asarray((near > max(limit * sigma, LEAST)) | (whole > max(limit * wide, GROSS)))
+
+
+def place_equations(
+    machine: Machine, unknowns: Unknowns, places: Mapping[str, Array]
+) -> NormalEquations:
+    """What machine.yaml says of the places of targets, as normal equations."""
+    matrix, right = np.zeros((unknowns.free, unknowns.free)), np.zeros(unknowns.free)
+    square, rows = 0.0, 0
+    for name, target in machine.targets.items():
+        block = unknowns.free_blocks.get(place_block(name))
+        if block is None:
+            continue
+        off = (np.array(target.place) - places[name]) / target.u
+        own = np.arange(block.start, block.stop)
+        matrix[own, own] = 1.0 / target.u**2
+        right[own] = off / target.u
+        square, rows = square + float(off @ off), rows + len(own)
+    return NormalEquations(matrix, right, square, rows)
+
+
+def _settle(
+    runs: Sequence[AxisRun],
+    noises: Sequence[NoiseModel],
+    fitted: Sequence[Array | None],
+    unknowns: Unknowns,
+    config: CalibrationConfig,
+    progress: Progress,
+    tables: ErrorTables | None,
+    logs: Mapping[str, Array] | None,
+) -> AxisSolution:
+    machine, limit = runs[0].machine, config.unidentifiable_above
+    poses = {run.station: run.pose for run in runs}
+    places = dict(runs[0].places)
+    accepted = tuple(n for n, s in unknowns.free_blocks.items() if s.stop > s.start)
+    models = [
+        (noise, Misfit()) if own is None else (scaled(noise, own), misfit_of(own))
+        for noise, own in zip(noises, fitted, strict=True)
+    ]
+    whiteners: list[Whitener] | None = None
+    rough: Roughness | None = None
+    left: list[Array] = []
+    for iteration in range(1, config.max_iterations + 1):
+        own = [run.placed(poses[run.station], places) for run in runs]
+        systems = [build_rows(run, unknowns, tables) for run in own]
+        if whiteners is None:
+            whiteners = [
+                Whitener.of(cast(Any, s), cast(Any, run.pieces), *model)
+                for s, run, model in zip(systems, own, models, strict=True)
+            ]
+        parts = [
+            normal_equations(cast(Any, s), unknowns, w)
+            for s, w in zip(systems, whiteners, strict=True)
+        ]
+        normal = reduce(add, [*parts, place_equations(machine, unknowns, places)])
+        if rough is None or iteration == 2:
+            rough = Search(normal, unknowns, accepted, limit).run(rough.logs if rough else logs)
+        solution = solve(normal, unknowns, limit, accepted, rough.precision)
+        before = left
+        left = [s.deviation - s.rows.times(solution.value) for s in systems]
+        value = solution.value
+        tables = tables_of(machine, unknowns, value)
+        change = (
+            max(
+                (float(np.abs(a - b).max()) for a, b in zip(left, before, strict=True)),
+                default=np.inf,
+            )
+            if before
+            else np.inf
+        )
+        if change < config.alignment_stop or (iteration > 6 and change < 1e-8):
+            solved = tuple(
+                SolvedAxisRun(*row)
+                for row in zip(
+                    own, systems, whiteners, left,
+                    [m[0] for m in models], [m[1] for m in models], strict=True,
+                )
+            )  # fmt: skip
+            return AxisSolution(
+                machine, unknowns, solution, rough, normal, solved,
+                tuple(poses[k] for k in sorted(poses)), places, iteration,
+            )  # fmt: skip
+        for k in poses:
+            step = value[unknowns.blocks[pose_block(k)]]
+            poses[k] = poses[k].moved_by(step[:3], step[3:])
+        for name in places:
+            if place_block(name) in unknowns.blocks:
+                places[name] = places[name] + value[unknowns.blocks[place_block(name)]]
+        progress('solving', 0.5 * iteration / (iteration + 1))
+    names = ', '.join(run.name for run in runs if run.name)
+    raise InputError(
+        f'{names and names + ": "}the solution did not settle in {config.max_iterations} '
+        f'iterations (last change {1e6 * change:.3g} um); the path may not determine the errors'
+    )

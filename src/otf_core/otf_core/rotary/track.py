@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured track and nominal curve by their arc lengths, and the order in which one follows the other.
+
+No times are needed: what the reflector has travelled says how far the path is driven, within the
+errors of its place, and a monotone assignment of places to places (dynamic time warping) corrects
+that once the pose of the tracker is roughly known.
+"""  # noqa: E501
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otf_core.model.axis_path import along_legs, position_at
+from otf_core.model.joints import Sight
+from otf_core.model.observation import Samples
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+PERIOD = 0.02
+"""s; samples are averaged over this time before the arc length is taken."""
+LEAST_MOVE = 2e-4
+"""m; less is noise and standstill."""
+FINE_STEP, FINE_TURN = 2e-3, 0.01
+"""m and rad between the places at which a nominal curve is computed."""
+STEP, MOST = 2e-3, 20_000
+"""m between places that are assigned to each other, and their largest number."""
+GAP = 0.3
+"""s without a sample; what happened then is not known."""
+LATE = 0.05
+"""Price of one step more or less on the curve than on the track, in squared steps."""
+LONGEST = 3
+"""Steps on the curve that one step on the track may take."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where the reflector was, by the arc length that it has travelled.
+
+    Attributes
+    ----------
+    xyz : ndarray, shape (k, 3), m
+        Tracker frame.
+    time : ndarray, shape (k,), s
+        Since the first sample of the recording.
+    reach : ndarray, shape (k,), m
+        Arc length, ascending.
+    """
+
+    xyz: Array
+    time: Array
+    reach: Array
+
+    @classmethod
+    def of(cls, samples: Samples, first: int, last: int) -> Track:
+        """Track of the samples from one up to another."""
+        every = max(1, round(PERIOD / max(samples.step, 1e-6)))
+        count = (last - first) // every
+        xyz = samples.xyz[first : first + count * every].reshape(count, every, 3).mean(axis=1)
+        time = samples.time[first : first + count * every].reshape(count, every).mean(axis=1)
+        kept = _moved(xyz)
+        reach = np.linalg.norm(np.diff(xyz[kept], axis=0), axis=1).cumsum()
+        return cls(xyz[kept], time[kept], np.append(0.0, reach))
+
+    @property
+    def length(self) -> float:
+        """Arc length, m."""
+        return float(self.reach[-1])
+
+    def resampled(self, step: float) -> Track:
+        """The same at equal steps of arc length."""
+        reach = np.arange(0.0, self.length + 0.5 * step, step)
+        xyz = np.stack([np.interp(reach, self.reach, own) for own in self.xyz.T], axis=1)
+        return Track(xyz, np.interp(reach, self.reach, self.time), reach)
+
+
+def _moved(xyz: Array) -> Index:
+    """Points (k,) that are ``LEAST_MOVE`` away from the one before among them."""
+    kept, last = [0], xyz[0]
+    for k, point in enumerate(xyz):
+        away = point - last
+        if away @ away > LEAST_MOVE**2:
+            kept.append(k)
+            last = point
+    return np.array(kept)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Nominal curve of a part.
+
+    Attributes
+    ----------
+    positions : ndarray, shape (n, k), m and rad
+        Axis positions at the corners.
+    place : ndarray, shape (m,)
+        Legs done, see ``axis_path.along_legs``.
+    points : ndarray, shape (m, 3), m
+        In the frame of the tracker's link.
+    """
+
+    positions: Array
+    place: Array
+    points: Array
+
+    @classmethod
+    def of(cls, sight: Sight, positions: Array) -> Curve:
+        """Curve of a reflector."""
+        place = along_legs(positions, FINE_STEP, FINE_TURN)
+        return cls(positions, place, sight.nominal(position_at(positions, place)))
+
+    @cached_property
+    def reach(self) -> Array:
+        """Arc length at ``place``, shape (m,), m; grows a little where nothing moves."""
+        step = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        return np.append(0.0, np.maximum(step, 1e-9).cumsum())
+
+    @property
+    def length(self) -> float:
+        """Arc length, m."""
+        return float(self.reach[-1])
+
+    def place_at(self, reach: Array) -> Array:
+        """Places at arc lengths, clipped to the curve."""
+        return np.interp(reach, self.reach, self.place)
+
+    def reach_at(self, place: Array) -> Array:
+        """Arc lengths at places."""
+        return np.interp(place, self.place, self.reach)
+
+    def at(self, reach: Array) -> Array:
+        """Points at arc lengths, on the chords of the curve, shape (k, 3), m."""
+        return np.stack([np.interp(reach, self.reach, own) for own in self.points.T], axis=1)
+
+
+def by_length(track: Track, curve: Curve) -> Array:
+    """Arc length on the curve of every place of a track that ends where the curve does, (k,)."""
+    share = curve.length / max(track.length, 1e-9)
+    return track.reach * (share if 0.9 < share < 1.1 else 1.0)
+
+
+def follow(track: Track, curve: Curve, points: Array, band: float, start: Array) -> Array:
+    """Assign places of a track to places of a curve, in order.
+
+    Parameters
+    ----------
+    track : Track
+    curve : Curve
+    points : ndarray, shape (k, 3), m
+        Places of the track in the frame of the curve.
+    band : float
+        m; arc length within which of ``start`` the answer lies.
+    start : ndarray, shape (k,), m
+        Arc length on the curve that is expected.
+
+    Returns
+    -------
+    ndarray, shape (k,), m
+        Arc length on the curve of every place of the track.
+    """
+    step = float(np.median(np.diff(track.reach))) if len(track.reach) > 1 else STEP
+    nodes = np.arange(0.0, curve.length + 0.5 * step, step)
+    at = curve.at(nodes)
+    width = 2 * int(np.ceil(band / step)) + 1
+    low = np.clip(
+        np.rint(start / step).astype(np.int64) - width // 2, 0, max(0, len(nodes) - width)
+    )
+    low = np.maximum.accumulate(low)
+    width = min(width, len(nodes))
+    jump = np.append(False, np.diff(track.time) > GAP)
+    price = LATE * step**2 * (np.arange(LONGEST + 1) - 1.0) ** 2
+    inner = np.arange(width)
+    best = np.zeros(width)
+    choice = np.zeros((len(points), width), dtype=np.int32)
+    for k, point in enumerate(points):
+        window = at[low[k] : low[k] + width]
+        cost = ((window - point) ** 2).sum(axis=1)
+        if k == 0:
+            best, choice[0] = cost + price[1] * 0.0, inner
+            continue
+        shift = int(low[k] - low[k - 1])
+        before = np.full(width + LONGEST, np.inf)
+        if shift < width:
+            before[LONGEST : LONGEST + width - shift] = best[shift:]
+            # what lies below the window now may still move into it
+            for d in range(1, LONGEST + 1):
+                if shift - d >= 0:
+                    before[LONGEST - d] = best[shift - d]
+        if jump[k]:
+            total = np.minimum.accumulate(before)[LONGEST:]
+            marks = np.where(before == np.minimum.accumulate(before), np.arange(len(before)), 0)
+            origin = np.maximum.accumulate(marks)[LONGEST:] - LONGEST
+        else:
+            options = np.stack(
+                [before[LONGEST - d : LONGEST - d + width] + price[d] for d in range(LONGEST + 1)]
+            )
+            pick = options.argmin(axis=0)
+            total = options[pick, inner]
+            origin = inner - pick
+        choice[k] = origin + shift  # place in the window before
+        best = total + cost
+        if not np.isfinite(best).any():
+            best = cost.copy()
+            choice[k] = np.clip(inner + shift - 1, 0, width - 1)
+    found = np.empty(len(points), dtype=np.int64)
+    j = int(np.argmin(best))
+    for k in range(len(points) - 1, -1, -1):
+        found[k] = low[k] + j
+        j = int(np.clip(choice[k, j], 0, width - 1))
+    return np.asarray(np.minimum(nodes[found], curve.length))

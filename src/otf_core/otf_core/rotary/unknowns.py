@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unknowns of a calibration with rotary axes and their layout.
+
+A pose correction for every place of the tracker, a correction of the place of every target that is
+not known, squareness and location errors, and the spline coefficients of all motions. All motions
+of a rotary axis are zero at its zero position; what its line does is left to the location errors,
+which are vague before any data, and put into the gauge of the tables afterwards (``tabulation``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from otf_core.model.machine import Machine
+from otf_core.model.motions import unit_of
+from otf_core.rotary.periodic import over_turn
+from otf_core.solving.basis import Basis, cubic
+from otf_core.solving.unknowns import POSE, Unknowns, motion_gauge, pose_block
+
+Array = NDArray[np.float64]
+
+FEWEST, MOST = 8, 24
+"""Parts of the range of an axis that its splines have."""
+PLACE = 3
+
+
+def place_block(target: str) -> str:
+    """Name of the block of the place of a target."""
+    return f'place {target}'
+
+
+def bases_of(machine: Machine, nodes: Mapping[str, Array], finer: int = 1) -> dict[str, Basis]:
+    """Functions that the motions of every axis are made of."""
+    found: dict[str, Basis] = {}
+    for axis, at in nodes.items():
+        parts = finer * int(np.clip(len(at) - 1, FEWEST, MOST))
+        whole = machine.axes[axis].endless and at[-1] - at[0] > 2.0 * np.pi - 1e-2
+        found[axis] = over_turn(float(at[0]), parts) if whole else cubic(at, parts)
+    return found
+
+
+def layout(
+    machine: Machine, bases: Mapping[str, Basis], stations: int, targets: Sequence[str]
+) -> Unknowns:
+    """Lay out the unknowns.
+
+    Parameters
+    ----------
+    machine : Machine
+    bases : mapping of axis to Basis
+    stations : int
+        Places of the tracker.
+    targets : sequence of str
+        Those whose places are not known.
+    """
+    order = sorted(machine.motions, key=lambda m: unit_of(m) != 'm')
+    parts: list[tuple[str, Array]] = [(pose_block(k), np.eye(POSE)) for k in range(stations)]
+    parts += [(place_block(name), np.eye(PLACE)) for name in targets]
+    parts += [(name, np.eye(1)) for name in machine.scalars]
+    parts += [(name, motion_gauge(name, bases[name.axis])) for name in order]
+    blocks, free_blocks = {}, {}
+    full = free = 0
+    for name, basis in parts:
+        blocks[name] = slice(full, full + basis.shape[0])
+        free_blocks[name] = slice(free, free + basis.shape[1])
+        full, free = full + basis.shape[0], free + basis.shape[1]
+    gauge = sparse.csr_array(sparse.block_diag([basis for _, basis in parts], format='csr'))
+    return Unknowns(dict(bases), blocks, gauge, free_blocks)
