@@ -19,7 +19,7 @@ from typing import TypeVar
 from otf_calibrator.early import Early
 from otf_calibrator.params import CalibratorConfig
 from otf_calibrator.request import Request
-from otf_calibrator.solver import Progress, Solver
+from otf_calibrator.solver import Solver
 from otf_calibrator.solver_task import Solved, Task
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.sample_order import in_time_order
@@ -29,6 +29,7 @@ from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output import OutputFolder
 from otf_core.history.store import add_run
+from otf_core.live.stages import Progress
 from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.pieces.runs import Recording

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from otf_core.diagnosis.diagnose import diagnose as diagnose_runs
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects import REGISTRY
 from otf_core.errors import ConfigError, ShapeError
+from otf_core.live.stages import Progress
 from otf_core.memory import giving_back
 from otf_core.model.tables import ErrorTables, TablesFile, tables_from_dict
 from otf_core.pieces.runs import Recording, prepare_runs
@@ -28,7 +29,6 @@ from otf_core.reports.calibration import result_to_dict
 from otf_core.sim.twin import twin_recording
 
 Recordings = Recording | Iterable[Recording]
-Progress = Callable[[str, float], None]
 
 METHODS = {'otf': prepare_runs, 'standstill': prepare_stops}
 

@@ -28,7 +28,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 
-from otf_core.bags.cdr import Bytes, Index, gather
+from otf_core.arrays import Index
+from otf_core.bags.cdr import Bytes, gather
 from otf_core.bags.mcap_records import RECORD_HEAD, complete_records, record_starts
 from otf_core.errors import InputError
 

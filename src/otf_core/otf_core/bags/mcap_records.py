@@ -12,7 +12,8 @@ import struct
 
 import numpy as np
 
-from otf_core.bags.cdr import Bytes, Index
+from otf_core.arrays import Index
+from otf_core.bags.cdr import Bytes
 
 RECORD_HEAD = 9
 WALK = 16

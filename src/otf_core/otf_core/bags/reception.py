@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.bags.clock import FEW, MAX_OFF_NS
 from otf_core.errors import InputError
 
-Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 S, MS, US = 1_000_000_000, 1_000_000, 1_000

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.blind.depends import Depends, catalogue_depends
 from otf_core.blind.draw import Trial, draw_trial, nodal
 from otf_core.blind.draw_effects import draw_effect, scaled
@@ -23,7 +23,6 @@ from otf_core.blind.trace import Ruler, make_ruler
 from otf_core.effects import REGISTRY, AppliedEffect, BelongsTo
 from otf_core.model.kinematics import displacement
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.blind.view import SENSOR
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.effects import AppliedEffect
@@ -23,7 +23,6 @@ from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.planning.creator import plan_path
 from otf_core.sim.cell import SimulatedRun, random_tables, simulate
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 CHAINS = ('w-b-X-Y-Z-t', 'w-Y-b-X-Z-t', 'w-X-Y-b-Z-t')

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.blind.draw import Trial, nodal
 from otf_core.blind.observer import Observer, observe
 from otf_core.blind.sight import see
@@ -19,8 +19,6 @@ from otf_core.sim.cell import EPOCH_NS, SimulatedRun
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import displaced, run_state
 from otf_core.sim.signals import signal_courses
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

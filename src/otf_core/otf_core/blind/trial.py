@@ -36,8 +36,6 @@ from otf_core.fleet.fleet import STATE, Workers, run_fleet
 from otf_core.fleet.job import JobResult
 from otf_core.model.provenance import provenance
 
-Progress = Callable[[str], None]
-
 WHOLE, FIRST, WITHOUT = 'answers', 'answers_first_place', 'answers_without'
 
 
@@ -57,7 +55,10 @@ def _blind_questions(folder: Path, cells: Sequence[str]) -> list[Question]:
 
 
 def _recover_all(
-    asked: Iterable[tuple[Entry, Question]], folder: Path, workers: Workers, progress: Progress
+    asked: Iterable[tuple[Entry, Question]],
+    folder: Path,
+    workers: Workers,
+    progress: Callable[[str], None],
 ) -> tuple[dict[str, Recovery], dict[str, JobResult]]:
     """Compare answers with the truth, cell by cell, each in a process of its own."""
     jobs = []
@@ -143,7 +144,7 @@ def run_trial(
     seed: int,
     folder: str | Path,
     workers: Workers,
-    progress: Progress = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Trialled:
     """Run a blind trial; an interrupted one goes on where it was.
 
@@ -179,7 +180,7 @@ def run_leave_one_out(
     seed: int,
     folder: str | Path,
     workers: Workers,
-    progress: Progress = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Trialled:
     """Diagnose runs with their effect and its kin taken out of the catalogue; as ``run_trial``.
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.freedom import residual_freedom, standstill_freedom, welch_satterthwaite
 from otf_core.budget.noise import NoiseParts
 from otf_core.budget.systematic import (
@@ -27,8 +27,6 @@ from otf_core.solving.folds import leg_numbers
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.residual_check import ResidualCheck, check_residuals
 from otf_core.solving.unknowns import free_values
-
-Array = NDArray[np.float64]
 
 NOISE, MISFIT, SMOOTHNESS, EFFECTS = 'noise', 'misfit', 'smoothness', 'effects'
 STRAIGHT = 'straight lines'

@@ -12,13 +12,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills
 from otf_core.pieces.runs import Run
 from otf_core.solving.joint import JointSolution
-
-Array = NDArray[np.float64]
 
 
 def residual_freedom(done: JointSolution, correlation_factor: float) -> float:

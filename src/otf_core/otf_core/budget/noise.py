@@ -21,8 +21,8 @@ from itertools import combinations
 from operator import add, attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.aside import shared_out
 from otf_core.noise.model import (
     MISFIT_TIME,
@@ -35,9 +35,6 @@ from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.solving.normal import NormalEquations, of_free, pieces_of, shares_of, white_rows
 from otf_core.solving.triangular import turned_times
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 LINES = 256
 """Lines that are chained at a time."""

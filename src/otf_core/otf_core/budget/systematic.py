@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects import REGISTRY, Effect, State, Terms
 from otf_core.effects.base import Contribution
 from otf_core.model.declared import KEYS, DeclaredUncertainty
@@ -22,8 +22,6 @@ from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.solving.columns import across, piece_state, projected
 from otf_core.solving.joint import JointSolution, SolvedRun
-
-Array = NDArray[np.float64]
 
 ENOUGH = 50_000
 """Pieces over which an uncertainty declared for the whole path is shared out; of longer runs

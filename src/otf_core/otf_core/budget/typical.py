@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.budget import TYPICAL_SOURCE, Budget, Source
 from otf_core.budget.systematic import (
     SYSTEMATIC,
@@ -36,8 +36,6 @@ from otf_core.pieces.observed import Observed
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.solving.joint import JointSolution, tables_of
 from otf_core.threads import one_thread
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.budget import EFFECTS, Budget, make_budget, whole_check, with_source
 from otf_core.budget.noise import noise_parts
 from otf_core.budget.typical import TypicalSystematic, typical_pulls, typical_systematic
@@ -25,8 +25,6 @@ from otf_core.pieces.runs import Run, rigid_pose
 from otf_core.solving.joint import JointSolution, SolvedRun, settled, tables_of
 from otf_core.solving.system import deviations
 from otf_core.solving.tabulate import Tabulation, mean_grid_uncertainty, tabulate
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

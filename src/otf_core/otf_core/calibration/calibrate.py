@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.budget.typical import typical_warnings, with_typical
 from otf_core.calibration.assessed import assess
@@ -21,7 +20,7 @@ from otf_core.calibration.verdict import judge
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.table_worth import check_worth, sample_noise
 from otf_core.effects.stated_effect import TakenOff
-from otf_core.live.stages import silent
+from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.observation import Samples
@@ -34,12 +33,9 @@ from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.prediction.volumetric import VolumetricError
 from otf_core.solving.curve_lag import curve_remarks
 from otf_core.solving.extrapolation import prior_of
-from otf_core.solving.joint import Progress
 from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tables
 from otf_core.solving.reversal_choice import ReversalSolution
 from otf_core.threads import one_thread
-
-Array = NDArray[np.float64]
 
 MIN_COVERAGE = 0.8
 """Share of the path length below which a calibration fails the quality gate."""

@@ -20,9 +20,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.arrays import Array
 from otf_core.calibration.calibrate import assemble
 from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.solved import Examined
@@ -31,7 +31,7 @@ from otf_core.effects import Shape, State
 from otf_core.effects.removable_effect import Taken
 from otf_core.effects.state import probe_state
 from otf_core.effects.stated_effect import StatedEffect, TakenOff, effects_to_list
-from otf_core.live.stages import silent
+from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
@@ -43,13 +43,11 @@ from otf_core.solving.columns import (
     projected,
     state_at,
 )
-from otf_core.solving.joint import FINE, JointSolution, Progress, Start, solve_robustly, tables_of
+from otf_core.solving.joint import FINE, JointSolution, Start, solve_robustly, tables_of
 from otf_core.solving.positive import Positive
 from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
 from otf_core.solving.sample_states import sample_state
 from otf_core.solving.system import nominal_positions
-
-Array = NDArray[np.float64]
 
 MAX_ROUNDS = 6
 SETTLED = 2e-8

@@ -12,7 +12,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.budget.budget import Budget
 from otf_core.errors import ConfigError
@@ -25,7 +24,6 @@ from otf_core.prediction.volumetric import table_places
 if TYPE_CHECKING:
     from otf_core.calibration.result import CalibrationResult
 
-Array = NDArray[np.float64]
 
 COLUMNS = (
     'error', 'axis', 'position', 'value', 'unit', 'u', 'identifiable', 'U', 'k', 'U_with_typical',

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.budget import OBSERVED, Budget
 from otf_core.budget.typical import TypicalSystematic
 from otf_core.model.expanded import micro_figure, micro_significant, micro_with_expanded
 from otf_core.model.presets import TYPICAL
 from otf_core.prediction.volumetric import VolumetricError, length_sizes
-
-Array = NDArray[np.float64]
 
 DECLARED, PARTLY, ASSUMED = 'declared', 'partly typical', 'typical'
 

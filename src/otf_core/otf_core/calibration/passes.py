@@ -30,11 +30,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 CELL = 0.008
 """m; pieces whose middles lie in the same stretch of a line are the same place."""

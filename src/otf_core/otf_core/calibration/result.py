@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.budget import Budget
 from otf_core.budget.typical import TypicalSystematic, with_typical
 from otf_core.calibration.display import data_frame, figure, one_line, table_html
@@ -29,8 +29,6 @@ from otf_core.prediction.table_prior import MotionPrior
 from otf_core.prediction.volumetric import table_places
 from otf_core.solving.reversal import Reversal
 from otf_core.solving.tabulate import TableCost
-
-Array = NDArray[np.float64]
 
 GAUGE = (
     'positioning and rotations zero at axis position 0, else at the minimum; '

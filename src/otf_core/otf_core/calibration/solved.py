@@ -7,23 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.outlier_places import LeftOut, findings, left_out
 from otf_core.contradictions.recording_checks import check_recordings
 from otf_core.contradictions.table_pitch import check_table_pitch
-from otf_core.live.stages import silent
+from otf_core.live.stages import Progress, silent
 from otf_core.memory import give_back, one_heap
 from otf_core.pieces.finding import WARNING, Finding
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.solving.curve_lag import move_onto_curves
-from otf_core.solving.joint import Progress
 from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

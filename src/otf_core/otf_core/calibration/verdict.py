@@ -22,8 +22,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.budget import Budget
 from otf_core.model.expanded import (
     coverage_factor,
@@ -37,8 +37,6 @@ from otf_core.model.tables import ErrorTables
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.table_prior import MotionPrior
 from otf_core.prediction.volumetric import VolumetricError, table_places
-
-Array = NDArray[np.float64]
 
 PASS, FAIL, OPEN, UNKNOWN = 'pass', 'fail', 'not proven', 'not known'
 SAID = {PASS: 'kept', FAIL: 'broken', OPEN: 'not proven', UNKNOWN: 'not known'}

@@ -4,16 +4,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.calibration.result import CalibrationResult
 from otf_core.model.evaluation import driven_grid
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS
 from otf_core.model.volume import VolumeErrors
 from otf_core.prediction.uncertainty import prediction_uncertainty
-
-Array = NDArray[np.float64]
 
 COUNT = 5
 """Points per axis."""

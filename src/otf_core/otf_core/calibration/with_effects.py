@@ -22,9 +22,8 @@ from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.removable_effect import Taken, taken
 from otf_core.effects.stated_effect import FILE
 from otf_core.errors import ConfigError
-from otf_core.live.stages import silent
+from otf_core.live.stages import Progress, silent
 from otf_core.pieces.runs import Recording
-from otf_core.solving.joint import Progress
 from otf_core.threads import in_one_thread
 
 

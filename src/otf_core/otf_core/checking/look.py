@@ -7,9 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from otf_core.arrays import Array
 from otf_core.bags.bag_reading import Received, path_of
 from otf_core.bags.publishers import advice_of, received_of
 from otf_core.bags.sample_order import in_time_order
@@ -28,8 +26,6 @@ from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.threads import one_thread
 from otf_core.tracking.alignment import Alignment, align
 from otf_core.tracking.no_match import check_partial
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

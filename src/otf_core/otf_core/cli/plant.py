@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +22,7 @@ from otf_core.cli.output import (
 from otf_core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from otf_core.fleet.fleet import Progress, Workers
+    from otf_core.fleet.fleet import Workers
 
 LISTED = ('calibrate', 'diagnose')
 BLIND, VALIDATE = 'blind', 'validate'
@@ -100,7 +101,7 @@ def _workers(arguments: argparse.Namespace) -> Workers:
     return partial(done_here, workers=count or os.cpu_count() or 1)
 
 
-def _progress(arguments: argparse.Namespace) -> Progress:
+def _progress(arguments: argparse.Namespace) -> Callable[[str], None]:
     def told(text: str) -> None:
         if not arguments.quiet:
             note(f'otf {arguments.verb}: {text}')

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.comparison.convention import (
     Common,
     Source,
@@ -36,8 +36,6 @@ from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, load_tables
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.driven_volume import table_ranges
-
-Array = NDArray[np.float64]
 
 COVERAGE_FACTOR = 2.0
 """k of the expanded uncertainties."""

@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import has_constant_lever, motion_influence
 from otf_core.model.machine import Machine
@@ -25,8 +25,6 @@ from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.uncertainty import prediction_rows
-
-Array = NDArray[np.float64]
 
 SAME_LEVER = 1e-5
 """m; levers that differ by less are one: 1 nm for 100 urad."""

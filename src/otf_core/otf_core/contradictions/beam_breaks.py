@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from otf_core.arrays import Array, Index
 from otf_core.contradictions.quick_model import Model
 from otf_core.contradictions.segments import (
     MAX_COLUMNS,
-    Array,
-    Index,
     Offsets,
     between,
     fitted_offsets,

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.beam_breaks import settle_offsets
 from otf_core.contradictions.chain import check_chain
@@ -23,8 +21,6 @@ from otf_core.contradictions.target_offset import check_target_offset
 from otf_core.contradictions.tracker_moves import settle_steps
 from otf_core.pieces.finding import Finding
 from otf_core.pieces.runs import Run
-
-Array = NDArray[np.float64]
 
 AS_GOOD = 1.1
 """Residual with steps, over that with offsets of segments, up to which steps are the answer."""

@@ -4,16 +4,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.quick_model import Model
 from otf_core.model.observation import Samples
 from otf_core.noise.standstill import find_standstills, standstill_noise
 from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.runs import Run
-
-Array = NDArray[np.float64]
 
 ABOVE, BELOW = 5.0, 1.0 / 15.0
 """Measured over specified noise that contradicts: trackers are often better than specified."""

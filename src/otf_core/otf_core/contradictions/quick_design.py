@@ -12,14 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.contradictions.quick_rows import Rows, levers, turning
 from otf_core.model.machine import Chain
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MAX_NODES = 80
 """Nodes per axis at most."""

@@ -6,14 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.arrays import Array
 from otf_core.contradictions.quick_design import Design
 from otf_core.contradictions.quick_rows import Rows
 from otf_core.pieces.outliers import RAYLEIGH_MEDIAN
-
-Array = NDArray[np.float64]
 
 PRIOR = 1e-3
 """m and rad; standard deviation of every unknown before the data: fixes what nothing shows."""

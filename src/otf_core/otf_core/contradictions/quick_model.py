@@ -10,11 +10,10 @@ from itertools import permutations
 
 import numpy as np
 
+from otf_core.arrays import Array, Index
 from otf_core.contradictions.quick_design import Design
 from otf_core.contradictions.quick_fit import Fit, solve
 from otf_core.contradictions.quick_rows import (
-    Array,
-    Index,
     Rows,
     build_rows,
     drift_columns,

@@ -12,16 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.kinematics import squareness_influence
 from otf_core.model.machine import Chain, Machine
 from otf_core.model.motions import SQUARENESS
 from otf_core.noise.model import beam_shares, path_frame
 from otf_core.pieces.runs import Run
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 FLOOR = 1e-7
 """m; independent uncertainty of every piece at least."""

@@ -13,17 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.contradictions.quick_fit import Fit
 from otf_core.contradictions.quick_rows import UNIT, Rows
 from otf_core.model.observation import Samples
 from otf_core.pieces.pieces import Pieces
 from otf_core.tracking.track import broken
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MAX_COLUMNS = 400
 """Offsets that are solved for at most."""

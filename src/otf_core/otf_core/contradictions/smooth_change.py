@@ -12,10 +12,9 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.contradictions.quick_fit import Fit, gain
 from otf_core.contradictions.quick_rows import UNIT, Rows, pose_columns, reversal_columns
-
-Array = NDArray[np.float64]
 
 ORDER, USUAL = 6, 3
 """Highest order of the polynomials, and that of the rigid motions in the usual model."""

@@ -6,15 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.bags.stamp_words import stamp_words
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import Recording, blamed
-
-Array = NDArray[np.float64]
 
 FAST, SLOW = 20.0, 1e-3
 """m/s; no machine tool drives faster, no calibration path is driven slower."""

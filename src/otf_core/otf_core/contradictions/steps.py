@@ -10,14 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.contradictions.quick_fit import Fit, gain
 from otf_core.contradictions.quick_rows import Rows
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.evaluation import rigid_columns
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS
@@ -15,8 +15,6 @@ from otf_core.model.tables import ErrorTables
 from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.runs import Run
 from otf_core.prediction.uncertainty import prediction_rows
-
-Array = NDArray[np.float64]
 
 COUNT = 4
 """Points per axis of the lattice that is looked at."""

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.contradictions.quick_model import Model
 from otf_core.pieces.finding import GATE, Finding
-
-Array = NDArray[np.float64]
 
 BAD, BETTER, ALIKE = 1.3, 0.7, 1.15
 SAME = 1e-4

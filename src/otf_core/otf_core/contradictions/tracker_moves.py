@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.quick_model import Model
 from otf_core.contradictions.quick_rows import pose_columns
@@ -24,9 +24,6 @@ from otf_core.model.frames import XYZ
 from otf_core.pieces.finding import GATE, WARNING, Finding
 from otf_core.pieces.pieces import reduce_to_pieces
 from otf_core.pieces.runs import Run, rigid_pose
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MOMENTS = 200
 """Moments that are tried at first."""

@@ -11,8 +11,8 @@ from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.diagnosis.twin_residual import Twin
 from otf_core.errors import ConfigError
+from otf_core.live.stages import Progress
 from otf_core.pieces.runs import Recording
-from otf_core.solving.joint import Progress
 
 AUTO, NONE = 'auto', 'none'
 

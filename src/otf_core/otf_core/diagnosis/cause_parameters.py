@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.engine.evidence import Estimate
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause, fit_jointly, places_of
 from otf_core.effects import AppliedEffect
-
-Array = NDArray[np.float64]
 
 FREE = 3.0
 """Standard deviation of what the data do not see, over the largest displacement found."""

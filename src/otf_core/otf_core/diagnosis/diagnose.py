@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.ahead import Ahead
+from otf_core.arrays import Array
 from otf_core.calibration.calibrate import assemble
 from otf_core.calibration.result import CalibrationResult
 from otf_core.calibration.solved import Examined, SolvedRecordings, solve_recordings
@@ -42,15 +42,13 @@ from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause, Shown
 from otf_core.diagnosis.twin_residual import Twin, simulated_residual_um
 from otf_core.diagnosis.weighing import Judged, judge, run_views
 from otf_core.effects import REGISTRY, Effect
-from otf_core.live.stages import silent
+from otf_core.live.stages import Progress, silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording, Run
 from otf_core.solving.basis import Basis
-from otf_core.solving.joint import JointSolution, Progress
+from otf_core.solving.joint import JointSolution
 from otf_core.threads import in_one_thread
-
-Array = NDArray[np.float64]
 
 ALL_SAMPLES = 100.0
 """Robust deviations: the largest ``outlier_limit``, beyond all but reflections."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import takewhile
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES
 from otf_core.diagnosis.engine.gap_sizes import Residuals, gap_um, plain_residuals, residuals_with
 from otf_core.diagnosis.engine.residual_rows import Rows
@@ -17,8 +17,6 @@ from otf_core.diagnosis.engine.rival import Rival
 from otf_core.diagnosis.engine.search import Cause, fit_out, noise_variance
 from otf_core.diagnosis.verdict import matters
 from otf_core.effects import Effect
-
-Array = NDArray[np.float64]
 
 MATERIAL_SHARE = 0.12
 """Least share of a further cause in the gap, as amplitude."""

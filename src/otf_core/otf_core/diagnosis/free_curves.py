@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.diagnosis.cause_parameters import FittedCause
 from otf_core.effects.free_form import FreeForm, coefficient_name
 from otf_core.effects.inputs import (
@@ -19,9 +19,6 @@ from otf_core.effects.inputs import (
     unit_of_input,
     unscaled_input,
 )
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 NO_UNITS: Mapping[str, str] = MappingProxyType({})
 POINTS = 41

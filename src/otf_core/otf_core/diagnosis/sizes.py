@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.cause_parameters import FittedCause
 from otf_core.diagnosis.free_curves import Curve, number_words
 from otf_core.effects import REGISTRY, State
@@ -17,8 +17,6 @@ from otf_core.effects.sizes import Coefficients, Size
 from otf_core.model.expanded import COVERAGE_FACTOR
 from otf_core.model.machine import Machine
 from otf_core.model.quantities import quantity
-
-Array = NDArray[np.float64]
 
 WHOLE = 'rms across the path'
 """What stands for an effect of which no coefficient does."""

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.residual_rows import Rows, left_by
 from otf_core.live.stages import silent
@@ -18,7 +18,6 @@ from otf_core.pieces.runs import Recording, Run, reduced
 from otf_core.solving.joint import Start, settled, solve_robustly
 from otf_core.tracking.matching import OFF_PATH
 
-Array = NDArray[np.float64]
 Twin = Callable[[Run, RigidTransform, ErrorTables, int], Recording]
 """Simulates a run with these tables: its samples on the path, at the same moments."""
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from otf_core.effects.base import Array, Effect, Shape, State
+from otf_core.arrays import Array
+from otf_core.effects.base import Effect, Shape, State
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.effects.action import Acting
 from otf_core.effects.drawing import Trial
 from otf_core.effects.free import Free
 from otf_core.effects.sizes import Coefficients, Size
-from otf_core.effects.terms import Array, BelongsTo, Shape, State, Terms
+from otf_core.effects.terms import BelongsTo, Shape, State, Terms
 from otf_core.errors import ConfigError
 
 __all__ = [

@@ -15,7 +15,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.polynomial import legendre
 
-from otf_core.effects.base import Array, Effect, Shape, State
+from otf_core.arrays import Array
+from otf_core.effects.base import Effect, Shape, State
 from otf_core.effects.drawing import LogUniform, Number
 
 ORDER = 4

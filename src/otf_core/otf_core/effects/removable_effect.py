@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.effects.applied_effect import AppliedEffect
-from otf_core.effects.base import Array, Effect, State
+from otf_core.effects.base import Effect, State
 from otf_core.effects.stated_effect import FILE, FOUND
 
 LARGEST_STEP = 0.5

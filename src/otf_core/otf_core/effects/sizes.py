@@ -7,12 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import Machine
 
-Array = NDArray[np.float64]
 Part = Mapping[str, float]
 """A sum of coefficients: weights by their names."""
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects.base import State
 from otf_core.effects.history import path_history
 from otf_core.model.courses import Courses
@@ -17,8 +18,6 @@ from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import sides_of_travel
 from otf_core.model.tables import ErrorTables
 from otf_core.tracking.curves import Lines, PathShape, straight_shape
-
-Array = NDArray[np.float64]
 
 
 def state_on_path(

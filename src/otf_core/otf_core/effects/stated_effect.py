@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from otf_core.effects.base import Array
+from otf_core.arrays import Array
 
 FOUND, FILE = 'found', 'file'
 

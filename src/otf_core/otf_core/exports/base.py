@@ -8,16 +8,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import TablesFile
 from otf_core.prediction.absorbed import offset_bound
 
-Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
 """Errors (n, 3), m, at positions (n, 3), m."""
 

@@ -14,8 +14,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.exports.lattice import Lattice
 from otf_core.files.units import unit_hint, unit_words
@@ -24,8 +24,6 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
 from otf_core.prediction.uncertainty import prediction_rows
-
-Array = NDArray[np.float64]
 
 SMALLEST = 1e-10
 """Relative size of singular values below which a combination is not determined."""

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.exports.line_terms import axis_positions
 from otf_core.model.kinematics import displacement
@@ -16,8 +16,6 @@ from otf_core.model.nodes import hat_matrix
 from otf_core.model.tables import ErrorTables, TablesFile
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.uncertainty import prediction_rows
-
-Array = NDArray[np.float64]
 
 FEWEST, MOST = 2, 101
 """Points per axis."""

@@ -14,14 +14,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.prediction.driven_volume import table_ranges
 
-Array = NDArray[np.float64]
 Pair = tuple[int, int]
 """Direction of the error, axis that moves."""
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 from pathlib import PurePath
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.exports.base import LINE_WORDS, Exported, Format, Request
 from otf_core.exports.line_terms import (
     OWN_PAIRS,
@@ -25,8 +25,6 @@ from otf_core.exports.line_terms import (
 )
 from otf_core.exports.travel import half_reversal
 from otf_core.model.tables import ErrorTables
-
-Array = NDArray[np.float64]
 
 MOST = 256
 """Lines that the control reads of a file."""

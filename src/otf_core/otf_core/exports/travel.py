@@ -11,15 +11,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.exports.line_terms import middle_line
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import MotionTable, Squareness, TablesFile
-
-Array = NDArray[np.float64]
 
 
 def reversal_motions(content: TablesFile) -> dict[str, MotionTable]:

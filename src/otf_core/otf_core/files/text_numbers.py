@@ -14,13 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.files.strict_yaml import shown
 from otf_core.files.text_dialect import is_missing, is_number
-
-Array = NDArray[np.float64]
 
 UNCLEAN = re.compile(r'[^0-9+\-.eE\n]')
 """Without these, what float() takes are numbers with a decimal point."""

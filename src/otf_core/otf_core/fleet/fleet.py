@@ -24,7 +24,6 @@ SCHEMA = 'otf-fleet/1'
 FILE, PAGE, STATE = 'fleet.json', 'fleet.html', '.fleet'
 VERB_FILE = 'verb.json'
 Workers = Callable[[Sequence[Job]], Iterator[tuple[Job, JobResult]]]
-Progress = Callable[[str], None]
 
 
 def take_folder(folder: Path, verb: str) -> Path:
@@ -50,7 +49,7 @@ def take_folder(folder: Path, verb: str) -> Path:
 
 
 def run_fleet(
-    jobs: Sequence[Job], folder: Path, workers: Workers, progress: Progress
+    jobs: Sequence[Job], folder: Path, workers: Workers, progress: Callable[[str], None]
 ) -> dict[str, JobResult]:
     """Do all jobs that are not done.
 

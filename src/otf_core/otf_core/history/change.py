@@ -13,11 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.history.series import Series
-
-Array = NDArray[np.float64]
 
 LEVEL = 0.0027
 """Probability of a false alarm, all motions together: limits of three sigma of a control chart."""

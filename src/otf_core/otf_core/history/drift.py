@@ -16,13 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.history.change import LEVEL, Change, by_motion, change_of, chi_square, probability
 from otf_core.history.series import Series
 from otf_core.model.expanded import COVERAGE_FACTOR
-
-Array = NDArray[np.float64]
 
 SMALLEST = 1e-9
 """Relative size of eigenvalues that count as zero."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.history.series import Series
 from otf_core.model.evaluation import rigid_columns
@@ -19,8 +19,6 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.path import leg_bounds
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.tracking.line_step import line_step
-
-Array = NDArray[np.float64]
 
 ITERATIONS = 6
 HOLDS = 1.25

@@ -11,15 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.history.judged import History
 from otf_core.history.series import Series
 from otf_core.model.evaluation import lattice, rigid_columns
 from otf_core.model.path import NominalPath
 from otf_core.planning.drive_time import leg_time
-
-Array = NDArray[np.float64]
 
 LEVELS = 3
 """Lattice points per axis."""

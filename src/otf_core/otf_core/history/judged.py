@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.history.change import Change, changes, volume_change
 from otf_core.history.drift import Drift, Due, drift_of, due
 from otf_core.history.series import Series, series_of
 from otf_core.history.store import Store, StoredEvent
-
-Array = NDArray[np.float64]
 
 
 class Standing(Enum):

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.comparison.compare import GRID, source_of_tables
 from otf_core.comparison.convention import (
     Common,
@@ -28,8 +28,6 @@ from otf_core.model.evaluation import free_rows
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.prediction.covariance import unpack_covariance
 from otf_core.prediction.uncertainty import prediction_rows
-
-Array = NDArray[np.float64]
 
 DAY = 86400.0
 NEAR = 1e-3

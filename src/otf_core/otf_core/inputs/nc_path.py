@@ -16,11 +16,10 @@ from decimal import Decimal
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 
-Array = NDArray[np.float64]
 Position = dict[str, Decimal | None]
 """By axis, m; None: not stated by the program."""
 

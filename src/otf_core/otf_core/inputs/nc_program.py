@@ -7,15 +7,11 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from otf_core.arrays import Array
 from otf_core.files.writing import unreadable
 from otf_core.inputs.nc_gcode import GCode, without_comments
 from otf_core.inputs.nc_klartext import Klartext
 from otf_core.inputs.nc_path import CHORD, MACHINE, DrivenPath
-
-Array = NDArray[np.float64]
 
 LOOKED_AT = 65536
 """Bytes by which a file is known to be a program."""

@@ -5,14 +5,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from otf_core.arrays import Array
 from otf_core.inputs.nc_program import is_program, read_program
 from otf_core.inputs.plan_json import looks_like_json, read_plan
 from otf_core.inputs.points_file import read_points
-
-Array = NDArray[np.float64]
 
 
 def read_path(name: str | Path) -> tuple[Array, str]:

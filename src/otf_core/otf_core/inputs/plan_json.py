@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.json_file import read_json
 from otf_core.files.writing import refuse_pipe
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-
-Array = NDArray[np.float64]
 
 SCHEMA = 'otf-plan/1'
 

@@ -6,14 +6,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_table import TextTable, fault_words
 from otf_core.files.units import LENGTHS, known_lengths
 from otf_core.inputs.columns import Columns, named_columns, read_table, unnamed_words
-
-Array = NDArray[np.float64]
 
 
 def read_points(name: str | Path) -> tuple[Array, str]:

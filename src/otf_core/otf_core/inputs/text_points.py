@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.bags.bag_reading import Received
 from otf_core.bags.topics import PATH, POINT, Topic
 from otf_core.errors import ConfigError, InputError
@@ -35,7 +36,6 @@ from otf_core.inputs.columns import (
 )
 from otf_core.inputs.timestamps import read_times
 
-Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 SUFFIXES = ('.csv', '.txt', '.tsv', '.asc', '.dat', '.xyz', '.pts', '.log', '.ply')

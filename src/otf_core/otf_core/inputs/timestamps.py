@@ -14,6 +14,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.files.strict_yaml import shown
 from otf_core.files.text_moments import (
@@ -28,7 +29,6 @@ from otf_core.files.text_moments import (
 )
 from otf_core.files.units import LONG_TIMES, TIMES
 
-Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 USUAL_SPEED = 0.15

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.live.track import Track
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_core.model.volume import VolumeErrors
-
-Array = NDArray[np.float64]
 
 ENLARGEMENT_STEPS = (1.0, 2.0, 5.0, 10.0)
 ARROW_SHARE = 0.08

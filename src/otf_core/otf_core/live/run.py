@@ -30,7 +30,7 @@ NUMBERS = {
 
 
 @dataclass(frozen=True)
-class Progress:
+class RunProgress:
     """How far the calibrator is; as ``calibrator/state`` says it."""
 
     state: str = ''
@@ -87,7 +87,7 @@ class LiveRun:
     pose : RigidTransform or None
         Of the tracker in the machine frame, as this run shows it.
     track : Track
-    progress : Progress
+    progress : RunProgress
     solved : Solved or None
     volume : VolumeErrors or None
     rate : float
@@ -98,7 +98,7 @@ class LiveRun:
         self.path: NominalPath | None = None
         self.pose: RigidTransform | None = None
         self.track = Track()
-        self.progress = Progress()
+        self.progress = RunProgress()
         self.solved: Solved | None = None
         self.volume: VolumeErrors | None = None
         self.rate = math.nan
@@ -114,7 +114,7 @@ class LiveRun:
         self.path = path
         self.track.set_path(path)
 
-    def set_progress(self, progress: Progress, now: float) -> None:
+    def set_progress(self, progress: RunProgress, now: float) -> None:
         """Take the state of the calibrator, at a time in s; fewer samples are another run's."""
         if progress.samples < self.progress.samples:
             self._begin()

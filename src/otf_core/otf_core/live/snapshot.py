@@ -7,12 +7,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.live.layers import driven_part, enlargement, size_of, thinned
 from otf_core.live.run import LiveRun, Solved
-
-Array = NDArray[np.float64]
 
 UM = 1e6
 PAGE_POINTS = 1500

@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import MIN_LEG, NominalPath
-
-Array = NDArray[np.float64]
 
 TRACK_POINTS = 400
 """So many points a run is thinned to; there are at most twice as many at any moment."""

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import SimulationConfig
@@ -46,14 +46,11 @@ from otf_core.sim.cell import random_tables
 from otf_core.sim.tracker import place_tracker
 from otf_core.sim.watched import watched
 
-Array = NDArray[np.float64]
-
 AXES_WAY, VOLUME, PROGRAM = 'axes', 'volume', 'program'
 WAYS = (AXES_WAY, VOLUME, PROGRAM)
 FIT, CHECK, PROOF = 'fit.ngc', 'check.ngc', 'proof.ngc'
 SPARE, APPROACH = 3.0, 20.0
 """A program counts as stuck after so many times the time it takes, and s for what lies before."""
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -195,7 +192,7 @@ def go_round(
     plan: Plan,
     way: str,
     config: SimulationConfig,
-    progress: Progress,
+    progress: Callable[[str], None],
 ) -> Circle:
     """Go round once.
 

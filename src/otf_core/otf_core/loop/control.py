@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError, InputError
 from otf_core.loop.control_files import (
     HAL,
@@ -32,8 +32,6 @@ from otf_core.loop.control_files import (
     VOLUME,
     believed_positions,
 )
-
-Array = NDArray[np.float64]
 
 COMMAND = 'linuxcnc'
 LOCK = Path('/tmp/linuxcnc.lock')

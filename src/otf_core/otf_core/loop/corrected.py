@@ -11,15 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.exports.base import Field
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.planning.nc.linuxcnc import LinuxCnc
 from otf_core.planning.nc.programs import program
-
-Array = NDArray[np.float64]
 
 PART = 0.01
 """m; longest part of a line."""

@@ -14,14 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.loop.control import Driven
 from otf_core.model.evaluation import mean_length, without_rigid_motion
 from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import Recording, prepare_runs, rigid_pose
-
-Array = NDArray[np.float64]
 
 REACHED = 2e-6
 """m; the control stands at a point."""

@@ -13,12 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.noise.model import NoiseComponent
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 LAGS_PER_OCTAVE = 4
 MAX_LAG = 0.75

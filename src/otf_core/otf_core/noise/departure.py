@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp, stdtr
 
+from otf_core.arrays import Array
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
 from otf_core.noise.jackknife import jackknife_u, left_out_fits
@@ -28,8 +28,6 @@ from otf_core.noise.standstill import (
     quiet_windows,
 )
 from otf_core.noise.tails import FREEDOMS, fast_part, student_likelihood
-
-Array = NDArray[np.float64]
 
 LEVEL = 1.6
 """Actual over specified standard deviation that still passes as specified."""

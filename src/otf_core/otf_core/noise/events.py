@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.observation import Samples
 from otf_core.noise.rest import (
     IN_MOTION,
@@ -17,9 +17,6 @@ from otf_core.noise.rest import (
     resolution,
     spherical_deviations,
 )
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SIDE = 3
 """Blocks on either side of a step that have to be quiet."""

@@ -7,12 +7,10 @@ Colour, tails, and lengths of the windows all enter, as far as the recording sho
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.noise.colour import fit_colour
 from otf_core.noise.model import NoiseModel
-
-Array = NDArray[np.float64]
 
 GROUPS = 10
 """Groups of windows, each left out once."""

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import TrackerSpec
 
-Array = NDArray[np.float64]
 Windows = tuple[Array, Array, NDArray[np.int64]]
 """Mean time, duration (s) and number of samples of pieces."""
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.noise.colour import Variogram, longest_time, variogram
@@ -23,8 +23,6 @@ from otf_core.noise.standstill import (
     noise_of_windows,
     quiet_windows,
 )
-
-Array = NDArray[np.float64]
 
 MIN_TOTAL = 1.0
 """s; with less standstill there is nothing to report."""

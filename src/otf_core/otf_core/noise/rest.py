@@ -13,11 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.observation import Samples
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 BLOCK = 0.1
 """s; settling is slower than this, most tracker noise within a block faster."""

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from otf_core.arrays import Array
 from otf_core.noise.model import NoiseModel
-
-Array = NDArray[np.float64]
 
 SEGMENT = 2.0
 """s; longest segment, which sets the resolution in frequency."""

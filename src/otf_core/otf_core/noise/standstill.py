@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.memory import blocks
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
@@ -15,9 +16,6 @@ from otf_core.noise.colour import fit_colour
 from otf_core.noise.model import TYPICAL_CORRELATION_TIME, NoiseComponent, NoiseModel
 from otf_core.noise.rest import at_rest, resolution, spherical_deviations
 from otf_core.noise.tails import Tails, tails
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MIN_DURATION = 0.25
 """s; shorter stops are not used."""

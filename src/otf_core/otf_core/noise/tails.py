@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
-Array = NDArray[np.float64]
+from otf_core.arrays import Array
 
 SMOOTHING = 0.1
 """s; slower noise is taken off first, so that its wandering does not count as tails."""

@@ -4,13 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.tracking.curve_pieces import curve_boundaries
 from otf_core.tracking.curves import Lines
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MOST = 200
 """Equal parts of one leg: long legs are those of large machines, whose functions are as long."""

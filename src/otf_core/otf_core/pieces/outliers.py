@@ -8,9 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.pieces.windows import over_windows
-
-Array = NDArray[np.float64]
 
 MEDIAN_HALF = 5
 """samples on either side that a sample is compared with to tell an outlier."""

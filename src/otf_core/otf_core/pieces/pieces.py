@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.memory import blocks
@@ -28,8 +29,6 @@ from otf_core.tracking.curve_pieces import near_joints
 from otf_core.tracking.curves import SHORT_CURVE, Lines
 from otf_core.tracking.matching import OFF_PATH
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Small = NDArray[np.int32]
 
 SPEED_WINDOW = 0.04

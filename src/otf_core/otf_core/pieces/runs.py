@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.files.text_table import LeftOut
@@ -31,8 +31,6 @@ from otf_core.tracking.leg_starts import leg_starts
 from otf_core.tracking.line_step import line_step
 from otf_core.tracking.matching import OFF_PATH
 from otf_core.tracking.no_match import check_partial
-
-Array = NDArray[np.float64]
 
 SNAP = 0.02
 """m; a covered range that ends this close to the path's own end is taken to reach it."""

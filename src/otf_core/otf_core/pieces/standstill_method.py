@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform, rigid_fit
@@ -33,9 +34,6 @@ from otf_core.pieces.runs import (
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.matching import OFF_PATH, find_match
 from otf_core.tracking.track import Track
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MIN_STOP = 0.05
 """s; shortest part of a stop, settling left out, that is averaged."""

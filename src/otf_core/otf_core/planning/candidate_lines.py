@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.evaluation import covered_grid, free_rows
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -27,9 +28,6 @@ from otf_core.solving.solution import identifiable_blocks
 from otf_core.solving.system import build_system, model_rows
 from otf_core.solving.unknowns import Unknowns, layout
 from otf_core.solving.whitener import Whitener
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 INTERVALS = 10
 _JUDGED = 5

@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.plan import Plan
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

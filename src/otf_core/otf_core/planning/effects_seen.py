@@ -9,8 +9,8 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.catalogue import (
     Visibility,
@@ -23,8 +23,6 @@ from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
 from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.effects import REGISTRY, Effect
 from otf_core.planning.planned_budget import Planned
-
-Array = NDArray[np.float64]
 
 SAME = 0.97
 """Share of the squared trace that another effect can leave as well: not told apart."""

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import PlannerConfig
 from otf_core.diagnosis.engine.catalogue import best_sight, shapes_of, sight_of
 from otf_core.diagnosis.engine.effect_products import tried_shapes
@@ -37,8 +37,6 @@ from otf_core.planning.forecast import Setup, forecast
 from otf_core.planning.measured_runs import MeasuredRun, joint_rows
 from otf_core.planning.planned_budget import planned_solution
 from otf_core.planning.tracker_places import check_place
-
-Array = NDArray[np.float64]
 
 PASSES, LEVELS, RATIOS = (1, 2, 3), (2, 3), (0.67, 0.4)
 """Laps, planes of diagonals and ratios of feeds of the paths that are compared."""

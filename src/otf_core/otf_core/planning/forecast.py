@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig, ForecastConfig
 from otf_core.model.evaluation import covered_grid, free_rows
 from otf_core.model.frames import RigidTransform
@@ -36,7 +37,6 @@ from otf_core.solving.tabulate import by_motion, table_rows
 from otf_core.solving.unknowns import Unknowns, layout
 from otf_core.solving.whitener import Whitener
 
-Array = NDArray[np.float64]
 Cut = Callable[[Array], Array]
 """Boundaries of the pieces of a line, m from its start, for its two ends (2, 3), m."""
 

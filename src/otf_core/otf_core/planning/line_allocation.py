@@ -16,12 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.arrays import Array
 from otf_core.planning.candidate_lines import CandidateLines
-
-Array = NDArray[np.float64]
 
 ITERATIONS = 60
 _POWER = 0.7

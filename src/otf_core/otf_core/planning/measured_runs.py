@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.errors import ConfigError, OtfError
 from otf_core.model.path import NominalPath
@@ -23,8 +23,6 @@ from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener
 from otf_core.tracking.curves import straight_shape
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

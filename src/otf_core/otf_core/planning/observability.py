@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.frames import XYZ
 from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import Machine
@@ -22,8 +22,6 @@ from otf_core.planning.forecast import Forecast
 from otf_core.solving.positive import Positive
 from otf_core.solving.solution import TIE_BREAK, smoothness
 from otf_core.solving.unknowns import Unknowns, reference_position
-
-Array = NDArray[np.float64]
 
 _SHARE = 0.1
 """Part of a motion's effect that another one must imitate to be named."""

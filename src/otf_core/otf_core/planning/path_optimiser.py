@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.config import PlannerConfig
 from otf_core.errors import ConfigError
@@ -23,8 +22,6 @@ from otf_core.planning.creator import inner_range
 from otf_core.planning.forecast import Forecast, Setup, forecast
 from otf_core.planning.line_allocation import allocate, total, variance
 from otf_core.planning.walk_search import Walk, best_walk
-
-Array = NDArray[np.float64]
 
 FEED_STEPS = (1.0, 0.5, 0.25)
 """Feeds to choose from, as ratios to the highest."""

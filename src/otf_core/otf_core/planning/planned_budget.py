@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.systematic import (
     SYSTEMATIC,
     declared_sources,
@@ -35,9 +35,6 @@ from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import table_rows
 from otf_core.solving.whitener import Whitener
 from otf_core.tracking.curves import straight_shape
-
-Array = NDArray[np.float64]
-
 
 Planned = tuple[Observed, JointSolution, ErrorTables]
 """What a plan shows, and solution and tables with zero deviations."""

@@ -11,13 +11,11 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-
-Array = NDArray[np.float64]
 
 PLASTIC = 1.2207440846057596
 """Root of x^4 = x + 1: its inverse powers spread points evenly in three dimensions."""

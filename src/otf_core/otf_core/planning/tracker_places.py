@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.evaluation import covered_grid, free_rows
 from otf_core.model.frames import XYZ
@@ -32,8 +32,6 @@ from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import table_rows
 from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener
-
-Array = NDArray[np.float64]
 
 _PART = 0.5
 """Part of an interval of the splines that a piece may span to compare places."""

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.planning.candidate_lines import CandidateLines
 from otf_core.planning.line_allocation import judge, variance
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

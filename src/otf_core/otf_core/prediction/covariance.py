@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
 
 def pack_covariance(covariance: NDArray[np.float64]) -> dict[str, Any]:
     """Return a covariance as plain data: lower triangle, row by row, exact to the last bit."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -25,8 +26,6 @@ from otf_core.prediction.table_prior import (
     unseen_variance,
 )
 from otf_core.prediction.uncertainty import prediction_uncertainty
-
-Array = NDArray[np.float64]
 
 LONGEST_OFFSET = 10.0
 """m; as in machine.yaml."""

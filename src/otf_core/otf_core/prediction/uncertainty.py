@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.kinematics import motion_influence, squareness_influence
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.nodes import hat_matrix
-
-Array = NDArray[np.float64]
 
 
 def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Array:

@@ -8,8 +8,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.budget import NAMES, TYPICAL_SOURCE, Budget
 from otf_core.files.csv_points import tidy
 from otf_core.model.evaluation import driven_grid, free_rows
@@ -20,8 +20,6 @@ from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.prediction.volumetric import table_places
 from otf_core.reports.wording import dof_words, whole_dof
 from otf_core.threads import one_thread
-
-Array = NDArray[np.float64]
 
 GRID = 'grid'
 STRONG = 0.5

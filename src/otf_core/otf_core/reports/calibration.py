@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.typical import typical_to_dict
 from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
 from otf_core.calibration.with_effects import EffectsCalibration
@@ -75,8 +76,6 @@ from otf_core.reports.page import page_html
 from otf_core.reports.reversal_tables import reversal_csv, reversal_to_dict
 from otf_core.reports.section import Section, sections_to_text
 from otf_core.threads import in_one_thread
-
-Array = NDArray[np.float64]
 
 SECTIONS: tuple[Callable[[Facts], Section | None], ...] = (
     overview_section,

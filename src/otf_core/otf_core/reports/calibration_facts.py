@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.budget.typical import TypicalSystematic
 from otf_core.calibration.result import CalibrationResult
@@ -17,8 +16,6 @@ from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.volumetric import VolumetricError
 from otf_core.reports.budget_tables import BudgetLine
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.calibration.verdict import FAIL, OPEN, PASS, size_and_expanded
 from otf_core.model.expanded import micro_with_expanded
 from otf_core.model.limits import VOLUMETRIC
@@ -29,8 +30,6 @@ from otf_core.reports.drawing.scene import (
 from otf_core.reports.drawing.style import text
 from otf_core.reports.section import Picture
 from otf_core.reports.wording import micro_unit
-
-Array = NDArray[np.float64]
 
 GRID_POINTS_PER_AXIS = 4
 """Points of the grid per axis that are drawn: every other of seven."""

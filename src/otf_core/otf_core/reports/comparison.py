@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.comparison.compare import COVERAGE_FACTOR, Comparison, agreement
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.direct_measurement import MotionReadings
@@ -39,8 +39,6 @@ from otf_core.reports.drawing.style import text
 from otf_core.reports.page import Heading, page_html
 from otf_core.reports.section import Picture, Section, State, Table
 from otf_core.reports.wording import micro, micro_unit, place
-
-Array = NDArray[np.float64]
 
 HISTOGRAM_BINS = 31
 ARROW_SHARE = 0.12

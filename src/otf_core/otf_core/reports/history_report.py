@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.files.writing import write_text
 from otf_core.history.change import Change
 from otf_core.history.drift import Due
@@ -32,8 +32,6 @@ from otf_core.reports.drawing.panel import Panel
 from otf_core.reports.drawing.scale import around, dates
 from otf_core.reports.page import Heading, page_html
 from otf_core.reports.section import Cell, Picture, Section, State, Table
-
-Array = NDArray[np.float64]
 
 SCHEMA = 'otf-history/1'
 FILE, PAGE = 'history.json', 'history.html'

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
 from otf_core.model.provenance import provenance
@@ -22,8 +22,6 @@ from otf_core.reports.drawing.scale import decades
 from otf_core.reports.drawing.sheet import write_sheet
 from otf_core.reports.page import Heading, page_html
 from otf_core.reports.section import Picture, Section, State, Table
-
-Array = NDArray[np.float64]
 
 NOISE_CAPTION = (
     'Above: root of the variogram, the scatter of the difference of two samples over root 2, '

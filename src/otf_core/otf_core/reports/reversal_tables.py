@@ -11,15 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from otf_core.arrays import Array
 from otf_core.files.csv_points import tidy
 from otf_core.model.motions import ErrorMotion, unit_of
 from otf_core.model.tables import ErrorTables
 from otf_core.solving.reversal import MODELS, Reversal
-
-Array = NDArray[np.float64]
 
 CSV_HEADER = 'motion,axis,position,forward,backward,value,unit,u,identifiable'
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.direct_measurement import DirectMeasurement, motion_readings
@@ -26,8 +26,6 @@ from otf_core.tracking.alignment import align
 from otf_core.validation.run import Validation
 from otf_core.validation.simulative import across_path
 from otf_core.validation.table import Row, format_rows, rows_to_dict
-
-Array = NDArray[np.float64]
 
 FIGURE_MOTIONS = ('EXX', 'EYX', 'ECX')
 """Figures 6, 7 and 8."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import SimulationConfig
 from otf_core.effects import AppliedEffect
 from otf_core.errors import ConfigError
@@ -27,8 +27,6 @@ from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, displaced, run_state
 from otf_core.sim.signals import signal_courses, simulated_signals
 from otf_core.sim.tracker import measure, place_tracker, received, specified_noise
-
-Array = NDArray[np.float64]
 
 EPOCH_NS = 1_700_000_000_000_000_000
 """ns; start of the simulated tracker clock, arbitrary."""

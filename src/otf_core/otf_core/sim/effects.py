@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects import AppliedEffect, Shape, State
 from otf_core.effects.catalogue.tracker_noise import SPECIFIED, TrackerNoise
 from otf_core.effects.state import state_on_path
@@ -22,8 +23,6 @@ from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.model import NoiseComponent, NoiseModel
 from otf_core.sim.drive import Drive
-
-Array = NDArray[np.float64]
 
 IMPLAUSIBLE = 0.01
 """m; no effect displaces the target by more."""

@@ -7,16 +7,14 @@ The tracker has a clock of its own: another rate, another start than that of the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import SimulationConfig
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.sim.cell import EPOCH_NS
 from otf_core.sim.tracker import measure, specified_noise
-
-Array = NDArray[np.float64]
 
 
 def watched(

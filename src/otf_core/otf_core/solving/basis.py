@@ -17,10 +17,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from otf_core.arrays import Array, Index
 
 CUBIC, LINEAR = 3, 1
 

@@ -15,8 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects import State
 from otf_core.effects.state import state_on_path
 from otf_core.model.courses import Courses
@@ -25,8 +25,6 @@ from otf_core.model.tables import ErrorTables
 from otf_core.pieces.observed import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.threads import side_by_side
-
-Array = NDArray[np.float64]
 
 Columns = Callable[[slice], Array]
 """Columns (c, m, k), m, of m pieces of a run."""

@@ -14,9 +14,9 @@ from functools import cached_property
 from itertools import chain, cycle
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.model.kinematics import lever, squareness_influence
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -30,9 +30,6 @@ from otf_core.solving.axis_parts import (
 )
 from otf_core.solving.reversal import reversal_weights
 from otf_core.solving.unknowns import Unknowns, pose_block, reversal_block
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 Parts = Sequence[AxisPart | ReversalPart]
 """Motions of one axis, or their reversal, at every shift."""

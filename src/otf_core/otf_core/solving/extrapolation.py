@@ -10,15 +10,12 @@ not move (a single plane) grow with the distance from where it stands.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion
 from otf_core.model.tables import ErrorTables
 from otf_core.prediction.table_prior import MotionPrior
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.roughness import waves_of
-
-Array = NDArray[np.float64]
 
 USUAL = 2e-5
 """rad; size of rotations, squareness errors and slopes where none is seen at all."""

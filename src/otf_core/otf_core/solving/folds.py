@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Index
 from otf_core.solving.joint import JointSolution
-
-Index = NDArray[np.int64]
 
 FOLDS = 8
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -11,8 +11,10 @@ from operator import add
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
+from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
@@ -28,10 +30,6 @@ from otf_core.solving.solution import Solution, identifiable_blocks, solve
 from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, free_values, pose_block
 from otf_core.solving.whitener import Whitener
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Progress = Callable[[str, float], None]
 
 MAX_REPETITIONS = 4
 """Repeated solutions; bad pieces bend the tables at first and hide others."""

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri, dtrtrs
 
+from otf_core.arrays import Array, Index
 from otf_core.noise.model import Misfit, NoiseModel, Windows, covariance_parts, with_diagonal
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.path import leg_bounds
 from otf_core.noise.model import (
     INDEPENDENT,
@@ -43,9 +43,6 @@ from otf_core.noise.model import (
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.design import Design
 from otf_core.solving.system import System
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 PRIOR = np.array([0.7, 0.7, 0.7, 5.0, 5.0])
 """Standard deviation of the logarithms of the four variances and of the correlation time."""

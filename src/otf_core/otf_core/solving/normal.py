@@ -14,17 +14,14 @@ from functools import reduce
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.solving.repeated_lines import weigh_repeated_lines
 from otf_core.solving.system import System
 from otf_core.solving.triangular import lower_times
 from otf_core.solving.unknowns import Unknowns
 from otf_core.solving.whitener import Whitener
 from otf_core.threads import side_by_side
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 Batch = TypeVar('Batch')
 

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 from scipy.linalg.lapack import dpotrf, dpotri
 
-Array = NDArray[np.float64]
+from otf_core.arrays import Array
 
 RIDGES = (0.0, 1e-14, 1e-12, 1e-10)
 """Added to the diagonal of ones, the next one where rounding has made the matrix indefinite."""

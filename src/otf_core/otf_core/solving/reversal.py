@@ -16,8 +16,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects.catalogue.backlash import HELD, travel_sign
 from otf_core.effects.catalogue.direction_dependent_tables import ORDER, polynomials
 from otf_core.effects.position import scaled_position
@@ -28,8 +28,6 @@ from otf_core.model.motions import MOTIONS, ErrorMotion
 from otf_core.model.quantities import quantity
 from otf_core.model.tables import ErrorTables
 from otf_core.solving.unknowns import Unknowns, reversal_block
-
-Array = NDArray[np.float64]
 
 MODELS = {'none': 0, 'constant': 1, 'tables': ORDER + 1}
 """Polynomials per motion in every model, the simplest first."""

@@ -22,17 +22,18 @@ from operator import add
 from typing import Generic
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.effects.catalogue.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
+from otf_core.live.stages import Progress
 from otf_core.memory import give_back
 from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.solving.design import Design
 from otf_core.solving.folds import FOLDS, fold_of
-from otf_core.solving.joint import JointSolution, Progress, solve_robustly, tables_of
+from otf_core.solving.joint import JointSolution, solve_robustly, tables_of
 from otf_core.solving.normal import NormalEquations, sum_groups
 from otf_core.solving.repeated_lines import Once, weigh_repeated_lines
 from otf_core.solving.reversal import MODELS
@@ -43,8 +44,6 @@ from otf_core.solving.system import System, build_system
 from otf_core.solving.unknowns import Unknowns, is_reversal, layout, reversal_order
 from otf_core.threads import side_by_side
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Evidence = dict[str, float | int | str]
 
 CLEAR = 3.0

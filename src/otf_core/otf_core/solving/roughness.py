@@ -31,15 +31,13 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
 from otf_core.solving.basis import Basis
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.positive import Positive
 from otf_core.solving.unknowns import Unknowns, reference_position
-
-Array = NDArray[np.float64]
 
 START = (np.log(0.1), np.log(0.15), np.log(0.01))
 """Logarithms of s^2 and k in units of the squared limit, and of l, to start from."""

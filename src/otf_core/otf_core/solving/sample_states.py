@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.effects import State
 from otf_core.effects.state import state_on_path
 from otf_core.model.courses import Courses
@@ -16,9 +16,6 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.path import Legs, leg_bounds
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 DETREND_ORDER = 3
 

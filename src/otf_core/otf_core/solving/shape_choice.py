@@ -20,17 +20,17 @@ from operator import attrgetter
 from typing import Generic
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.aside import shared_out
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
+from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
 from otf_core.pieces.observed import AnyRun, Observed
 from otf_core.solving.basis import Basis, cubic, linear
 from otf_core.solving.joint import (
     JointSolution,
-    Progress,
     SolvedRun,
     Start,
     find_identifiable_blocks,
@@ -48,8 +48,6 @@ from otf_core.solving.system import System
 from otf_core.solving.unknowns import Unknowns, layout
 from otf_core.solving.whitener import Whitener
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Bases = dict[str, Basis]
 
 SMOOTH, FINER = 'smooth', 'smooth, twice as fine'

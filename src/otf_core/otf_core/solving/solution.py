@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.arrays import Array
 from otf_core.model.motions import MOTIONS
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.positive import Positive
 from otf_core.solving.unknowns import Unknowns, is_reversal
-
-Array = NDArray[np.float64]
 
 TIE_BREAK = 1e-2
 """Weight of the smoothness condition, in units of 1 / unidentifiable_above^2."""

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.kinematics import displacement, motion_influence, squareness_influence
@@ -23,9 +23,6 @@ from otf_core.noise.model import beam_shares, path_frame
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.design import Design
 from otf_core.solving.unknowns import Unknowns
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

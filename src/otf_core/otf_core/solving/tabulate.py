@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from otf_core.arrays import Array
 from otf_core.model.evaluation import free_rows, mean_length, without_rigid_motion
 from otf_core.model.kinematics import motion_influence, turned
 from otf_core.model.machine import Machine
@@ -28,8 +29,6 @@ from otf_core.solving.joint import JointSolution
 from otf_core.solving.solution import determined_by_data
 from otf_core.solving.system import model_rows
 from otf_core.solving.unknowns import Unknowns, motion_gauge
-
-Array = NDArray[np.float64]
 
 WORTH = 0.3
 """Share of the mean uncertainty of the grid that straight lines between nodes may cost."""

@@ -6,9 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from otf_core.arrays import Array
 
 STRIP = 32
 """Rows of a matrix, about, that are multiplied at a time."""

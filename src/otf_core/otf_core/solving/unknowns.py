@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.solving.basis import Basis
-
-Array = NDArray[np.float64]
 
 POSE = 6
 

@@ -14,6 +14,7 @@ from functools import cached_property, reduce
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
 from otf_core.model.path import leg_bounds
 from otf_core.noise.model import Misfit, NoiseModel
@@ -27,9 +28,6 @@ from otf_core.solving.leg_covariance import (
     inverse_of_lower,
 )
 from otf_core.solving.system import System
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 NO_MISFIT = Misfit()
 SAME_PLACE = 5e-4

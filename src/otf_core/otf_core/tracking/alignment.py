@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
@@ -29,8 +30,6 @@ from otf_core.tracking.matching import ENOUGH, LEAST, cut_track
 from otf_core.tracking.no_match import MIRRORED, mirrored, why_no_match
 from otf_core.tracking.rounding import rounded_ends, sharpened
 from otf_core.tracking.track import Track, measured_track
-
-Array = NDArray[np.float64]
 
 DOUBTFUL = 0.9
 """If a smaller share does, the track may be mirrored."""

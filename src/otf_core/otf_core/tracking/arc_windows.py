@@ -11,13 +11,11 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.path import Legs
 from otf_core.tracking.track import Track
-
-Array = NDArray[np.float64]
 
 WIDTH = 6
 """Points of a window."""

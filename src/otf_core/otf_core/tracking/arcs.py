@@ -13,12 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.tracking.curves import Lines, PathShape, shape_of
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 VISIBLE = 2e-7
 """m; flatter chords are as good as arcs."""

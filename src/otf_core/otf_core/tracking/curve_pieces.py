@@ -14,10 +14,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.path import MOVING, Legs
 from otf_core.tracking.curves import Lines, turns
-
-Array = NDArray[np.float64]
 
 MAX_TURN = 0.1
 """rad; a piece turns no more, so that its deviation is true to 0.1 %."""

@@ -15,11 +15,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.path import Legs
 from otf_core.tracking.track import simplify
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 CHORD = 0.02
 """m; longer lines are legs of their own, never chords of a curve."""

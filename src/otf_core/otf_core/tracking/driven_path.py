@@ -15,13 +15,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import MIN_LEG, Legs
 from otf_core.tracking.curves import Lines, PathShape, shape_of
 from otf_core.tracking.driving_order import FORWARD, OFF_PATH, Match
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import Legs
 from otf_core.tracking.track import Track
 
-Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
 OFF_PATH = -1
 FORWARD, BACKWARD = 1, -1

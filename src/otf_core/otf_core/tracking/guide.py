@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.model.path import NominalPath
 from otf_core.tracking.curves import PathShape, shape_of
 from otf_core.tracking.driving_order import Match
 from otf_core.tracking.matching import find_match
 from otf_core.tracking.track import Track
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.tracking.curves import Lines
 from otf_core.tracking.matching import OFF_PATH
-
-Array = NDArray[np.float64]
 
 SHORT, LONG = 2e-5, 5e-3
 """m; stretch of a leg whose samples tell when it began."""

@@ -9,12 +9,9 @@ moments up to the second.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 def line_step(

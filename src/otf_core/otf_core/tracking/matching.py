@@ -13,8 +13,8 @@ from __future__ import annotations
 from itertools import combinations, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.tracking.arc_windows import dense_points, propose
 from otf_core.tracking.driving_order import OFF_PATH as OFF_PATH
@@ -22,9 +22,6 @@ from otf_core.tracking.driving_order import Match as Match
 from otf_core.tracking.driving_order import follow as follow
 from otf_core.tracking.driving_order import follow_within
 from otf_core.tracking.track import Track
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _MAX_WINDOWS = 60
 _MAX_HYPOTHESES = 4000

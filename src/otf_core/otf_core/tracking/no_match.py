@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
@@ -15,8 +15,6 @@ from otf_core.model.path import Legs, NominalPath
 from otf_core.tracking.guide import Guide
 from otf_core.tracking.matching import OFF_PATH, Match, cut_track, follow
 from otf_core.tracking.track import Track, measured_track
-
-Array = NDArray[np.float64]
 
 WIDER = (2.5, 5.0, 10.0)
 """Multiples of the tolerance that are tried to say what is wrong."""

@@ -11,12 +11,9 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.tracking.track import HOP, Track
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 FEWEST = 11
 """Hops of a leg of which roundings can be told."""

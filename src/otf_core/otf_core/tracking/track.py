@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.memory import blocks
 from otf_core.model.observation import Samples
-
-Array = NDArray[np.float64]
 
 HOP = 1e-3
 """m; distance between the points that describe the track."""

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.calibration.result import CalibrationResult
 from otf_core.comparison.compare import normalised_error
@@ -29,8 +29,6 @@ from otf_core.planning.creator import plan_path
 from otf_core.planning.standstill_plan import edge_points, spread_points, standstill_plan
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.validation.laboratory import MM_PER_MIN, Laboratory, Scale
-
-Array = NDArray[np.float64]
 
 ERROR_SIZE = 7e-6
 """m; paper 2.3.2: 7.2 um and 6.9 um on a grid."""

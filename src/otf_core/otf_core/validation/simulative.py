@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.calibration.calibrate import calibrate
 from otf_core.calibration.result import CalibrationResult
 from otf_core.config import PlannerConfig
@@ -19,8 +19,6 @@ from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables
 from otf_core.planning.creator import plan_path
 from otf_core.validation.laboratory import Laboratory
-
-Array = NDArray[np.float64]
 
 ERROR_SIZE = 1e-4
 """m; the paper's simulated machine has a mean error of 103 um on the grid."""

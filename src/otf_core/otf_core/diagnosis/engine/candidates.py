@@ -15,15 +15,13 @@ from functools import cached_property
 from itertools import chain, groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.effect_products import Tried, family, shared_with
 from otf_core.diagnosis.engine.evidence import Option
 from otf_core.diagnosis.engine.residual_rows import Pulled, Rows
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Candidates = Mapping[str, Sequence[Tried]]
 
 NEXT_TO_NOTHING = 1e-9

@@ -12,9 +12,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.engine.time_products import InTime
 from otf_core.effects.action import Acting, rigid_tracker, vector
-from otf_core.effects.base import Array, Effect, Shape, State
+from otf_core.effects.base import Effect, Shape, State
 
 MOMENTS = 40
 """Moments of a jump that are tried."""

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.evidence import (
     Estimate,
     Option,
@@ -36,9 +36,6 @@ from otf_core.diagnosis.engine.time_products import InTime
 from otf_core.effects import Effect, Shape, Terms
 from otf_core.effects.free_form import FreeForm
 from otf_core.solving.columns import column_size
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 NO_TRACE = 1e-9
 """m per unit; terms that move the target less across the path have no trace at all."""

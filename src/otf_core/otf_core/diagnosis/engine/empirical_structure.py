@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations, groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.candidates import Pool
 from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
@@ -45,8 +45,6 @@ from otf_core.effects.located_inputs import (
     head_of,
     plain_names,
 )
-
-Array = NDArray[np.float64]
 
 INPUTS = (
     'time', 'x', 'y', 'z', 'sense_x', 'sense_y', 'sense_z', 'feed', 'acceleration', 'since_stop',

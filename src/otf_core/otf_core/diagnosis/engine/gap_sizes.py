@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.engine.evidence import estimate
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.solving.folds import FOLDS, leg_numbers
-
-Array = NDArray[np.float64]
 
 JACKKNIFE = 20
 """Groups of legs."""

@@ -9,16 +9,13 @@ fitted exactly afterwards, and priced as all structures are.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.score import TOGETHER, Scores
 from otf_core.diagnosis.engine.spectral import LINE_SCORE, line_across_axis, line_along_axis
 from otf_core.effects.inputs import functions_of
 from otf_core.effects.located_inputs import CYCLE, DIRECTION, MOMENT, PLACE, TURNS, found_name
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 SLOWEST, FASTEST = 1.5, 1.0
 """Cycles in a run, and Hz, between which a cycle in time is looked for; see ``spectral``."""

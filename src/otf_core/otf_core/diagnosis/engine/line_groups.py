@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from otf_core.arrays import Array, Index
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.catalogue.tracker_noise import TrackerNoise
@@ -16,8 +16,6 @@ from otf_core.noise.departure import Departure, as_simulated, noise_departure
 from otf_core.noise.model import QUANTITIES, NoiseModel, sample_variance
 from otf_core.noise.standstill import find_standstills, standstill_noise
 from otf_core.pieces.runs import Run
-
-Array = NDArray[np.float64]
 
 NAMED = 0.5
 """Probability from which on a departure is named: the more likely of two."""

@@ -10,14 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.line_groups import Touched, acts_on_lines
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.solving.whitener import Whitener
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MOST = 0.6
 """Share of the columns, mean over the lines, from which all of them are taken everywhere."""

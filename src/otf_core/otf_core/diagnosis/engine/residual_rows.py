@@ -16,9 +16,9 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.line_groups import Touched, touched
 from otf_core.diagnosis.engine.time_products import InTime
 from otf_core.effects import Effect, Shape, State, Terms
@@ -35,10 +35,6 @@ from otf_core.solving.roughness import precision_like_others
 from otf_core.solving.sample_states import SampleResiduals, sample_residuals, sample_state
 from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
 from otf_core.solving.whitener import Whitener
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-
 
 ROWS = 4_000
 """Rows that are projected at once; bounds the memory."""

@@ -21,9 +21,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.engine.empirical_structure import Structures, inputs_of
 from otf_core.diagnosis.engine.evidence import log_evidence
 from otf_core.diagnosis.engine.residual_rows import Rows
@@ -37,8 +37,6 @@ from otf_core.effects.action import vector
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL
 from otf_core.effects.located_inputs import stands_for
-
-Array = NDArray[np.float64]
 
 NEXT_TO_NOTHING = 1e-4
 """Share of the largest singular value."""

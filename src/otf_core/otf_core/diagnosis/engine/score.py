@@ -15,14 +15,11 @@ from itertools import chain, combinations_with_replacement
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 from scipy import sparse
 
+from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.solving.whitener import Whitener
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 RIDGE = 1e-4
 """Of the scaled information, against functions that the data hardly tell apart."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.candidates import Beside, Candidates, Pool, orthonormal
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES
 from otf_core.diagnosis.engine.effect_products import Tried
@@ -31,9 +31,6 @@ from otf_core.diagnosis.engine.signal_lag import (
 from otf_core.diagnosis.engine.switching_times import add_switching
 from otf_core.solving.columns import column_size
 from otf_core.solving.residual_check import check_residuals
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 NEEDED_EVIDENCE = 9.0
 """Logarithm of the odds that an effect needs before it is named (8000 to 1)."""

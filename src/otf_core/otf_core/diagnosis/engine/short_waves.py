@@ -23,8 +23,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.aside import shared_out
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.candidates import Candidates
@@ -48,8 +48,6 @@ from otf_core.solving.joint import JointSolution, Start, solve_jointly, summed
 from otf_core.solving.roughness import Search
 from otf_core.solving.shape_choice import is_finer, linear_bases, smooth_bases
 from otf_core.solving.unknowns import layout
-
-Array = NDArray[np.float64]
 
 CLEAR = 50.0
 """Logarithm of the odds by which an effect has to be better than fine functions: the roughness of

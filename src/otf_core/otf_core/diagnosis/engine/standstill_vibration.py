@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.noise_check import with_measured_noise
 from otf_core.diagnosis.engine.residual_rows import Rows, build_rows
@@ -26,8 +26,6 @@ from otf_core.model.observation import Samples
 from otf_core.noise.model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.runs import Run
-
-Array = NDArray[np.float64]
 
 SHORTEST = 1e-3
 """s; a shorter correlation time is none."""

@@ -19,6 +19,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.aside import shared_out
 from otf_core.diagnosis.engine.candidates import Beside
 from otf_core.diagnosis.engine.decoys import DECOY_NAMES, SlowWave
@@ -31,7 +32,6 @@ from otf_core.effects.free import switched
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.switching import Switching, responses
 
-Array = NDArray[np.float64]
 Moments = tuple[float, ...]
 
 MOST_TURNS, TURN = 16.0, 0.2

@@ -14,17 +14,14 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
 from otf_core.diagnosis.engine.evidence import SPREADS
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.time_products import InTime
 from otf_core.effects.action import Acting
 from otf_core.effects.base import Effect, Shape, State
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 NEXT_TO_NOTHING = 1e-9
 """Share of a square that keeps a matrix positive definite."""

@@ -8,12 +8,10 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.effects.action import Acting
 from otf_core.effects.base import Effect, Shape, State, Terms
-
-Array = NDArray[np.float64]
 
 
 class InTime(Effect):

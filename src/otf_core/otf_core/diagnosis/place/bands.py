@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.place.groups import (
     Group,
     LegRows,
@@ -22,8 +23,6 @@ from otf_core.diagnosis.place.groups import (
     make_groups,
 )
 from otf_core.diagnosis.place.views import RunView
-
-Array = NDArray[np.float64]
 
 TIME_BANDS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Hz; edges of the bands along time."""

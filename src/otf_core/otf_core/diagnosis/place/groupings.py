@@ -8,13 +8,10 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array, Index
 from otf_core.diagnosis.place.views import RunView
 from otf_core.model.path import TRAVELS
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MOST_WINDOWS = 12
 FEED_STEP = 0.1

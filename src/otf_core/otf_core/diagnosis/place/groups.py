@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.place.groupings import Grouping
 from otf_core.diagnosis.place.views import RunView
-
-Array = NDArray[np.float64]
 
 FEWEST_LEGS = 4
 """From here on the scatter of the legs is looked at."""

@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.place.groupings import Grouping
 from otf_core.diagnosis.place.groups import partition
 from otf_core.diagnosis.place.separation import Separation
 from otf_core.diagnosis.place.views import RunView
 from otf_core.model.path import TRAVELS
-
-Array = NDArray[np.float64]
 
 MUCH, LITTLE = 0.6, 0.3
 """Shares of the largest gap of a group: from here on the gap lies there; below it there is nothing

@@ -22,11 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.place import groupings as by
 from otf_core.diagnosis.place.groupings import Grouping
 from otf_core.diagnosis.place.views import RunView
-
-Array = NDArray[np.float64]
 
 PATH, VOLUME, TIME, BEAM = 'path', 'volume', 'time', 'beam'
 VIEWS = (PATH, VOLUME, TIME, BEAM)

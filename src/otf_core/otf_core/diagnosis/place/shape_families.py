@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.place.shapes import (
     GapShape,
     Maker,
@@ -19,8 +19,6 @@ from otf_core.diagnosis.place.shapes import (
 )
 from otf_core.diagnosis.place.views import RunView
 from otf_core.model.path import TRAVELS
-
-Array = NDArray[np.float64]
 
 SETTLING = (-5, -4, -3, -2, -1)
 """Time constants of drifts: powers of two of the length of the run."""

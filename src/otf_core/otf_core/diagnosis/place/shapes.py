@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.place.views import RunView
 from otf_core.model.frames import XYZ
 
-Array = NDArray[np.float64]
 Scales = Callable[[RunView], Array]
 
 FINER = 4

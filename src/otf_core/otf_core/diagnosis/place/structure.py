@@ -12,15 +12,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.place.shape_families import all_shapes
 from otf_core.diagnosis.place.shapes import GapShape
 from otf_core.diagnosis.place.views import RunView
 from otf_core.solving.normal import rows_by_run
 from otf_core.solving.residual_check import check_residuals
 
-Array = NDArray[np.float64]
 Projection = Callable[[Array], Array]
 _Family = tuple[list['_Candidate'], int]
 """Candidates, and how many shapes were looked at."""

@@ -11,15 +11,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky
 
+from otf_core.arrays import Array, Index
 from otf_core.model.path import leg_bounds
 from otf_core.noise.model import TYPICAL_CORRELATION_TIME
 from otf_core.solving.whitener import Whitener
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.place import groupings as by
 from otf_core.diagnosis.place.bands import band_groups, usual_bands
 from otf_core.diagnosis.place.groups import (
@@ -32,7 +32,6 @@ from otf_core.diagnosis.place.where_words import (
 )
 from otf_core.model.frames import XYZ
 
-Array = NDArray[np.float64]
 Rows = list[dict[str, Any]]
 
 

@@ -9,13 +9,8 @@ from __future__ import annotations
 import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, TypeAlias
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-Array: TypeAlias = 'NDArray[np.float64]'
+from otf_core.arrays import Array
 
 _WIDTH = 70
 

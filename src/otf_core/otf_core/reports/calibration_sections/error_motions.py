@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.calibration.result import GAUGE, CalibrationResult
 from otf_core.files.csv_points import tidy
 from otf_core.model.expanded import figure, micro_with_expanded, significant, with_expanded
@@ -21,8 +22,6 @@ from otf_core.reports.drawing.scale import Scale, around
 from otf_core.reports.reversal_tables import backlash_words, format_reversal
 from otf_core.reports.section import Cell, Picture, Section, Table
 from otf_core.reports.wording import dof_words, micro, micro_unit
-
-Array = NDArray[np.float64]
 
 LIMIT_HEIGHT_RATIO = 4.0
 """Height of a limit, in that of what is drawn, up to which it is drawn."""

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincc
 
+from otf_core.arrays import Array
 from otf_core.budget.budget import NOISE
 from otf_core.calibration.result import RunResult
 from otf_core.model.frames import XYZ
@@ -24,8 +24,6 @@ from otf_core.reports.drawing.scale import LEVELS, Scale, around, heat_classes, 
 from otf_core.reports.drawing.scene import TURNED, Dots, Item, Strokes, box, scene
 from otf_core.reports.section import Picture, Section, Table
 from otf_core.reports.wording import dof_words, listed, micro, millimetres, whole_dof
-
-Array = NDArray[np.float64]
 
 DRAWN_RUNS = 3
 """Runs that are drawn."""

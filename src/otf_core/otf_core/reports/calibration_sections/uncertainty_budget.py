@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.budget.budget import (
     EFFECTS,
     MISFIT,
@@ -37,8 +37,6 @@ from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.drawing.style import text
 from otf_core.reports.section import Picture, Section, Table
 from otf_core.reports.wording import dof_words, listed, micro
-
-Array = NDArray[np.float64]
 
 TYPE_A = (NOISE, MISFIT, SMOOTHNESS)
 """Evaluated from the observations (GUM 2.3.2); all others are type B."""

@@ -11,12 +11,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from otf_core.arrays import Array
 from otf_core.reports.drawing.scale import Scale
 from otf_core.reports.drawing.style import text as typeset
-
-Array = NDArray[np.float64]
 
 HEAD, SPREAD = 5.0, 0.45
 """px and rad; length and half opening of arrow heads."""

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.reports.drawing.panel import arrow_path, svg, words
 from otf_core.reports.drawing.scale import round_below
-
-Array = NDArray[np.float64]
 
 WIDTH, HEIGHT, MARGIN = 480.0, 320.0, 22.0
 SIDE = 100.0

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otf_core.arrays import Array
 from otf_core.diagnosis.place import groupings as by
 from otf_core.diagnosis.place.bands import Bands, band_groups
 from otf_core.diagnosis.place.groupings import Grouping
@@ -22,8 +22,6 @@ from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.drawing.scale import Scale, around, heat_classes, heat_key, heat_step
 from otf_core.reports.section import Picture, Section
 from otf_core.reports.wording import listed
-
-Array = NDArray[np.float64]
 
 DRAWN_RUNS = 3
 """Runs that are drawn."""
