@@ -36,8 +36,8 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Axis, Chain, Machine, TrackerSpec
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables, MotionTable
-from otf_core.planning.creator import plan_path
 from otf_core.planning.forecast import free_rows
+from otf_core.planning.path_creation import plan_path
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.reports.budget_tables import budget_lines, expanded
 from otf_core.sim.cell import random_tables, simulate

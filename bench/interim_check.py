@@ -36,7 +36,7 @@ from otf_core.history.store import add_run, read_store
 from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.pieces.runs import Recording
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.reports.calibration import result_to_dict
 from otf_core.sim.cell import random_tables, simulate
 

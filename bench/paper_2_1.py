@@ -33,8 +33,8 @@ from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables, MotionTable
-from otf_core.planning.creator import plan_path
 from otf_core.planning.forecast import grid_uncertainty
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.validation.laboratory import paper_machine
 from otf_core.validation.simulative import ERROR_SIZE, GRID, Replication, replication

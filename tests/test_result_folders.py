@@ -22,7 +22,7 @@ from otf_core.model.machine import load_machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import Recording
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 
 

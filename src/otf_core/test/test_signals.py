@@ -26,7 +26,7 @@ from otf_core.model.courses import Courses
 from otf_core.model.declared_signals import DRIVEN
 from otf_core.model.machine import machine_from_dict
 from otf_core.model.signals import LAGS, Signal
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import simulate
 
 START = 1_700_000_000_000_000_000

@@ -21,9 +21,8 @@ from otf_core.model.plan import Plan, check_inside, plan_for_path
 from otf_core.model.tables import ErrorTables, load_tables
 from otf_core.noise.fields import read_noise as noise_from_file
 from otf_core.pieces.runs import Recording
-from otf_core.planning.creator import plan_path
-from otf_core.planning.job import PlanRequest, make_plan
-from otf_core.planning.plan_report import PlanReport
+from otf_core.planning.path_creation import plan_path
+from otf_core.planning.plan_report import PlanReport, PlanRequest, make_plan
 from otf_core.sim import cell
 
 Effects = Mapping[str, Mapping[str, float]] | str | Path

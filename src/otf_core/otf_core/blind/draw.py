@@ -20,7 +20,7 @@ from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables, MotionTable
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.sim.cell import SimulatedRun, random_tables, simulate
 
 Rng = np.random.Generator

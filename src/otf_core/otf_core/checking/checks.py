@@ -22,8 +22,12 @@ from otf_core.model.provenance import moment
 from otf_core.noise.events import lost_samples
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills, standstill_noise
 from otf_core.pieces.finding import GATE, WARNING, words_of
-from otf_core.planning.forecast import Setup, forecast_of_pieces
-from otf_core.planning.planned_budget import planned_systematic, solution_of_pieces
+from otf_core.planning.forecast import (
+    Setup,
+    forecast_of_pieces,
+    planned_systematic,
+    solution_of_pieces,
+)
 from otf_core.threads import one_thread
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.driving_order import OFF_PATH

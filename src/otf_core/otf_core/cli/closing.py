@@ -38,7 +38,7 @@ def run_loop(arguments: argparse.Namespace) -> int:
     from otf_core.loop.circle import go_round
     from otf_core.loop.control import find_control
     from otf_core.model.machine import load_machine
-    from otf_core.planning.creator import plan_path
+    from otf_core.planning.path_creation import plan_path
     from otf_core.reports.loop import failed_gates, format_loop, write_loop
 
     machine = load_machine(arguments.machine)

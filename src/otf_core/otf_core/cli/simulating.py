@@ -28,7 +28,7 @@ def _plan_of(arguments: argparse.Namespace, config: PlannerConfig, machine: Any)
     from otf_core.inputs.plan_json import PlanFile, looks_like_json, read_plan
     from otf_core.model.path import NominalPath
     from otf_core.model.plan import check_inside, plan_for_path
-    from otf_core.planning.creator import plan_path
+    from otf_core.planning.path_creation import plan_path
 
     name = arguments.path
     if name is None:
@@ -115,8 +115,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
     from otf_core.model.provenance import provenance
     from otf_core.noise.fields import read_noise
     from otf_core.planning.follow_up import measured_runs, open_questions
-    from otf_core.planning.job import PlanRequest, make_plan, read_place
     from otf_core.planning.nc import DIALECTS
+    from otf_core.planning.plan_report import PlanRequest, make_plan, read_place
     from otf_core.reports.plan_files import format_report, plan_summary, write_report
 
     given = (arguments.machine, arguments.path, arguments.noise, arguments.after)

@@ -17,7 +17,7 @@ from otf_core.history.judged import History
 from otf_core.history.series import Series
 from otf_core.model.evaluation import lattice, rigid_columns
 from otf_core.model.path import NominalPath
-from otf_core.planning.drive_time import leg_time
+from otf_core.planning.forecast import leg_time
 
 LEVELS = 3
 """Lattice points per axis."""

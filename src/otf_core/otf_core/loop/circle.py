@@ -37,7 +37,7 @@ from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables, TablesFile
 from otf_core.pieces.runs import Recording
-from otf_core.planning.drive_time import drive_times
+from otf_core.planning.forecast import drive_times
 from otf_core.planning.nc import DIALECTS
 from otf_core.planning.nc.programs import on_increment, program
 from otf_core.prediction.covariance import pack_covariance

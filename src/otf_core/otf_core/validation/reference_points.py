@@ -25,8 +25,7 @@ from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Recording
 from otf_core.pieces.standstill_method import align_stops, prepare_stops, stop_pieces
-from otf_core.planning.creator import plan_path
-from otf_core.planning.standstill_plan import edge_points, spread_points, standstill_plan
+from otf_core.planning.path_creation import edge_points, plan_path, spread_points, standstill_plan
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.validation.laboratory import MM_PER_MIN, Laboratory, Scale
 

@@ -17,7 +17,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.validation.laboratory import Laboratory
 
 ERROR_SIZE = 1e-4

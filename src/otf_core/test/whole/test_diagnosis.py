@@ -23,7 +23,7 @@ from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples
 from otf_core.model.tables import load_tables
 from otf_core.pieces.runs import Recording
-from otf_core.planning.creator import plan_path
+from otf_core.planning.path_creation import plan_path
 from otf_core.reports.diagnosis import write_diagnosis
 from otf_core.sim.cell import simulate
 from otf_core.sim.twin import twin_recording

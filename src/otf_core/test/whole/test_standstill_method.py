@@ -23,7 +23,7 @@ from otf_core.pieces.standstill_method import (
     match_in_order,
     prepare_stops,
 )
-from otf_core.planning.standstill_plan import edge_points, spread_points, standstill_plan
+from otf_core.planning.path_creation import edge_points, spread_points, standstill_plan
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.sim.cell import simulate
 from otf_core.tracking.matching import OFF_PATH

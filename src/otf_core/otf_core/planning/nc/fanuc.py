@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from otf_core.arrays import Array
-from otf_core.planning.nc.base import Dialect, plain, words
+from otf_core.planning.nc.dialect import Dialect, plain, words
 
 
 class Fanuc(Dialect):

@@ -15,7 +15,7 @@ from otf_core.arrays import Array
 from otf_core.errors import ConfigError
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-from otf_core.planning.nc.base import Dialect, comment_lines
+from otf_core.planning.nc.dialect import Dialect, comment_lines
 
 INCREMENT = 1e-6
 """m; resolution of the positions in a program."""
