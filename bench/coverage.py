@@ -39,7 +39,7 @@ from otf_core.model.tables import ErrorTables, MotionTable
 from otf_core.planning.forecast import free_rows
 from otf_core.planning.path_creation import plan_path
 from otf_core.prediction.uncertainty import prediction_rows
-from otf_core.reports.budget_tables import budget_lines, expanded
+from otf_core.reports.calibration_facts import budget_lines, expanded
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.tracker import measure, specified_noise
 from otf_core.solving.basis import linear

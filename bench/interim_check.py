@@ -29,9 +29,8 @@ from scipy.stats import beta
 
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import PlannerConfig
-from otf_core.history.interim_check import interim_check
-from otf_core.history.interim_path import interim_path
-from otf_core.history.judged import history_of, uncertainty
+from otf_core.history.control_chart import history_of, uncertainty
+from otf_core.history.interim_check import interim_check, interim_path
 from otf_core.history.store import add_run, read_store
 from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import ErrorTables, MotionTable

@@ -9,7 +9,7 @@ from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Path as PathMessage
 
 from otf_core.bags.bag import read_bag
-from otf_core.bags.topics import OTHER_POINT
+from otf_core.bags.rosbag2_metadata import OTHER_POINT
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_ros import convert, qos

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from otf_core.errors import ConfigError
-from otf_core.live.run import LiveRun, RunProgress, Solved
-from otf_core.live.snapshot import now, scene
+from otf_core.live.live_run import LiveRun, RunProgress, Solved, now, scene
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_core.model.volume import VolumeErrors

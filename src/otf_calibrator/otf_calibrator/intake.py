@@ -20,10 +20,9 @@ from otf_calibrator.publishers import Choice
 from otf_calibrator.request import Request
 from otf_core.bags.cdr import DecodedPoints, decode_path
 from otf_core.bags.journal import Journal
-from otf_core.bags.screening import judged
-from otf_core.bags.signal_messages import topic_of
-from otf_core.bags.signals import read_signals
-from otf_core.bags.topics import GAP, OTHER_POINT, PATH, POINT, STATUS
+from otf_core.bags.rosbag2_metadata import GAP, OTHER_POINT, PATH, POINT, STATUS
+from otf_core.bags.sample_order import judged
+from otf_core.bags.signals import read_signals, topic_of
 from otf_core.errors import InputError
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples

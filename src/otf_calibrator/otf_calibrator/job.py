@@ -27,7 +27,7 @@ from otf_core.calibration.result import CalibrationResult
 from otf_core.diagnosis.calibrate_with_effects import AUTO, NONE
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
-from otf_core.files.output import OutputFolder
+from otf_core.files.output_folder import OutputFolder
 from otf_core.history.store import add_run
 from otf_core.live.stages import Progress
 from otf_core.model.machine import load_machine

@@ -15,8 +15,8 @@ from otf_calibrator.beside import Beside
 from otf_calibrator.intake import Intake, Status, journal_place
 from otf_calibrator.params import CalibratorConfig
 from otf_core.bags.journal import Journal
-from otf_core.bags.signal_messages import topic_of
-from otf_core.bags.topics import GAP, STATUS
+from otf_core.bags.rosbag2_metadata import GAP, STATUS
+from otf_core.bags.signals import topic_of
 from otf_core.model.declared_signals import PLAIN, SignalSpec
 from otf_core.model.machine import load_machine
 from otf_msgs.msg import TrackerStatus

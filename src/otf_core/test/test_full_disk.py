@@ -8,8 +8,7 @@ import os
 import pytest
 
 from otf_core.errors import ConfigError
-from otf_core.files.manifest import MANIFEST
-from otf_core.files.output import OutputFolder
+from otf_core.files.output_folder import MANIFEST, OutputFolder
 from otf_core.files.writing import DiskFull, write_if_it_fits, write_text
 
 SMALL, LARGE = 'tables', 'residuals' * 100

@@ -15,10 +15,9 @@ from otf_core.calibration.volume import motion_sizes, volume_errors
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError, ShapeError
 from otf_core.live import layers
-from otf_core.live.layers import enlargement
-from otf_core.live.run import NUMBERS, LiveRun, RunProgress, Solved, numbers
-from otf_core.live.time_left import StepsLeft, TimeLeft, about
-from otf_core.live.track import TRACK_POINTS, PathDistance, Track
+from otf_core.live.layers import TRACK_POINTS, PathDistance, Track, enlargement
+from otf_core.live.live_run import NUMBERS, LiveRun, RunProgress, Solved, numbers
+from otf_core.live.stages import StepsLeft, TimeLeft, about
 from otf_core.model.frames import RigidTransform
 from otf_core.model.motions import MOTIONS
 from otf_core.model.observation import Samples

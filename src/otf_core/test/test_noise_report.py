@@ -9,7 +9,7 @@ from core_cells import START_NS, some_machine
 from html_cells import Page, unloading
 
 from otf_core import cli
-from otf_core.bags.bag_writer import write_recording
+from otf_core.bags.bag import write_recording
 from otf_core.errors import InputError
 from otf_core.model.expanded import with_expanded
 from otf_core.model.observation import Samples

@@ -22,7 +22,7 @@ from otf_core.model.circumstances import Circumstances
 from otf_core.model.quantities import quantity
 from otf_core.reports.diagnosis import diagnosis_to_dict, format_diagnosis, report_html
 from otf_core.reports.drawing.style import typeset
-from otf_core.reports.gap_sections.causes import confidence_words, next_measurements
+from otf_core.reports.gap_sections.overview import confidence_words, next_measurements
 from otf_core.solving.reversal import Backlash, Reversal
 
 HIDDEN = (

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from otf_core.files.json_file import read_json
-from otf_core.fleet.fleet import Workers, run_fleet
-from otf_core.fleet.job import VERBS, Job, JobResult, hash_of
+from otf_core.files.strict_yaml import read_json
+from otf_core.fleet.fleet import VERBS, Job, JobResult, Workers, hash_of, run_fleet
 from otf_core.sim.cell import EPOCH_NS
 
 Answer = dict[str, Any]
@@ -88,7 +87,7 @@ def ask_all(
     sealed : str
         Hash of its key: other cells are other questions.
     workers : callable(jobs)
-        See ``fleet.workers``.
+        See ``fleet.fleet``.
     progress : callable(str)
 
     Returns

@@ -11,7 +11,7 @@ from typing import Any
 
 from otf_core.blind.seal import sealed
 from otf_core.blind.table import Table, as_markdown
-from otf_core.files.json_file import read_json
+from otf_core.files.strict_yaml import read_json
 from otf_core.fleet.fleet import STATE
 
 TABLE, PARTICULARS, DIAGRAM = 'table.md', 'particulars.md', 'reliability.svg'

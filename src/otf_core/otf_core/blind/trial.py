@@ -27,13 +27,11 @@ from otf_core.blind.table import (
     shrink_words,
     without_itself,
 )
-from otf_core.files.json_file import read_json
-from otf_core.files.manifest import MANIFEST, file_digest, write_manifest, written_files
+from otf_core.files.output_folder import MANIFEST, file_digest, write_manifest, written_files
+from otf_core.files.strict_yaml import read_json
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.fleet import fleet
-from otf_core.fleet.call import RESULT, call_job
-from otf_core.fleet.fleet import STATE, Workers, run_fleet
-from otf_core.fleet.job import JobResult
+from otf_core.fleet.fleet import RESULT, STATE, JobResult, Workers, call_job, run_fleet
 from otf_core.model.provenance import provenance
 
 WHOLE, FIRST, WITHOUT = 'answers', 'answers_first_place', 'answers_without'
@@ -155,7 +153,7 @@ def run_trial(
     seed : int
     folder : str or Path
     workers : callable(jobs)
-        Who draws, diagnoses and judges the cells, see ``fleet.workers``; the results do not
+        Who draws, diagnoses and judges the cells, see ``fleet.fleet``; the results do not
         depend on it.
     progress : callable(str)
     """

@@ -15,7 +15,7 @@ import numpy as np
 
 from otf_core.budget.budget import Budget
 from otf_core.errors import ConfigError
-from otf_core.files.csv_points import tidy
+from otf_core.files.writing import tidy
 from otf_core.model.expanded import micro_with_expanded
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.tables import ErrorTables

@@ -9,8 +9,7 @@ import numpy as np
 
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.live.layers import driven_part
-from otf_core.live.track import PathDistance
+from otf_core.live.layers import PathDistance, driven_part
 from otf_core.model.frames import RigidTransform
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath

@@ -10,8 +10,7 @@ import numpy as np
 from otf_core.calibration.first_sight import ASKED, FOLLOWED, first_sight
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
-from otf_core.live.layers import driven_part
-from otf_core.live.track import PathDistance
+from otf_core.live.layers import PathDistance, driven_part
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
 from otf_core.tracking.alignment import align

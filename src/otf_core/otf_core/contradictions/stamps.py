@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.bags.stamp_words import stamp_words
+from otf_core.bags.sample_order import stamp_words
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath

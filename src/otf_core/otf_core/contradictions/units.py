@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from otf_core.errors import InputError
-from otf_core.files.units import unit_hint, unit_words
+from otf_core.files.text_table import unit_hint, unit_words
 from otf_core.model.machine import Machine
 from otf_core.model.path import NominalPath
 from otf_core.pieces.runs import Recording, blamed

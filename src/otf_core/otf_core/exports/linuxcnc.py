@@ -15,15 +15,15 @@ from pathlib import PurePath
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.exports.base import LINE_WORDS, Exported, Format, Request
-from otf_core.exports.line_terms import (
+from otf_core.exports.format import LINE_WORDS, Exported, Format, Request
+from otf_core.exports.lattice import (
     OWN_PAIRS,
     LineTerm,
     axis_positions,
+    half_reversal,
     held_by,
     line_terms,
 )
-from otf_core.exports.travel import half_reversal
 from otf_core.model.tables import ErrorTables
 
 MOST = 256

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from otf_core.bags.bag import BagContent, content_of, points_of
 from otf_core.bags.bag_reading import BagReading
+from otf_core.bags.rosbag2_metadata import PATH, POINT, called
 from otf_core.bags.signals import read_signals
-from otf_core.bags.topics import PATH, POINT, called
 from otf_core.errors import ConfigError
 from otf_core.inputs.path_file import read_path
 from otf_core.inputs.text_points import TextReading, is_text
@@ -33,7 +33,7 @@ class Given:
     topic, path_topic : str, optional
         Other names of the two topics of a bag.
     publisher : int, optional
-        Whose samples to take where several published them, from 1, see ``bags.publishers``.
+        Whose samples to take where several published them, from 1, see ``bags.bag_reading``.
     columns : str, optional
         What stands in the columns of a text, e.g. ``time_s,x_mm,y_mm,z_mm``.
     rate : float, optional

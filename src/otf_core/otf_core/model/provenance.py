@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.files.manifest import file_digest
+from otf_core.files.output_folder import file_digest
 from otf_core.files.text_table import LeftOut
 from otf_core.files.writing import unreadable
 from otf_core.model.machine import Machine

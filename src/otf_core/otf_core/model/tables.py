@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.errors import ConfigError
-from otf_core.files.json_file import read_json
-from otf_core.files.strict_yaml import shown
+from otf_core.files.strict_yaml import read_json, shown
 from otf_core.model.machine import Machine, machine_from_dict
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 

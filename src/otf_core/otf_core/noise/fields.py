@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from otf_core.errors import ConfigError
-from otf_core.files.json_file import read_json
-from otf_core.files.strict_yaml import shown
+from otf_core.files.strict_yaml import read_json, shown
 from otf_core.noise.model import QUANTITIES, NoiseComponent, NoiseModel
 
 FREEDOM = 'student_freedom'

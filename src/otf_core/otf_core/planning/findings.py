@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan cannot show, from which size on it shows effects, and what would separate them.
-
-A rotation is told from the translations of its axis only by the travel of another axis in its
-lever arm, and not if that travel is parallel to its axis of rotation. Where the chain offers none,
-a second target offset does.
-"""
+"""What a plan cannot show, from which size on it shows effects, and what would separate them."""
 
 from __future__ import annotations
 
@@ -37,6 +32,10 @@ from otf_core.solving.solution import TIE_BREAK, smoothness
 from otf_core.solving.unknowns import Unknowns, reference_position
 
 # What a plan cannot show, in words: which errors are mixed up, why, and what would part them.
+#
+# A rotation is told from the translations of its axis only by the travel of another axis in its
+# lever arm, and not if that travel is parallel to its axis of rotation. Where the chain offers
+# none, a second target offset does.
 
 _SHARE = 0.1
 """Part of a motion's effect that another one must imitate to be named."""

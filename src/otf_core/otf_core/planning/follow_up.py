@@ -1,15 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shortest further path that answers what a diagnosis left open, and where the tracker stands.
-
-Rows are perpendicular to the path wherever the tracker stands: a place changes how well errors
-are seen, not which. So the errors judged are those that are seen from the place assumed.
-
-For every cause with effects that it was not told from: the trace of the cause, with the parameters
-that were found, in the pieces of a candidate path, less what a rival could make of it. Half the
-square of what is left, in units of the noise, is the logarithm of the odds that a further
-diagnosis would find for the cause; the odds say how sure the answer will be. For every effect that
-was not visible: whether the path shows it, and from which size on.
-"""
+"""The shortest further path that answers what a diagnosis left open, and places of the tracker."""
 
 from __future__ import annotations
 
@@ -31,7 +21,7 @@ from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.free_form import free_forms
 from otf_core.errors import ConfigError
-from otf_core.files.json_file import read_json
+from otf_core.files.strict_yaml import read_json
 from otf_core.model.evaluation import covered_grid, free_rows
 from otf_core.model.frames import XYZ
 from otf_core.model.machine import Machine
@@ -63,6 +53,9 @@ from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener
 
 # Where to put the tracker: places around and above the volume, compared by forecast.
+#
+# Rows are perpendicular to the path wherever the tracker stands: a place changes how well errors
+# are seen, not which. So the errors judged are those that are seen from the place assumed.
 
 _PART = 0.5
 """Part of an interval of the splines that a piece may span to compare places."""
@@ -238,6 +231,12 @@ def compare_places(
 
 
 # The shortest further path that answers what a diagnosis left open.
+#
+# For every cause with effects that it was not told from: the trace of the cause, with the
+# parameters that were found, in the pieces of a candidate path, less what a rival could make of
+# it. Half the square of what is left, in units of the noise, is the logarithm of the odds that a
+# further diagnosis would find for the cause; the odds say how sure the answer will be. For every
+# effect that was not visible: whether the path shows it, and from which size on.
 
 PASSES, LEVELS, RATIOS = (1, 2, 3), (2, 3), (0.67, 0.4)
 """Laps, planes of diagonals and ratios of feeds of the paths that are compared."""

@@ -1,15 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan will show before anything moves: rank, uncertainties of motions and on a grid.
-
-t(s) on a leg of length L with peak speed v and acceleration a: sqrt(2 s / a) while speeding up,
-s / v + v / (2 a) at constant speed, mirrored while slowing down; v = min(feed, sqrt(a L)).
-
-The path pieces that a recording would give are laid out from geometry and drive times; system of
-equations, weights and solution are those of the calibration, only without measured values. The
-forecast is therefore right where the noise is, and silent about effects that the model lacks.
-
-The sensitivities are those of the budget, for the pieces that the plan would give.
-"""
+"""What a plan will show before anything moves: rank, uncertainties of motions and on a grid."""
 
 from __future__ import annotations
 
@@ -61,6 +51,9 @@ from otf_core.solving.whitener import Whitener
 from otf_core.tracking.curves import straight_shape
 
 # When the machine is where on a plan: trapezoidal speed, exact stop and dwell at every corner.
+#
+# t(s) on a leg of length L with peak speed v and acceleration a: sqrt(2 s / a) while speeding up,
+# s / v + v / (2 a) at constant speed, mirrored while slowing down; v = min(feed, sqrt(a L)).
 
 
 @dataclass(frozen=True)
@@ -138,6 +131,10 @@ def drive_times(plan: Plan, acceleration: float) -> DriveTimes:
 
 
 # What a plan will show, before anything moves: rank, uncertainties of motions and on a grid.
+#
+# The path pieces that a recording would give are laid out from geometry and drive times; system of
+# equations, weights and solution are those of the calibration, only without measured values. The
+# forecast is therefore right where the noise is, and silent about effects that the model lacks.
 
 Cut = Callable[[Array], Array]
 """Boundaries of the pieces of a line, m from its start, for its two ends (2, 3), m."""
@@ -483,6 +480,8 @@ def grid_uncertainty(
 
 
 # Systematic contributions in the forecast of a plan: declared ones, and typical ones beside.
+#
+# The sensitivities are those of the budget, for the pieces that the plan would give.
 
 Planned = tuple[Observed, JointSolution, ErrorTables]
 """What a plan shows, and solution and tables with zero deviations."""

@@ -1,14 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nominal paths without optimisation: lines and diagonals; points of a standstill run.
-
-A lap holds, in several planes of every orientation, both face diagonals, lines of half slope
-(not box diagonals: backlash in the ratio of the axis lengths is invisible on those), edges and
-middle lines, and then space diagonals. Every second lap runs backwards at another feed.
-
-Paper 2.2: 226 calibration points, 150 of them at random places and the others at the edges; 200
-reference points in other places. Inside, the additive recurrence with the plastic constant takes
-the place of random numbers: points spread evenly, the same every time.
-"""
+"""Nominal paths without optimisation: lines and diagonals; points of a standstill run."""
 
 from __future__ import annotations
 
@@ -25,6 +16,10 @@ from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
 
 # Path creator: lines, face and space diagonals that make the error motions identifiable.
+#
+# A lap holds, in several planes of every orientation, both face diagonals, lines of half slope
+# (not box diagonals: backlash in the ratio of the axis lengths is invisible on those), edges and
+# middle lines, and then space diagonals. Every second lap runs backwards at another feed.
 
 _PLANE = ((0, 0), (1, 1), (1, 0), (0, 1), (0.5, 0), (0.5, 1), (1, 0.5), (0, 0.5), (0, 0))
 _SPACE = ((0, 0, 0), (1, 1, 1), (1, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 0), (0, 1, 1), (1, 0, 0),
@@ -89,6 +84,10 @@ def plan_path(machine: Machine, config: PlannerConfig) -> Plan:
 
 
 # Points of a standstill run: along the edges of the working volume and spread inside it.
+#
+# Paper 2.2: 226 calibration points, 150 of them at random places and the others at the edges; 200
+# reference points in other places. Inside, the additive recurrence with the plastic constant takes
+# the place of random numbers: points spread evenly, the same every time.
 
 PLASTIC = 1.2207440846057596
 """Root of x^4 = x + 1: its inverse powers spread points evenly in three dimensions."""

@@ -1,28 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans that make the grid best known in a given time, or known well enough in the least time.
-
-Candidates join any two points of a small lattice: edges, face and space diagonals, lines of half
-slope. Lines are separated by standstill, so their normal matrices add up, and a path is judged by
-the sum over its legs. For this choice the splines have ``INTERVALS`` parts per axis.
-
-Minimise trace(target @ inv(prior + sum w_i N_i)) over w >= 0 with sum w_i cost_i = time. The
-multiplicative rule w_i <- w_i (gain_i / mean gain)^0.7 converges monotonically in practice, and
-max gain / mean gain bounds how far any plan can be better (equivalence theorem). The path that is
-driven is judged against this bound.
-
-References
-----------
-Pukelsheim, Optimal Design of Experiments, SIAM 2006, chapters 5 and 7 (equivalence theorem).
-
-Every leg between lattice points is a measured line, connections included. The walk is built leg
-by leg: next comes the leg at the feed that takes most off the mean grid variance per second,
-judged as if the rest of the time were shared out ideally (``line_allocation``). On drives of a
-hundred legs it comes within 1 % of that ideal; exchanging corner points afterwards gained nothing.
-
-Lines, diagonals, feeds and the number of passes are chosen; the highest feed, the dwells and the
-margin are given (``PlannerConfig``). Every plan is checked by the full forecast: each error that
-lines in this volume can show is determined at every node.
-"""
+"""Plans that make the grid best known in a given time, or known well enough in the least time."""
 
 from __future__ import annotations
 
@@ -63,6 +40,10 @@ from otf_core.solving.unknowns import Unknowns, layout
 from otf_core.solving.whitener import Whitener
 
 # Candidate lines of a path, and what each line at each feed would tell: its normal matrix.
+#
+# Candidates join any two points of a small lattice: edges, face and space diagonals, lines of half
+# slope. Lines are separated by standstill, so their normal matrices add up, and a path is judged
+# by the sum over its legs. For this choice the splines have ``INTERVALS`` parts per axis.
 
 INTERVALS = 10
 _JUDGED = 5
@@ -210,6 +191,15 @@ def _visible(
 
 
 # How much driving time each candidate line deserves, were lines divisible (A-optimal design).
+#
+# Minimise trace(target @ inv(prior + sum w_i N_i)) over w >= 0 with sum w_i cost_i = time. The
+# multiplicative rule w_i <- w_i (gain_i / mean gain)^0.7 converges monotonically in practice, and
+# max gain / mean gain bounds how far any plan can be better (equivalence theorem). The path that
+# is driven is judged against this bound.
+#
+# References
+# ----------
+# Pukelsheim, Optimal Design of Experiments, SIAM 2006, chapters 5 and 7 (equivalence theorem).
 
 ITERATIONS = 60
 _POWER = 0.7
@@ -287,6 +277,12 @@ def allocate(lines: CandidateLines, time: float, iterations: int = ITERATIONS) -
 
 
 # A continuous drive over lattice points that makes the grid best known in a given time.
+#
+# Every leg between lattice points is a measured line, connections included. The walk is built leg
+# by leg: next comes the leg at the feed that takes most off the mean grid variance per second,
+# judged as if the rest of the time were shared out ideally (``line_allocation``). On drives of a
+# hundred legs it comes within 1 % of that ideal; exchanging corner points afterwards gained
+# nothing.
 
 
 @dataclass(frozen=True)
@@ -360,6 +356,10 @@ def best_walk(lines: CandidateLines, ideal: Array, time: float, passes: int) -> 
 
 
 # Plans that make the grid best known in a given time, or known well enough in the least time.
+#
+# Lines, diagonals, feeds and the number of passes are chosen; the highest feed, the dwells and the
+# margin are given (``PlannerConfig``). Every plan is checked by the full forecast: each error that
+# lines in this volume can show is determined at every node.
 
 FEED_STEPS = (1.0, 0.5, 0.25)
 """Feeds to choose from, as ratios to the highest."""

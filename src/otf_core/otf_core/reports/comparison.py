@@ -21,24 +21,34 @@ from otf_core.model.evaluation import mean_length
 from otf_core.model.frames import XYZ
 from otf_core.model.motions import DIRECTIONS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.panel import Panel
-from otf_core.reports.drawing.panel import words as svg_words
-from otf_core.reports.drawing.scale import (
+from otf_core.reports.drawing.panel import (
     LEVELS,
+    Bar,
+    Key,
+    Panel,
     Scale,
     around,
+    bars,
     heat_classes,
     heat_key,
     heat_step,
     heat_words,
+    write_sheet,
 )
+from otf_core.reports.drawing.panel import words as svg_words
 from otf_core.reports.drawing.scene import Item, Strokes, box, magnification, scene
-from otf_core.reports.drawing.sheet import Key, write_sheet
 from otf_core.reports.drawing.style import text
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Picture, Section, State, Table
-from otf_core.reports.wording import micro, micro_unit, place
+from otf_core.reports.page import (
+    Heading,
+    Picture,
+    Section,
+    State,
+    Table,
+    micro,
+    micro_unit,
+    page_html,
+    place,
+)
 
 HISTOGRAM_BINS = 31
 ARROW_SHARE = 0.12

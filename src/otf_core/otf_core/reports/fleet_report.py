@@ -12,16 +12,13 @@ from typing import Any
 import numpy as np
 
 from otf_core.calibration.verdict import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
-from otf_core.files.manifest import MANIFEST, write_manifest, written_files
+from otf_core.files.output_folder import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import write_text
-from otf_core.fleet.fleet import FILE, PAGE, fleet_to_dict
-from otf_core.fleet.job import JobResult
-from otf_core.fleet.listed import listed_results
+from otf_core.fleet.fleet import FILE, PAGE, JobResult, fleet_to_dict, listed_results
 from otf_core.model.expanded import figure, significant, with_expanded
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.prediction.absorbed import offset_words
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Section, State, Table
+from otf_core.reports.page import Heading, Section, State, Table, page_html
 
 Row = list[str | State]
 STATES = {'pass': 'kept', 'fail': 'broken'}

@@ -22,8 +22,7 @@ from otf_core.model.path import NominalPath
 from otf_core.model.provenance import provenance
 from otf_core.model.tables import tables_to_dict
 from otf_core.reports.calibration import write_calibration
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Section, State, Table
+from otf_core.reports.page import Heading, Section, State, Table, page_html
 
 STANDARD = 'ISO/TR 16907:2015'
 REPRESENTED = {

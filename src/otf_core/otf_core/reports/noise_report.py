@@ -17,11 +17,8 @@ from otf_core.model.provenance import provenance
 from otf_core.noise.fields import noise_to_fields
 from otf_core.noise.model import QUANTITIES
 from otf_core.noise.report import NoiseReport
-from otf_core.reports.drawing.panel import Panel
-from otf_core.reports.drawing.scale import decades
-from otf_core.reports.drawing.sheet import write_sheet
-from otf_core.reports.page import Heading, page_html
-from otf_core.reports.section import Picture, Section, State, Table
+from otf_core.reports.drawing.panel import Panel, decades, write_sheet
+from otf_core.reports.page import Heading, Picture, Section, State, Table, page_html
 
 NOISE_CAPTION = (
     'Above: root of the variogram, the scatter of the difference of two samples over root 2, '

@@ -18,14 +18,11 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.provenance import provenance
 from otf_core.noise.model import path_frame
 from otf_core.reports.comparison import draw_motion, draw_volume, vectors
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.scale import heat_step, heat_words
+from otf_core.reports.drawing.panel import Bar, bars, heat_step, heat_words, write_sheet
 from otf_core.reports.drawing.scene import Dots, Item, Strokes, box, scene
-from otf_core.reports.drawing.sheet import write_sheet
 from otf_core.tracking.alignment import align
-from otf_core.validation.run import Validation
-from otf_core.validation.simulative import across_path
-from otf_core.validation.table import Row, format_rows, rows_to_dict
+from otf_core.validation.paper import across_path
+from otf_core.validation.validate import Row, Validation, format_rows, rows_to_dict
 
 FIGURE_MOTIONS = ('EXX', 'EYX', 'ECX')
 """Figures 6, 7 and 8."""

@@ -24,8 +24,8 @@ from otf_core.model.machine import load_machine, machine_from_dict
 from otf_core.model.motions import MOTIONS
 from otf_core.noise.model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
-from otf_core.reports.budget_tables import budget_lines, budget_to_dict, correlations, expanded
 from otf_core.reports.calibration import format_result, result_to_dict
+from otf_core.reports.calibration_facts import budget_lines, budget_to_dict, correlations, expanded
 from otf_core.sim.tracker import measure
 from otf_core.solving.columns import across, piece_state, sensitivity
 from otf_core.solving.joint import settled, solve_jointly, tables_of

@@ -25,8 +25,8 @@ from otf_core.planning.forecast import (
     planned_systematic,
 )
 from otf_core.planning.plan_report import PlanReport
-from otf_core.reports.budget_tables import budget_lines
 from otf_core.reports.calibration import format_result, result_to_dict
+from otf_core.reports.calibration_facts import budget_lines
 from otf_core.reports.plan_files import format_report, report_to_dict
 
 ROOT = Path(__file__).resolve().parents[4]

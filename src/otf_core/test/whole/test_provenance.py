@@ -19,7 +19,7 @@ from otf_core import cli
 from otf_core.bags.bag import BagContent, read_bag, write_bag
 from otf_core.blind.seal import KEY, seal
 from otf_core.errors import ConfigError
-from otf_core.files.csv_points import tidy
+from otf_core.files.writing import tidy
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.observation import Samples

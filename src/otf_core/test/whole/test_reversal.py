@@ -21,7 +21,7 @@ from otf_core.calibration.calibrate import calibrate, calibrate_runs
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.effects import REGISTRY
 from otf_core.effects.state import state_of_travel
-from otf_core.exports.travel import half_reversal
+from otf_core.exports.lattice import half_reversal
 from otf_core.model.machine import AXES
 from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes

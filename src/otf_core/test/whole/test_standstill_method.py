@@ -11,7 +11,7 @@ from otf_core import cli
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
-from otf_core.files.csv_points import write_csv
+from otf_core.files.writing import write_csv
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.observation import Samples

@@ -18,11 +18,8 @@ from otf_core.prediction.driven_volume import table_ranges
 from otf_core.prediction.volumetric import table_rows, table_values
 from otf_core.reports.calibration_facts import Facts
 from otf_core.reports.calibration_sections.first_screen import contributions
-from otf_core.reports.drawing.bars import Bar, bars
-from otf_core.reports.drawing.panel import Panel
-from otf_core.reports.drawing.scale import Scale, around
-from otf_core.reports.section import Picture, Section, Table
-from otf_core.reports.wording import micro, micro_unit, millimetres
+from otf_core.reports.drawing.panel import Bar, Panel, Scale, around, bars
+from otf_core.reports.page import Picture, Section, Table, micro, micro_unit, millimetres
 
 COMPONENT_BINS = 24
 DIAGONAL_POINTS = 21

@@ -13,8 +13,7 @@ from itertools import product
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.reports.drawing.panel import arrow_path, svg, words
-from otf_core.reports.drawing.scale import round_below
+from otf_core.reports.drawing.panel import arrow_path, round_below, svg, words
 
 WIDTH, HEIGHT, MARGIN = 480.0, 320.0, 22.0
 SIDE = 100.0

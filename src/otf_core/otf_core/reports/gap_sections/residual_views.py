@@ -16,12 +16,19 @@ from otf_core.diagnosis.place.groups import Group, partition
 from otf_core.diagnosis.place.views import RunView
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.model.frames import XYZ
-from otf_core.reports.drawing.bars import LETTER, Bar, bars
-from otf_core.reports.drawing.panel import Panel
+from otf_core.reports.drawing.panel import (
+    LETTER,
+    Bar,
+    Panel,
+    Scale,
+    around,
+    bars,
+    heat_classes,
+    heat_key,
+    heat_step,
+)
 from otf_core.reports.drawing.panel import words as svg_words
-from otf_core.reports.drawing.scale import Scale, around, heat_classes, heat_key, heat_step
-from otf_core.reports.section import Picture, Section
-from otf_core.reports.wording import listed
+from otf_core.reports.page import Picture, Section, listed
 
 DRAWN_RUNS = 3
 """Runs that are drawn."""

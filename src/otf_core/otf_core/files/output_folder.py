@@ -1,29 +1,99 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where results go: refused before any work, or written aside and put in place as a whole.
-
-Every verb uses the same two steps: ``OutputFolder(...)`` checks at once, ``filled()`` yields an
-empty folder beside the final one and gives it the final name if the block succeeds. A folder that
-holds results is replaced only with ``overwrite``, and only if all its files are listed in its
-manifest and unchanged: what this program did not write, it does not delete.
-
-One exception from the whole: where the disk is full, a result without its larger files is better
-than none. Who writes may leave them out (``writing.write_if_it_fits``); the manifest names them.
-"""
+"""Where results go: refused before any work, or written aside and put in place as a whole."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import shutil
 import tempfile
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from otf_core.errors import ConfigError
-from otf_core.files.manifest import MANIFEST, foreign, written_files
-from otf_core.files.manifest import write_manifest as _write_manifest
-from otf_core.files.writing import ensure_folder, unwritable, whole_file
+from otf_core.files.writing import ensure_folder, unwritable, whole_file, write_text
+from otf_core.version import __version__
+
+# manifest.json (``otf-manifest/1``): which files of a folder this program wrote, by their hash.
+#
+# A file that is not listed, or was changed since, is somebody else's and is never deleted. A
+# folder inside may have a manifest of its own. ``missing`` names files that did not fit on the
+# disk.
+
+MANIFEST = 'manifest.json'
+SCHEMA = 'otf-manifest/1'
+
+
+def file_digest(path: str | Path) -> str:
+    """SHA-256 of the bytes of a file, as sha256sum prints it."""
+    digest = hashlib.sha256()
+    with open(path, 'rb') as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def write_manifest(
+    manifest: Path, files: Iterable[Path], verb: str, missing: Mapping[str, str] | None = None
+) -> None:
+    """List files that lie in the folder of the manifest or below it, and what is missing there."""
+    folder = manifest.parent
+    entries = {f.relative_to(folder).as_posix(): file_digest(f) for f in sorted(files)}
+    data = {'schema': SCHEMA, 'verb': verb, 'version': __version__, 'sha256': entries}
+    if missing:
+        data['missing'] = dict(missing)
+    write_text(manifest, json.dumps(data, indent=1) + '\n')
+
+
+def listed(manifest: Path) -> dict[Path, str]:
+    """Files that a manifest lists, with their hashes; empty if there is none or it is damaged."""
+    try:
+        data: Any = json.loads(manifest.read_text(encoding='utf-8'))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if not isinstance(data, dict) or data.get('schema') != SCHEMA:
+        return {}
+    entries = data.get('sha256')
+    if not isinstance(entries, dict):
+        return {}
+    return {manifest.parent / name: str(digest) for name, digest in entries.items()}
+
+
+def is_as_listed(path: Path, entries: dict[Path, str]) -> bool:
+    """Tell whether a file is listed and still what it was then."""
+    return path in entries and path.is_file() and file_digest(path) == entries[path]
+
+
+def written_files(folder: Path) -> list[Path]:
+    """All files and links below a folder, manifests left out."""
+    found = (p for p in folder.rglob('*') if p.is_symlink() or not p.is_dir())
+    return sorted(p for p in found if p.name != MANIFEST)
+
+
+def foreign(folder: Path) -> list[Path]:
+    """Files below a folder that no manifest in it lists as they are."""
+    entries: dict[Path, str] = {}
+    for manifest in folder.rglob(MANIFEST):
+        entries |= listed(manifest)
+    strange = [m for m in folder.rglob(MANIFEST) if not listed(m)]
+    return strange + [
+        p for p in written_files(folder) if p.is_symlink() or not is_as_listed(p, entries)
+    ]
+
+
+# Where results go: refused before any work, or written aside and put in place as a whole.
+#
+# Every verb uses the same two steps: ``OutputFolder(...)`` checks at once, ``filled()`` yields an
+# empty folder beside the final one and gives it the final name if the block succeeds. A folder
+# that holds results is replaced only with ``overwrite``, and only if all its files are listed in
+# its manifest and unchanged: what this program did not write, it does not delete.
+#
+# One exception from the whole: where the disk is full, a result without its larger files is better
+# than none. Who writes may leave them out (``writing.write_if_it_fits``); the manifest names them.
 
 RESERVED = 8192
 """Space kept for the manifest while the other files are written, byte."""
@@ -186,7 +256,7 @@ class OutputFolder:
             reserve.write_bytes(bytes(RESERVED))
             yield new
             reserve.unlink()
-            _write_manifest(new / MANIFEST, written_files(new), verb, self.missing)
+            write_manifest(new / MANIFEST, written_files(new), verb, self.missing)
             if not self._inside:  # there, the folder is filled by what lies aside
                 self._check_content()
             self._put_in_place(new)
