@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.budget.budget import TYPICAL_SOURCE, Budget, Source
-from otf_core.budget.systematic import (
+from otf_core.budget.budget import (
     SYSTEMATIC,
+    TYPICAL_SOURCE,
+    Budget,
+    Source,
     Systematic,
     piece_states,
     systematic_pulls,

@@ -10,8 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.budget.budget import EFFECTS, Budget, make_budget, whole_check, with_source
-from otf_core.budget.noise import noise_parts
+from otf_core.budget.budget import (
+    EFFECTS,
+    Budget,
+    make_budget,
+    noise_parts,
+    whole_check,
+    with_source,
+)
 from otf_core.budget.typical import TypicalSystematic, typical_pulls, typical_systematic
 from otf_core.calibration.passes import unfollowed
 from otf_core.calibration.result import Fit, RunResult

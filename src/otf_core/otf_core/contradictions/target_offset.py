@@ -14,10 +14,10 @@ from itertools import product
 import numpy as np
 
 from otf_core.arrays import Array
+from otf_core.contradictions.chain import ALIKE, BAD, BETTER
 from otf_core.contradictions.quick_model import Model
 from otf_core.pieces.finding import GATE, Finding
 
-BAD, BETTER, ALIKE = 1.3, 0.7, 1.15
 SAME = 1e-4
 """m; offsets that differ by less show nothing."""
 

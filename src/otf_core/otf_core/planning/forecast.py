@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.budget.systematic import (
+from otf_core.budget.budget import (
     SYSTEMATIC,
     declared_sources,
     piece_states,

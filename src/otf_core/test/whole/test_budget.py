@@ -11,9 +11,15 @@ import yaml
 from core_cells import some_machine
 from nature_tracker import beam_frame
 
-from otf_core.budget.budget import NAMES, Budget, Source, make_budget
-from otf_core.budget.freedom import welch_satterthwaite
-from otf_core.budget.noise import noise_parts, slow_amplitudes
+from otf_core.budget.budget import (
+    NAMES,
+    Budget,
+    Source,
+    make_budget,
+    noise_parts,
+    slow_amplitudes,
+    welch_satterthwaite,
+)
 from otf_core.calibration.calibrate import calibrate
 from otf_core.config import CalibrationConfig
 from otf_core.effects import REGISTRY

@@ -14,9 +14,9 @@ from otf_core.budget.budget import (
     NOISE,
     SMOOTHNESS,
     STRAIGHT,
+    SYSTEMATIC,
     TYPICAL_SOURCE,
 )
-from otf_core.budget.systematic import SYSTEMATIC
 from otf_core.model.declared import KEYS
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.presets import TYPICAL
