@@ -17,7 +17,7 @@ from core_cells import (
 from scipy.stats import multivariate_normal
 
 from otf_core.model.path import leg_bounds
-from otf_core.noise.model import (
+from otf_core.noise.noise_model import (
     INDEPENDENT,
     LASTING,
     SLOW,

@@ -15,7 +15,7 @@ from core_cells import (
 )
 
 from otf_core.model.nodes import table_nodes
-from otf_core.noise.model import Misfit
+from otf_core.noise.noise_model import Misfit
 from otf_core.solving import whitener as whitener_module
 from otf_core.solving.normal import line_equations, normal_equations
 from otf_core.solving.repeated_lines import weigh_repeated_lines

@@ -17,7 +17,7 @@ from otf_core.diagnosis.engine.catalogue import (
 from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.engine.spectral import SpectralLine
 from otf_core.effects import REGISTRY, Effect, Terms
-from otf_core.noise.model import MODEL_FLOOR, Misfit, NoiseModel
+from otf_core.noise.noise_model import MODEL_FLOOR, Misfit, NoiseModel
 from otf_core.solving.whitener import Whitener
 
 

@@ -47,7 +47,7 @@ from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.expanded import coverage_factor
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.model import (
+from otf_core.noise.noise_model import (
     MISFIT_TIME,
     NoiseModel,
     misfit_covariance,

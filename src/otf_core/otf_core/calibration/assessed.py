@@ -25,8 +25,8 @@ from otf_core.config import CalibrationConfig
 from otf_core.effects.stated_effect import TakenOff
 from otf_core.memory import give_back
 from otf_core.model.tables import ErrorTables, with_uncertainty
-from otf_core.noise.events import lost_samples
-from otf_core.noise.model import NoiseModel, sample_variance
+from otf_core.noise.noise_model import NoiseModel, sample_variance
+from otf_core.noise.standstill import lost_samples
 from otf_core.pieces.runs import Run, rigid_pose
 from otf_core.solving.joint import JointSolution, SolvedRun, settled, tables_of
 from otf_core.solving.system import deviations

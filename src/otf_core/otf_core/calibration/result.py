@@ -21,8 +21,8 @@ from otf_core.effects.stated_effect import StatedEffect
 from otf_core.model.frames import RigidTransform
 from otf_core.model.provenance import Origin
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.events import Lost
-from otf_core.noise.model import Misfit, NoiseModel
+from otf_core.noise.noise_model import Misfit, NoiseModel
+from otf_core.noise.standstill import Lost
 from otf_core.pieces.pieces import Pieces
 from otf_core.prediction.absorbed import OffsetBound, offset_bound
 from otf_core.prediction.table_prior import MotionPrior

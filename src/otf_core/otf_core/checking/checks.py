@@ -25,8 +25,7 @@ from otf_core.model.machine import Machine
 from otf_core.model.observation import Samples
 from otf_core.model.path import Legs, NominalPath
 from otf_core.model.provenance import moment
-from otf_core.noise.events import lost_samples
-from otf_core.noise.standstill import MIN_TOTAL, find_standstills, standstill_noise
+from otf_core.noise.standstill import MIN_TOTAL, find_standstills, lost_samples, standstill_noise
 from otf_core.pieces.finding import GATE, WARNING, Finding, words_of
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.planning.forecast import (

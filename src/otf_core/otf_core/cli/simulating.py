@@ -125,7 +125,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     judged = parameters(ForecastConfig, arguments)
     from otf_core.model.machine import load_machine
     from otf_core.model.provenance import provenance
-    from otf_core.noise.fields import read_noise
+    from otf_core.noise.noise_model import read_noise
     from otf_core.planning.follow_up import measured_runs, open_questions
     from otf_core.planning.nc import DIALECTS
     from otf_core.planning.plan_report import PlanRequest, make_plan, read_place

@@ -17,7 +17,7 @@ from otf_core.arrays import Array, Index
 from otf_core.model.kinematics import squareness_influence
 from otf_core.model.machine import Chain, Machine
 from otf_core.model.motions import SQUARENESS
-from otf_core.noise.model import beam_shares, path_frame
+from otf_core.noise.noise_model import beam_shares, path_frame
 from otf_core.pieces.runs import Run
 
 FLOOR = 1e-7

@@ -19,15 +19,17 @@ from scipy.special import gammaln, logsumexp, stdtr
 from otf_core.arrays import Array
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.observation import Samples
-from otf_core.noise.jackknife import jackknife_u, left_out_fits
-from otf_core.noise.model import TYPICAL_CORRELATION_TIME, NoiseModel
+from otf_core.noise.colour import jackknife_u, left_out_fits
+from otf_core.noise.noise_model import TYPICAL_CORRELATION_TIME, NoiseModel
 from otf_core.noise.standstill import (
+    FREEDOMS,
     MIN_TOTAL,
+    fast_part,
     find_standstills,
     noise_of_windows,
     quiet_windows,
+    student_likelihood,
 )
-from otf_core.noise.tails import FREEDOMS, fast_part, student_likelihood
 
 LEVEL = 1.6
 """Actual over specified standard deviation that still passes as specified."""

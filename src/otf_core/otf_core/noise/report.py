@@ -10,16 +10,30 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.errors import InputError
 from otf_core.model.observation import Samples
-from otf_core.noise.colour import Variogram, longest_time, variogram
-from otf_core.noise.events import Drift, Lost, Step, find_drift, find_steps, lost_samples
-from otf_core.noise.jackknife import jackknife_u, left_out_fits
-from otf_core.noise.rest import at_rest
-from otf_core.noise.spectrum import Peak, Spectrum, expected_density, find_peaks, spectrum
+from otf_core.noise.colour import (
+    Peak,
+    Spectrum,
+    Variogram,
+    expected_density,
+    find_peaks,
+    jackknife_u,
+    left_out_fits,
+    longest_time,
+    spectrum,
+    variogram,
+)
 from otf_core.noise.standstill import (
     HELD,
     MIN_DURATION,
+    Drift,
+    Lost,
     MeasuredNoise,
+    Step,
+    at_rest,
+    find_drift,
     find_standstills,
+    find_steps,
+    lost_samples,
     noise_of_windows,
     quiet_windows,
 )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import Machine
 from otf_core.model.signals import Signal
-from otf_core.noise.model import Misfit, NoiseModel, misfit_of, scaled
+from otf_core.noise.noise_model import Misfit, NoiseModel, misfit_of, scaled
 from otf_core.pieces.pieces import Pieces
 from otf_core.tracking.curves import PathShape
 

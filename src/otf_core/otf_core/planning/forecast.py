@@ -33,7 +33,7 @@ from otf_core.model.path import MIN_LEG, NominalPath, sides_of_travel
 from otf_core.model.plan import Plan
 from otf_core.model.presets import TYPICAL
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.pieces.boundaries import piece_boundaries
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.pieces import SPEED_WINDOW, Pieces

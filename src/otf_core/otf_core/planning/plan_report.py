@@ -15,7 +15,7 @@ from otf_core.errors import ConfigError
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.plan import Plan
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.planning.findings import Unseen, findings, forecast_effects, forecast_rows
 from otf_core.planning.follow_up import (
     Answer,

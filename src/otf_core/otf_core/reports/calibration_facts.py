@@ -23,7 +23,7 @@ from otf_core.model.machine import Machine, TrackerSpec
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.provenance import Origin, moment
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.model import QUANTITIES
+from otf_core.noise.noise_model import QUANTITIES
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.prediction.volumetric import VolumetricError, table_places
 from otf_core.reports.page import Table, dof_words, listed, place, whole_dof

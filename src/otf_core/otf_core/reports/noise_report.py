@@ -14,8 +14,7 @@ from otf_core.arrays import Array
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_with_expanded
 from otf_core.model.provenance import provenance
-from otf_core.noise.fields import noise_to_fields
-from otf_core.noise.model import QUANTITIES
+from otf_core.noise.noise_model import QUANTITIES, noise_to_fields
 from otf_core.noise.report import NoiseReport
 from otf_core.reports.drawing.panel import Panel, decades, write_sheet
 from otf_core.reports.page import Heading, Picture, Section, State, Table, page_html

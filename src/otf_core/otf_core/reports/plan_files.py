@@ -23,7 +23,7 @@ from otf_core.inputs.path_file import SCHEMA
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_significant
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.model.provenance import provenance
-from otf_core.noise.fields import noise_to_fields
+from otf_core.noise.noise_model import noise_to_fields
 from otf_core.planning.forecast import Forecast
 from otf_core.planning.nc import Dialect
 from otf_core.planning.nc.programs import program

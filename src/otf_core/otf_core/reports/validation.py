@@ -16,7 +16,7 @@ from otf_core.model.direct_measurement import DirectMeasurement, motion_readings
 from otf_core.model.evaluation import lattice, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.provenance import provenance
-from otf_core.noise.model import path_frame
+from otf_core.noise.noise_model import path_frame
 from otf_core.reports.comparison import draw_motion, draw_volume, vectors
 from otf_core.reports.drawing.panel import Bar, bars, heat_step, heat_words, write_sheet
 from otf_core.reports.drawing.scene import Dots, Item, Strokes, box, scene

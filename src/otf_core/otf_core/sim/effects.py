@@ -21,7 +21,7 @@ from otf_core.model.nodes import axis_nodes
 from otf_core.model.path import MIN_LEG, NominalPath
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.model import NoiseComponent, NoiseModel
+from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 from otf_core.sim.drive import Drive
 
 IMPLAUSIBLE = 0.01

@@ -14,7 +14,7 @@ from otf_core.arrays import Array
 from otf_core.config import SimulationConfig
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.machine import Machine
-from otf_core.noise.model import NoiseComponent, NoiseModel
+from otf_core.noise.noise_model import NoiseComponent, NoiseModel
 
 PACKETS = 3.0
 """Packets per second: recorded trackers send a third of a second at once, whatever the rate."""

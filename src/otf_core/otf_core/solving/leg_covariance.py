@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri, dtrtrs
 
 from otf_core.arrays import Array, Index
-from otf_core.noise.model import Misfit, NoiseModel, Windows, covariance_parts, with_diagonal
+from otf_core.noise.noise_model import Misfit, NoiseModel, Windows, covariance_parts, with_diagonal
 
 
 @dataclass(frozen=True)

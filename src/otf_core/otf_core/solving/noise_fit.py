@@ -26,7 +26,7 @@ import numpy as np
 
 from otf_core.arrays import Array, Index
 from otf_core.model.path import leg_bounds
-from otf_core.noise.model import (
+from otf_core.noise.noise_model import (
     INDEPENDENT,
     LASTING,
     MODEL_FLOOR,

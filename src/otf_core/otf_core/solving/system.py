@@ -19,7 +19,7 @@ from otf_core.model.kinematics import displacement, motion_influence, squareness
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.tables import ErrorTables
-from otf_core.noise.model import beam_shares, path_frame
+from otf_core.noise.noise_model import beam_shares, path_frame
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.design import Design
 from otf_core.solving.unknowns import Unknowns

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
 from otf_core.model.path import leg_bounds
-from otf_core.noise.model import Misfit, NoiseModel
+from otf_core.noise.noise_model import Misfit, NoiseModel
 from otf_core.pieces.pieces import Pieces
 from otf_core.solving.leg_covariance import (
     Alike,

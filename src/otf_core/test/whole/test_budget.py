@@ -28,7 +28,7 @@ from otf_core.model.declared import KEYS, DeclaredUncertainty
 from otf_core.model.expanded import coverage_factor
 from otf_core.model.machine import load_machine, machine_from_dict
 from otf_core.model.motions import MOTIONS
-from otf_core.noise.model import MISFIT_TIME, NoiseComponent, NoiseModel
+from otf_core.noise.noise_model import MISFIT_TIME, NoiseComponent, NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.calibration import format_result, result_to_dict
 from otf_core.reports.calibration_facts import budget_lines, budget_to_dict, correlations, expanded

@@ -28,7 +28,7 @@ from otf_core.errors import ConfigError
 from otf_core.model.frames import RigidTransform
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import simulate
 from otf_core.sim.drive import Drive

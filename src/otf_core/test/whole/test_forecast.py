@@ -19,8 +19,7 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.machine import TrackerSpec
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.plan import plan_for_path
-from otf_core.noise.fields import read_noise
-from otf_core.noise.model import NoiseComponent, NoiseModel
+from otf_core.noise.noise_model import NoiseComponent, NoiseModel, read_noise
 from otf_core.planning.findings import chain_shows, findings
 from otf_core.planning.follow_up import (
     beam_lengths,

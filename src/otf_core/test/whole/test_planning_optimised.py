@@ -18,7 +18,7 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import NominalPath
 from otf_core.model.plan import plan_for_path
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.planning.findings import chain_shows
 from otf_core.planning.forecast import Setup, drive_times, forecast
 from otf_core.planning.path_optimiser import (

@@ -13,7 +13,7 @@ from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.effects import REGISTRY, Effect
 from otf_core.effects.catalogue.tracker_noise import TrackerNoise
 from otf_core.noise.departure import Departure, as_simulated, noise_departure
-from otf_core.noise.model import QUANTITIES, NoiseModel, sample_variance
+from otf_core.noise.noise_model import QUANTITIES, NoiseModel, sample_variance
 from otf_core.noise.standstill import find_standstills, standstill_noise
 from otf_core.pieces.runs import Run
 

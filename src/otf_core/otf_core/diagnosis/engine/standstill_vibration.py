@@ -23,7 +23,7 @@ from otf_core.effects.applied_effect import AppliedEffect
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.state import state_of_travel
 from otf_core.model.observation import Samples
-from otf_core.noise.model import NoiseModel
+from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.runs import Run
 

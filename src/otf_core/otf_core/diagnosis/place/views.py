@@ -15,7 +15,7 @@ from scipy.linalg import cholesky
 
 from otf_core.arrays import Array, Index
 from otf_core.model.path import leg_bounds
-from otf_core.noise.model import TYPICAL_CORRELATION_TIME
+from otf_core.noise.noise_model import TYPICAL_CORRELATION_TIME
 from otf_core.solving.whitener import Whitener
 
 
