@@ -37,8 +37,8 @@ from otf_core.planning.forecast import (
 from otf_core.threads import one_thread
 from otf_core.tracking.alignment import Alignment, align
 from otf_core.tracking.driving_order import OFF_PATH
+from otf_core.tracking.measured_track import HOP, broken
 from otf_core.tracking.no_match import check_partial
-from otf_core.tracking.track import HOP, broken
 
 # A recording as far as it can be read, aligned and reduced: what its checks look at.
 

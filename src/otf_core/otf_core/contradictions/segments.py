@@ -20,7 +20,7 @@ from otf_core.contradictions.quick_fit import Fit
 from otf_core.contradictions.quick_rows import UNIT, Rows
 from otf_core.model.observation import Samples
 from otf_core.pieces.pieces import Pieces
-from otf_core.tracking.track import broken
+from otf_core.tracking.measured_track import broken
 
 MAX_COLUMNS = 400
 """Offsets that are solved for at most."""

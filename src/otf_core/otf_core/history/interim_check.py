@@ -16,7 +16,7 @@ from otf_core.model.kinematics import displacement
 from otf_core.model.path import NominalPath, leg_bounds
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.planning.forecast import leg_time
-from otf_core.tracking.line_step import line_step
+from otf_core.tracking.alignment import line_step
 
 # A short path that shows what drifts most, to check whether tables still hold.
 #

@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from otf_core.arrays import Array, Index
-from otf_core.tracking.curve_pieces import curve_boundaries
-from otf_core.tracking.curves import Lines
+from otf_core.tracking.curves import Lines, curve_boundaries
 
 MOST = 200
 """Equal parts of one leg: long legs are those of large machines, whose functions are as long."""

@@ -24,9 +24,7 @@ from otf_core.pieces.boundaries import all_boundaries
 from otf_core.pieces.outliers import outlying
 from otf_core.pieces.windows import over_windows
 from otf_core.tracking.alignment import Alignment
-from otf_core.tracking.arcs import curvature
-from otf_core.tracking.curve_pieces import near_joints
-from otf_core.tracking.curves import SHORT_CURVE, Lines
+from otf_core.tracking.curves import SHORT_CURVE, Lines, curvature, near_joints
 from otf_core.tracking.matching import OFF_PATH
 
 Small = NDArray[np.int32]

@@ -25,10 +25,9 @@ from otf_core.noise.noise_model import NoiseModel
 from otf_core.noise.standstill import noise_model
 from otf_core.pieces.observed import Observed
 from otf_core.pieces.pieces import Pieces, reduce_to_pieces
-from otf_core.tracking.alignment import Alignment, Followed, align
+from otf_core.tracking.alignment import Alignment, Followed, align, line_step
 from otf_core.tracking.curves import Lines
 from otf_core.tracking.leg_starts import leg_starts
-from otf_core.tracking.line_step import line_step
 from otf_core.tracking.matching import OFF_PATH
 from otf_core.tracking.no_match import check_partial
 

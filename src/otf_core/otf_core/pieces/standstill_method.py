@@ -33,7 +33,7 @@ from otf_core.pieces.runs import (
 )
 from otf_core.tracking.alignment import Alignment
 from otf_core.tracking.matching import OFF_PATH, find_match
-from otf_core.tracking.track import Track
+from otf_core.tracking.measured_track import Track
 
 MIN_STOP = 0.05
 """s; shortest part of a stop, settling left out, that is averaged."""
