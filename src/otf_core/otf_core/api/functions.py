@@ -31,8 +31,8 @@ from otf_core.model.path import NominalPath
 from otf_core.model.plan import Plan, check_inside, plan_for_path
 from otf_core.model.tables import ErrorTables, TablesFile, load_tables, tables_from_dict
 from otf_core.noise.noise_model import read_noise as noise_from_file
+from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording, prepare_runs
-from otf_core.pieces.standstill_method import prepare_stops
 from otf_core.planning.nc import DIALECTS
 from otf_core.planning.path_creation import plan_path
 from otf_core.planning.plan_report import PlanReport, PlanRequest, make_plan

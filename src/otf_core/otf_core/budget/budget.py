@@ -55,8 +55,7 @@ from otf_core.noise.noise_model import (
     with_diagonal,
 )
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills
-from otf_core.pieces.observed import Observed
-from otf_core.pieces.runs import Run
+from otf_core.pieces.runs import Observed, Run
 from otf_core.solving.columns import across, piece_state, projected
 from otf_core.solving.folds import leg_numbers
 from otf_core.solving.joint import JointSolution, SolvedRun

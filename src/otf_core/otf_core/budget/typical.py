@@ -34,7 +34,7 @@ from otf_core.model.evaluation import driven_grid, free_rows
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.presets import TYPICAL, typical_values
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.observed import Observed
+from otf_core.pieces.runs import Observed
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.solving.joint import JointSolution, tables_of
 from otf_core.threads import one_thread

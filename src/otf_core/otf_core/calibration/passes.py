@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
-from otf_core.pieces.observed import Observed
+from otf_core.pieces.runs import Observed
 from otf_core.solving.joint import JointSolution
 
 CELL = 0.008

@@ -11,7 +11,7 @@ from scipy import linalg
 from otf_core.arrays import Array
 from otf_core.contradictions.quick_design import Design
 from otf_core.contradictions.quick_rows import Rows
-from otf_core.pieces.outliers import RAYLEIGH_MEDIAN
+from otf_core.pieces.pieces import RAYLEIGH_MEDIAN
 
 PRIOR = 1e-3
 """m and rad; standard deviation of every unknown before the data: fixes what nothing shows."""

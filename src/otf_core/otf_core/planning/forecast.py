@@ -34,9 +34,8 @@ from otf_core.model.plan import Plan
 from otf_core.model.presets import TYPICAL
 from otf_core.model.tables import ErrorTables
 from otf_core.noise.noise_model import NoiseModel
-from otf_core.pieces.boundaries import piece_boundaries
-from otf_core.pieces.observed import Observed
-from otf_core.pieces.pieces import SPEED_WINDOW, Pieces
+from otf_core.pieces.pieces import SPEED_WINDOW, Pieces, piece_boundaries
+from otf_core.pieces.runs import Observed
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.prediction.volumetric import length_sizes
 from otf_core.solving.joint import JointSolution, SolvedRun, tables_of

@@ -22,7 +22,7 @@ from otf_core.effects.state import state_on_path
 from otf_core.model.courses import Courses
 from otf_core.model.frames import RigidTransform
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.observed import Observed
+from otf_core.pieces.runs import Observed
 from otf_core.solving.joint import JointSolution, SolvedRun
 from otf_core.threads import side_by_side
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from otf_core.pieces.observed import AnyRun, Observed
+from otf_core.pieces.runs import AnyRun, Observed
 from otf_core.solving.columns import across, sensitivity
 from otf_core.solving.joint import JointSolution
 from otf_core.solving.reversal_choice import ReversalSolution

@@ -20,9 +20,8 @@ from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS
 from otf_core.model.path import leg_bounds
 from otf_core.model.tables import ErrorTables, MotionTable, Squareness
-from otf_core.pieces.observed import AnyRun, Observed
-from otf_core.pieces.outliers import GROSS, RAYLEIGH_MEDIAN
-from otf_core.pieces.runs import blamed
+from otf_core.pieces.pieces import GROSS, RAYLEIGH_MEDIAN
+from otf_core.pieces.runs import AnyRun, Observed, blamed
 from otf_core.solving.noise_fit import FittedNoise, fit_noise
 from otf_core.solving.normal import NormalEquations, line_equations, normal_equations
 from otf_core.solving.roughness import Roughness, Search

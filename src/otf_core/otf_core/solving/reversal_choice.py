@@ -30,7 +30,7 @@ from otf_core.effects.catalogue.servo_mismatch import ServoMismatch
 from otf_core.effects.state import state_of_travel
 from otf_core.live.stages import Progress
 from otf_core.memory import give_back
-from otf_core.pieces.observed import AnyRun, Observed
+from otf_core.pieces.runs import AnyRun, Observed
 from otf_core.solving.design import Design
 from otf_core.solving.folds import FOLDS, fold_of
 from otf_core.solving.joint import JointSolution, solve_robustly, tables_of

@@ -27,7 +27,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError
 from otf_core.live.stages import Progress
 from otf_core.model.frames import RigidTransform
-from otf_core.pieces.observed import AnyRun, Observed
+from otf_core.pieces.runs import AnyRun, Observed
 from otf_core.solving.basis import Basis, cubic, linear
 from otf_core.solving.joint import (
     JointSolution,

@@ -28,8 +28,8 @@ from otf_core.model.motions import MOTIONS, ErrorMotion
 from otf_core.model.observation import Samples
 from otf_core.model.plan import Plan
 from otf_core.model.tables import ErrorTables
+from otf_core.pieces.methods import align_stops, prepare_stops, stop_pieces
 from otf_core.pieces.runs import Recording
-from otf_core.pieces.standstill_method import align_stops, prepare_stops, stop_pieces
 from otf_core.planning.path_creation import edge_points, plan_path, spread_points, standstill_plan
 from otf_core.prediction.uncertainty import prediction_rows
 

@@ -27,8 +27,8 @@ from otf_core.model.motions import MOTIONS
 from otf_core.model.nodes import table_nodes
 from otf_core.model.plan import plan_for_path
 from otf_core.model.tables import load_tables
+from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording
-from otf_core.pieces.standstill_method import prepare_stops
 from otf_core.reports.calibration import format_result, write_calibration
 from otf_core.sim.cell import simulate
 from otf_core.solving.normal import normal_equations

@@ -7,8 +7,8 @@ from nature import LETTERS, NAMES, Cell
 from nature_forms import DENSE, Curve
 
 from otf_core.config import CalibrationConfig
+from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import prepare_runs
-from otf_core.pieces.standstill_method import prepare_stops
 from otf_core.planning.path_creation import edge_points, spread_points
 from otf_core.solving.basis import CUBIC, LINEAR
 from otf_core.solving.shape_choice import INTERVALS, choose_shapes, linear_bases, smooth_bases

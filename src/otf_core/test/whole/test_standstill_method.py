@@ -16,13 +16,13 @@ from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
-from otf_core.pieces.runs import Recording
-from otf_core.pieces.standstill_method import (
+from otf_core.pieces.methods import (
     align_stops,
     find_stops,
     match_in_order,
     prepare_stops,
 )
+from otf_core.pieces.runs import Recording
 from otf_core.planning.path_creation import edge_points, spread_points, standstill_plan
 from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.sim.cell import simulate

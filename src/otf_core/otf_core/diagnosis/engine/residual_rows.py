@@ -25,8 +25,7 @@ from otf_core.effects import Effect, Shape, State, Terms
 from otf_core.effects.free_form import FreeForm
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
-from otf_core.pieces.observed import Observed
-from otf_core.pieces.runs import Run
+from otf_core.pieces.runs import Observed, Run
 from otf_core.solving.columns import name_in_run, piece_state, sensitivity
 from otf_core.solving.folds import fold_of, leg_numbers
 from otf_core.solving.joint import JointSolution, settled, summed, tables_of
