@@ -42,8 +42,7 @@ from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.reports.calibration_facts import budget_lines, expanded
 from otf_core.sim.cell import random_tables, simulate
 from otf_core.sim.tracker import measure, specified_noise
-from otf_core.solving.basis import linear
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import layout, linear
 
 Array = NDArray[np.float64]
 

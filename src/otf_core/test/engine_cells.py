@@ -18,7 +18,7 @@ from otf_core.diagnosis.engine.search import Cause
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving.joint import solve_jointly
-from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.unknowns import layout
 
 LIMIT = CalibrationConfig().unidentifiable_above

@@ -23,7 +23,7 @@ from otf_core.diagnosis.engine.search import Cause
 from otf_core.diagnosis.explanation import explain
 from otf_core.diagnosis.verdict import matters
 from otf_core.effects import REGISTRY
-from otf_core.solving.folds import FOLDS
+from otf_core.solving.residuals import FOLDS
 
 BACKLASH, LAG, TABLES = (REGISTRY[n] for n in ('backlash', 'servo_mismatch', 'table_resolution'))
 JUMP = Jump()

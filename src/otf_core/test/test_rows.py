@@ -15,7 +15,7 @@ from otf_core.effects import REGISTRY
 from otf_core.effects.free_form import free_forms
 from otf_core.model.motions import MOTIONS
 from otf_core.noise.noise_model import MODEL_FLOOR
-from otf_core.solving.folds import FOLDS
+from otf_core.solving.residuals import FOLDS
 from otf_core.solving.unknowns import pose_block
 
 

@@ -28,7 +28,7 @@ from otf_core.errors import ConfigError
 from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.sim.cell import random_tables
 from otf_core.solving.joint import solve_jointly
-from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.unknowns import layout
 
 DRIFT = REGISTRY['thermal_structure_drift']

@@ -56,12 +56,17 @@ from otf_core.noise.noise_model import (
 )
 from otf_core.noise.standstill import MIN_TOTAL, find_standstills
 from otf_core.pieces.runs import Observed, Run
-from otf_core.solving.columns import across, piece_state, projected
-from otf_core.solving.folds import leg_numbers
 from otf_core.solving.joint import JointSolution, SolvedRun
-from otf_core.solving.normal import NormalEquations, of_free, pieces_of, shares_of, white_rows
-from otf_core.solving.residual_check import ResidualCheck, check_residuals
-from otf_core.solving.triangular import turned_times
+from otf_core.solving.normal import (
+    NormalEquations,
+    of_free,
+    pieces_of,
+    shares_of,
+    turned_times,
+    white_rows,
+)
+from otf_core.solving.residuals import ResidualCheck, check_residuals, leg_numbers
+from otf_core.solving.sensitivity import across, piece_state, projected
 from otf_core.solving.unknowns import free_values
 
 LINES = 256

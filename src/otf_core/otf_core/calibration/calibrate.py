@@ -32,9 +32,9 @@ from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.prediction.volumetric import VolumetricError
 from otf_core.solving.curve_lag import curve_remarks
-from otf_core.solving.extrapolation import prior_of
+from otf_core.solving.model_choice import ReversalSolution
 from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tables
-from otf_core.solving.reversal_choice import ReversalSolution
+from otf_core.solving.tabulate import prior_of
 from otf_core.threads import one_thread
 
 MIN_COVERAGE = 0.8

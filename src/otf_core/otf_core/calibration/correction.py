@@ -35,7 +35,10 @@ from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Run
-from otf_core.solving.columns import (
+from otf_core.solving.joint import FINE, JointSolution, Start, solve_robustly, tables_of
+from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
+from otf_core.solving.residuals import sample_state
+from otf_core.solving.sensitivity import (
     across,
     column_size,
     name_in_run,
@@ -43,10 +46,7 @@ from otf_core.solving.columns import (
     projected,
     state_at,
 )
-from otf_core.solving.joint import FINE, JointSolution, Start, solve_robustly, tables_of
-from otf_core.solving.positive import Positive
-from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
-from otf_core.solving.sample_states import sample_state
+from otf_core.solving.solution import Positive
 from otf_core.solving.system import nominal_positions
 
 MAX_ROUNDS = 6

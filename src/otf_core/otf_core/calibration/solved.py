@@ -20,7 +20,7 @@ from otf_core.pieces.finding import WARNING, Finding
 from otf_core.pieces.methods import Preparation
 from otf_core.pieces.runs import Recording, Run, prepare_runs
 from otf_core.solving.curve_lag import move_onto_curves
-from otf_core.solving.reversal_choice import ReversalSolution, solve_with_reversal
+from otf_core.solving.model_choice import ReversalSolution, solve_with_reversal
 
 
 @dataclass(frozen=True)

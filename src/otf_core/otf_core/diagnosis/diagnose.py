@@ -46,8 +46,8 @@ from otf_core.live.stages import Progress, silent
 from otf_core.model.evaluation import lattice, mean_length, without_rigid_motion
 from otf_core.model.kinematics import displacement
 from otf_core.pieces.runs import Recording, Run
-from otf_core.solving.basis import Basis
 from otf_core.solving.joint import JointSolution
+from otf_core.solving.unknowns import Basis
 from otf_core.threads import in_one_thread
 
 ALL_SAMPLES = 100.0

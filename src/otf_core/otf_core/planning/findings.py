@@ -27,8 +27,7 @@ from otf_core.model.kinematics import motion_influence
 from otf_core.model.machine import Machine
 from otf_core.model.motions import MOTIONS, SQUARENESS, ErrorMotion, unit_of
 from otf_core.planning.forecast import Forecast, Planned
-from otf_core.solving.positive import Positive
-from otf_core.solving.solution import TIE_BREAK, smoothness
+from otf_core.solving.solution import TIE_BREAK, Positive, smoothness
 from otf_core.solving.unknowns import Unknowns, reference_position
 
 # What a plan cannot show, in words: which errors are mixed up, why, and what would part them.

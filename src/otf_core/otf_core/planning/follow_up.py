@@ -43,9 +43,9 @@ from otf_core.planning.forecast import (
 from otf_core.planning.path_creation import plan_path
 from otf_core.planning.path_optimiser import INTERVALS
 from otf_core.prediction.uncertainty import prediction_rows
+from otf_core.solving.model_choice import smooth_bases
 from otf_core.solving.normal import normal_equations
 from otf_core.solving.roughness import expected_precision
-from otf_core.solving.shape_choice import smooth_bases
 from otf_core.solving.solution import solve
 from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import table_rows

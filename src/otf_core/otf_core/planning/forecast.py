@@ -39,9 +39,9 @@ from otf_core.pieces.runs import Observed
 from otf_core.prediction.uncertainty import prediction_rows
 from otf_core.prediction.volumetric import length_sizes
 from otf_core.solving.joint import JointSolution, SolvedRun, tables_of
+from otf_core.solving.model_choice import smooth_bases
 from otf_core.solving.normal import NormalEquations, normal_equations
 from otf_core.solving.roughness import Roughness, expected_precision
-from otf_core.solving.shape_choice import smooth_bases
 from otf_core.solving.solution import Solution, determined_by_data, identifiable_blocks, solve
 from otf_core.solving.system import build_system
 from otf_core.solving.tabulate import by_motion, table_rows

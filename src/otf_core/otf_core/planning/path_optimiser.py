@@ -31,9 +31,9 @@ from otf_core.planning.forecast import (
     tracker_pose,
 )
 from otf_core.planning.path_creation import inner_range
+from otf_core.solving.model_choice import smooth_bases
 from otf_core.solving.normal import NormalEquations, sum_groups
 from otf_core.solving.roughness import expected_precision
-from otf_core.solving.shape_choice import smooth_bases
 from otf_core.solving.solution import identifiable_blocks
 from otf_core.solving.system import build_system, model_rows
 from otf_core.solving.unknowns import Unknowns, layout

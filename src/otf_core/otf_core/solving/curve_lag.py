@@ -18,9 +18,9 @@ from dataclasses import replace
 import numpy as np
 
 from otf_core.pieces.runs import AnyRun, Observed
-from otf_core.solving.columns import across, sensitivity
 from otf_core.solving.joint import JointSolution
-from otf_core.solving.reversal_choice import ReversalSolution
+from otf_core.solving.model_choice import ReversalSolution
+from otf_core.solving.sensitivity import across, sensitivity
 
 SIGNIFICANT = 6.0
 """Standard deviations; curves share slow noise, so that these are somewhat too small."""

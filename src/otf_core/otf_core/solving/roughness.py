@@ -34,10 +34,9 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.model.motions import MOTIONS, ErrorMotion, unit_of
-from otf_core.solving.basis import Basis
 from otf_core.solving.normal import NormalEquations
-from otf_core.solving.positive import Positive
-from otf_core.solving.unknowns import Unknowns, reference_position
+from otf_core.solving.solution import Positive
+from otf_core.solving.unknowns import Basis, Unknowns, reference_position
 
 START = (np.log(0.1), np.log(0.15), np.log(0.01))
 """Logarithms of s^2 and k in units of the squared limit, and of l, to start from."""

@@ -33,9 +33,9 @@ from otf_core.pieces.runs import Recording, prepare_runs
 from otf_core.reports.calibration import format_result, result_to_dict
 from otf_core.reports.calibration_facts import budget_lines, budget_to_dict, correlations, expanded
 from otf_core.sim.tracker import measure
-from otf_core.solving.columns import across, piece_state, sensitivity
 from otf_core.solving.joint import settled, solve_jointly, tables_of
-from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.model_choice import linear_bases
+from otf_core.solving.sensitivity import across, piece_state, sensitivity
 from otf_core.solving.unknowns import layout
 
 DECLARED = {

@@ -22,10 +22,10 @@ from otf_core.effects.stated_effect import FILE, FOUND, format_effects
 from otf_core.errors import ConfigError
 from otf_core.model.motions import MOTIONS
 from otf_core.pieces.runs import prepare_runs
-from otf_core.solving.columns import piece_state
 from otf_core.solving.joint import solve_jointly, tables_of
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.reversal import Backlash, Reversal
-from otf_core.solving.shape_choice import linear_bases
+from otf_core.solving.sensitivity import piece_state
 from otf_core.solving.unknowns import free_values, layout
 
 CONFIG = CalibrationConfig(piece_length=0.02)

@@ -34,8 +34,8 @@ from otf_core.sim.cell import simulate
 from otf_core.sim.drive import Drive
 from otf_core.sim.effects import changed_noise, run_state
 from otf_core.solving.joint import solve_jointly, tables_of
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.normal import sum_groups
-from otf_core.solving.shape_choice import linear_bases
 from otf_core.solving.solution import TIE_BREAK, smoothness
 from otf_core.solving.unknowns import layout
 from otf_core.solving.whitener import Whitener

@@ -31,8 +31,8 @@ from otf_core.pieces.methods import prepare_stops
 from otf_core.pieces.runs import Recording
 from otf_core.reports.calibration import format_result, write_calibration
 from otf_core.sim.cell import simulate
+from otf_core.solving.model_choice import linear_bases
 from otf_core.solving.normal import normal_equations
-from otf_core.solving.shape_choice import linear_bases
 from otf_core.solving.solution import identifiable_blocks
 from otf_core.solving.system import build_system
 from otf_core.solving.unknowns import is_reversal, layout

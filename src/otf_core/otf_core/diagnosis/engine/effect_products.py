@@ -35,7 +35,7 @@ from otf_core.diagnosis.engine.residual_rows import Pulled, Rows
 from otf_core.diagnosis.engine.time_products import InTime
 from otf_core.effects import Effect, Shape, Terms
 from otf_core.effects.free_form import FreeForm
-from otf_core.solving.columns import column_size
+from otf_core.solving.sensitivity import column_size
 
 NO_TRACE = 1e-9
 """m per unit; terms that move the target less across the path have no trace at all."""

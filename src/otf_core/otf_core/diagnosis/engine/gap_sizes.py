@@ -13,7 +13,7 @@ from otf_core.arrays import Array
 from otf_core.diagnosis.engine.evidence import estimate
 from otf_core.diagnosis.engine.residual_rows import Rows
 from otf_core.diagnosis.engine.search import Cause
-from otf_core.solving.folds import FOLDS, leg_numbers
+from otf_core.solving.residuals import FOLDS, leg_numbers
 
 JACKKNIFE = 20
 """Groups of legs."""

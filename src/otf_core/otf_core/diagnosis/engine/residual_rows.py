@@ -26,12 +26,17 @@ from otf_core.effects.free_form import FreeForm
 from otf_core.model.motions import MOTIONS
 from otf_core.model.tables import ErrorTables
 from otf_core.pieces.runs import Observed, Run
-from otf_core.solving.columns import name_in_run, piece_state, sensitivity
-from otf_core.solving.folds import fold_of, leg_numbers
 from otf_core.solving.joint import JointSolution, settled, summed, tables_of
 from otf_core.solving.normal import rows_by_run
+from otf_core.solving.residuals import (
+    SampleResiduals,
+    fold_of,
+    leg_numbers,
+    sample_residuals,
+    sample_state,
+)
 from otf_core.solving.roughness import precision_like_others
-from otf_core.solving.sample_states import SampleResiduals, sample_residuals, sample_state
+from otf_core.solving.sensitivity import name_in_run, piece_state, sensitivity
 from otf_core.solving.solution import TIE_BREAK, free_columns, identifiable_blocks, smoothness
 from otf_core.solving.whitener import Whitener
 

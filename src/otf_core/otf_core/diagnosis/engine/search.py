@@ -29,8 +29,8 @@ from otf_core.diagnosis.engine.signal_lag import (
     with_lags,
 )
 from otf_core.diagnosis.engine.switching_times import add_switching
-from otf_core.solving.columns import column_size
-from otf_core.solving.residual_check import check_residuals
+from otf_core.solving.residuals import check_residuals
+from otf_core.solving.sensitivity import column_size
 
 NEEDED_EVIDENCE = 9.0
 """Logarithm of the odds that an effect needs before it is named (8000 to 1)."""

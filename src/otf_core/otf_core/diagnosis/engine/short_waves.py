@@ -2,7 +2,7 @@
 """Whether short waves along an axis are the machine's own, or an effect.
 
 Where neighbouring pieces differ by more than the noise, a calibration tries functions twice as
-fine (``solving.shape_choice``). These follow whatever lies at fixed places of an axis: what the
+fine (``solving.model_choice``). These follow whatever lies at fixed places of an axis: what the
 tables cannot follow between their nodes, a cyclic error with a period of some intervals. What
 they follow leaves no trace, and a diagnosis would find nothing. So both are weighed as
 explanations of the same pieces,
@@ -43,11 +43,10 @@ from otf_core.effects import BelongsTo, Effect
 from otf_core.errors import InputError
 from otf_core.live.stages import silent
 from otf_core.pieces.runs import Run
-from otf_core.solving.basis import Basis
 from otf_core.solving.joint import JointSolution, Start, solve_jointly, summed
+from otf_core.solving.model_choice import is_finer, linear_bases, smooth_bases
 from otf_core.solving.roughness import Search
-from otf_core.solving.shape_choice import is_finer, linear_bases, smooth_bases
-from otf_core.solving.unknowns import layout
+from otf_core.solving.unknowns import Basis, layout
 
 CLEAR = 50.0
 """Logarithm of the odds by which an effect has to be better than fine functions: the roughness of

@@ -22,7 +22,7 @@ from otf_core.arrays import Array
 from otf_core.effects import Effect
 from otf_core.effects.base import Wave
 from otf_core.model.path import TRAVELS
-from otf_core.solving.sample_states import SampleResiduals
+from otf_core.solving.residuals import SampleResiduals
 
 Peak = tuple[float, float]
 """Frequency in Hz or period in m of a line, and its score."""

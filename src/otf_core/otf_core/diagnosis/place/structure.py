@@ -18,7 +18,7 @@ from otf_core.diagnosis.place.shape_families import all_shapes
 from otf_core.diagnosis.place.shapes import GapShape
 from otf_core.diagnosis.place.views import RunView
 from otf_core.solving.normal import rows_by_run
-from otf_core.solving.residual_check import check_residuals
+from otf_core.solving.residuals import check_residuals
 
 Projection = Callable[[Array], Array]
 _Family = tuple[list['_Candidate'], int]
