@@ -18,7 +18,7 @@ from otf_core.calibration.result import CalibrationResult, Fit
 from otf_core.calibration.solved import solve_recordings
 from otf_core.calibration.verdict import judge
 from otf_core.config import CalibrationConfig
-from otf_core.contradictions.table_worth import check_worth, sample_noise
+from otf_core.contradictions.table_checks import check_worth, sample_noise
 from otf_core.effects.stated_effect import TakenOff
 from otf_core.live.stages import Progress, silent
 from otf_core.model.machine import Machine

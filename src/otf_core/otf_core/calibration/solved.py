@@ -13,7 +13,7 @@ from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
 from otf_core.contradictions.outlier_places import LeftOut, findings, left_out
 from otf_core.contradictions.recording_checks import check_recordings
-from otf_core.contradictions.table_pitch import check_table_pitch
+from otf_core.contradictions.table_checks import check_table_pitch
 from otf_core.live.stages import Progress, silent
 from otf_core.memory import give_back, one_heap
 from otf_core.pieces.finding import WARNING, Finding

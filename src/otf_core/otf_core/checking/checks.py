@@ -17,8 +17,7 @@ from otf_core.bags.sample_order import MixedSamples, Screening, in_time_order
 from otf_core.calibration.calibrate import MIN_COVERAGE
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.examine import examine
-from otf_core.contradictions.recording_checks import check_recordings
-from otf_core.contradictions.stamps import check_samples
+from otf_core.contradictions.recording_checks import check_recordings, check_samples
 from otf_core.errors import InputError
 from otf_core.inputs.recordings import AS_IT_IS, Given, open_reading
 from otf_core.model.machine import Machine
