@@ -29,7 +29,7 @@ from scipy.interpolate import CubicSpline
 from spread import add_options, spread
 
 from otf_core.calibration.calibrate import calibrate
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import PlannerConfig, SimulationConfig
 from otf_core.model.evaluation import lattice, rigid_columns, without_rigid_motion
 from otf_core.model.kinematics import displacement

@@ -23,7 +23,7 @@ from otf_calibrator.losses import Restarts
 from otf_calibrator.other_path import OtherPath
 from otf_calibrator.stream import LATE, Stream
 from otf_core.bags.sample_order import Clock, Screening
-from otf_core.calibration.other_path import TwoPaths
+from otf_core.calibration.first_sight import TwoPaths
 from otf_core.config import CalibrationConfig
 from otf_core.model.observation import SampleBuffer, Samples
 from otf_core.model.path import NominalPath

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         write_diagnosis,
         write_plan,
     )
-    from otf_core.calibration.result import CalibrationResult
+    from otf_core.calibration.calibration_result import CalibrationResult
     from otf_core.config import (
         CalibrationConfig,
         ForecastConfig,
@@ -72,7 +72,7 @@ _HOMES = {
         'write_diagnosis',
         'write_plan',
     ),
-    'calibration.result': ('CalibrationResult',),
+    'calibration.calibration_result': ('CalibrationResult',),
     'config': ('CalibrationConfig', 'ForecastConfig', 'PlannerConfig', 'SimulationConfig'),
     'diagnosis.result': ('Diagnosis',),
     'errors': ('ConfigError', 'InputError', 'OtfError', 'ShapeError'),

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from otf_core.bags import bag
 from otf_core.calibration.calibrate import calibrate_runs
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig, SimulationConfig
 from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
 from otf_core.diagnosis.diagnose import diagnose as diagnose_runs

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.model.evaluation import driven_grid
 from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS

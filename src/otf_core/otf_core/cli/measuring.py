@@ -15,7 +15,7 @@ from otf_core.errors import ConfigError, InputError, OtfError
 from otf_core.live.stages import CALIBRATE, DIAGNOSE
 
 if TYPE_CHECKING:
-    from otf_core.calibration.result import CalibrationResult
+    from otf_core.calibration.calibration_result import CalibrationResult
     from otf_core.files.output_folder import OutputFolder
     from otf_core.pieces.runs import Recording
     from otf_core.reports.calibration_facts import Facts

@@ -6,10 +6,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from otf_core.calibration.correction import Corrected, calibrate_without
-from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.solved import Examined
-from otf_core.calibration.with_effects import EffectsCalibration, beside_plain, listed
+from otf_core.calibration.calibrate import Examined
+from otf_core.calibration.calibration_result import CalibrationResult
+from otf_core.calibration.with_effects import (
+    Corrected,
+    EffectsCalibration,
+    beside_plain,
+    calibrate_without,
+    listed,
+)
 from otf_core.config import CalibrationConfig
 from otf_core.effects import AppliedEffect, BelongsTo, names_of
 from otf_core.effects.removable_effect import Taken, taken

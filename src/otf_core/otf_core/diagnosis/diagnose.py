@@ -16,9 +16,8 @@ import numpy as np
 
 from otf_core.ahead import Ahead
 from otf_core.arrays import Array
-from otf_core.calibration.calibrate import assemble
-from otf_core.calibration.result import CalibrationResult
-from otf_core.calibration.solved import Examined, SolvedRecordings, solve_recordings
+from otf_core.calibration.calibrate import Examined, SolvedRecordings, assemble, solve_recordings
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.outlier_places import left_out

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.calibration.calibrate import calibrate_runs
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig, SimulationConfig
 from otf_core.errors import InputError
 from otf_core.exports import export_format

@@ -18,7 +18,7 @@ from otf_core.budget.budget import (
     systematic_sensitivities,
 )
 from otf_core.budget.typical import missing_keys, typical_runs
-from otf_core.calibration.headline import Expected
+from otf_core.calibration.calibration_result import Expected
 from otf_core.config import CalibrationConfig, ForecastConfig
 from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.errors import ConfigError, OtfError

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.budget.typical import typical_to_dict
-from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
-from otf_core.calibration.verdict import WHAT
+from otf_core.calibration.calibration_result import GAUGE, CalibrationResult, RunResult
+from otf_core.calibration.machine_verdict import WHAT
 from otf_core.calibration.with_effects import EffectsCalibration
 from otf_core.config import OTF, STANDSTILL
 from otf_core.effects import AppliedEffect

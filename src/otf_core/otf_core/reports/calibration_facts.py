@@ -14,7 +14,7 @@ import numpy as np
 from otf_core.arrays import Array
 from otf_core.budget.budget import NAMES, TYPICAL_SOURCE, Budget
 from otf_core.budget.typical import TypicalSystematic
-from otf_core.calibration.result import CalibrationResult, RunResult
+from otf_core.calibration.calibration_result import CalibrationResult, RunResult
 from otf_core.files.writing import tidy
 from otf_core.model.circumstances import INSTRUMENT, NUMBERS, TEXTS
 from otf_core.model.evaluation import driven_grid, free_rows

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.calibration.verdict import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
+from otf_core.calibration.machine_verdict import LIMIT_NOT_PROVEN, MEASUREMENT_FAILED
 from otf_core.files.output_folder import MANIFEST, write_manifest, written_files
 from otf_core.files.writing import write_text
 from otf_core.fleet.fleet import FILE, PAGE, JobResult, fleet_to_dict, listed_results

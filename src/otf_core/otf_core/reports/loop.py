@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.bags.bag import BagContent, write_bag
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.files.writing import ensure_folder, write_text
 from otf_core.loop.circle import PROGRAM, VOLUME, Circle
 from otf_core.model.path import NominalPath

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from otf_core.calibration.headline import Expected
+from otf_core.calibration.calibration_result import Expected
 from otf_core.files.writing import tidy, write_csv, write_text
 from otf_core.inputs.path_file import SCHEMA
 from otf_core.model.expanded import COVERAGE_FACTOR, micro_significant

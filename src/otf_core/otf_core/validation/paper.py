@@ -11,7 +11,7 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.calibration.calibrate import calibrate, calibrate_runs
-from otf_core.calibration.result import CalibrationResult
+from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.comparison.compare import (
     Comparison,
     compare,

@@ -10,7 +10,7 @@ from core_cells import some_machine
 from nature import Cell, Extra
 from numpy.testing import assert_allclose
 
-from otf_core.calibration.correction import corrected, estimates, missing_in_tables
+from otf_core.calibration.with_effects import corrected, estimates, missing_in_tables
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis import calibrate_with_effects as above
 from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects

@@ -10,8 +10,7 @@ import pytest
 from core_cells import some_machine
 
 from otf_core.blind.natures import UNKNOWN_EFFECTS
-from otf_core.calibration.calibrate import calibrate_runs
-from otf_core.calibration.solved import solve_recordings
+from otf_core.calibration.calibrate import calibrate_runs, solve_recordings
 from otf_core.config import CalibrationConfig, PlannerConfig, SimulationConfig
 from otf_core.diagnosis.diagnose import diagnose
 from otf_core.diagnosis.engine.residual_rows import build_rows

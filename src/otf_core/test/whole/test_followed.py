@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from nature import NAMES, Cell
 
-from otf_core.calibration.solved import solve_recordings
+from otf_core.calibration.calibrate import solve_recordings
 from otf_core.config import CalibrationConfig
 from otf_core.diagnosis.engine.catalogue import tried_effects
 from otf_core.diagnosis.engine.search import search

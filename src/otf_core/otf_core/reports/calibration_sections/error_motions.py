@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.calibration.result import GAUGE, CalibrationResult
+from otf_core.calibration.calibration_result import GAUGE, CalibrationResult
 from otf_core.files.writing import tidy
 from otf_core.model.expanded import figure, micro_with_expanded, significant, with_expanded
 from otf_core.model.frames import XYZ

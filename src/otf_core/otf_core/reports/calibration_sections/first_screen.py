@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.budget.typical import typical_warnings
-from otf_core.calibration.result import Fit
-from otf_core.calibration.verdict import (
+from otf_core.calibration.calibration_result import Fit
+from otf_core.calibration.machine_verdict import (
     FAIL,
     OPEN,
     PASS,

@@ -15,7 +15,7 @@ from scipy.special import gammaincc
 
 from otf_core.arrays import Array
 from otf_core.budget.budget import NOISE
-from otf_core.calibration.result import GAUGE, CalibrationResult, RunResult
+from otf_core.calibration.calibration_result import GAUGE, CalibrationResult, RunResult
 from otf_core.effects.stated_effect import FOUND, effects_to_list, format_effects
 from otf_core.model.frames import XYZ
 from otf_core.model.path import leg_bounds
