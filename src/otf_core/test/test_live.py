@@ -10,8 +10,8 @@ import pytest
 from core_cells import error_of
 from nature import table_rows
 
+from otf_core.calibration.calibration_result import motion_sizes, volume_errors
 from otf_core.calibration.first_sight import first_sight
-from otf_core.calibration.volume import motion_sizes, volume_errors
 from otf_core.config import CalibrationConfig
 from otf_core.errors import InputError, ShapeError
 from otf_core.live import layers

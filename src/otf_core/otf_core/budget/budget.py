@@ -1,32 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Uncertainty budget of a calibration: noise, systematic contributions, their sum by source.
+"""Uncertainty budget: covariance of squareness errors and nodes as a sum over sources.
 
-What the weights do not say about the noise: its parts, and its correlation across corners.
-
-The weights W take lines, and the rows of a line, as independent and hold, besides the noise of the
-tracker, the misfit. With the covariance C of the estimates and S of any part of the noise, that
-part makes
+*Noise.* The weights W treat lines, and the rows of a line, as independent and hold, besides the
+noise of the tracker, the misfit. With the covariance C of the estimates and S of any part of the
+noise, that part contributes
 
     C  A^T W S W A  C
 
-of C. Slow noise does not stop at a corner: pieces i, j of different
-legs share cov_ij = s exp(-|t_i - t_j| / tau) for each of range and two angles. The exponential
-splits in a factor per piece, so the sum over all pairs of legs is one pass over the legs.
+to C. Slow noise does not stop at a corner: pieces i, j of different legs share
+cov_ij = s exp(-|t_i - t_j| / tau) for each of range and two angles. The exponential is a product
+of one factor per piece, so the sum over all pairs of legs is one pass over the legs.
 
-Effective degrees of freedom (GUM annex G).
+*Effective degrees of freedom* (GUM annex G). The level of the noise rests on the residuals and on
+the standstills. Residuals with covariance S have (tr S)^2 / tr S^2 degrees of freedom
+(Welch-Satterthwaite for their mean square), less one for every estimated quantity; correlation
+beyond the assumed one divides them. A standstill of length T with correlation time tau has T /
+tau.
 
-The level of the noise rests on the residuals and on the standstills. Residuals with covariance S
-have (tr S)^2 / tr S^2 degrees of freedom (Welch-Satterthwaite for their mean square), less one for
-every estimated quantity; correlation beyond the assumed one divides them. A standstill of length T
-with correlation time tau has T / tau.
-
-Systematic contributions as shared parameters: what each is, and its standard uncertainty.
-
-Each is an effect of the catalogue with the same coefficients in the whole calibration; the
-columns are those of the effect (``Effect.terms``), and the effect says from which keys of
-machine.yaml their uncertainty comes (``Effect.contributions``).
-
-The budget: covariance of squareness and nodes as a sum over sources.
+*Systematic contributions* are shared parameters: effects of the catalogue with the same
+coefficients in the whole calibration. Their columns are those of the effect (``Effect.terms``);
+the effect states from which keys of machine.yaml their uncertainty comes
+(``Effect.contributions``).
 """
 
 from __future__ import annotations

@@ -1,19 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From recordings to error tables: align, reduce, examine, solve, state uncertainty.
-
-Recordings aligned, reduced, examined and solved: where calibrations and a diagnosis start.
-
-How well a solution fits its runs and how uncertain it is.
-
-Rotations that hold a share of one that two target offsets do not show.
-
-With the offsets T1 and T2 a rotation r of an axis whose lever arm no other axis changes is a
-translation where r x (T2 - T1) = 0: the turn about the line between both targets is not seen. If
-that line is along a machine axis it is one motion, which is not identifiable; if not, it is a
-mixture of three of which one is taken for zero, and the others take its share.
-
-From samples and path to error tables: align, reduce, solve, repeat, state uncertainty.
-"""
+"""From recordings to error tables: align, reduce, examine, solve, state uncertainty."""
 
 from __future__ import annotations
 
@@ -71,6 +57,66 @@ from otf_core.solving.reversal import Reversal, backlash_at_target, reversal_tab
 from otf_core.solving.system import deviations
 from otf_core.solving.tabulate import Tabulation, mean_grid_uncertainty, prior_of, tabulate
 from otf_core.threads import one_thread
+
+COLLINEAR_WITHIN = 1e-3
+"""m; targets that are nearer than this to a line lie on it."""
+ALONG_AN_AXIS = 0.999
+"""Cosine of the angle up to which a line is along a machine axis."""
+MIN_COVERAGE = 0.8
+"""Share of the path length below which a calibration fails the quality gate."""
+MAX_OUTLIERS = 0.2
+"""Share of left-out samples above which a calibration fails the quality gate."""
+MAX_ERROR = 5e-4
+"""m; mean distance from the path above which the input is not plausible for a machine tool."""
+
+
+def calibrate(
+    samples: Samples,
+    path: NominalPath,
+    machine: Machine,
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+) -> CalibrationResult:
+    """Calibrate one run on the fly; see ``calibrate_runs``."""
+    return calibrate_runs([Recording(samples, path, machine)], config, progress)
+
+
+def calibrate_runs(
+    recordings: Sequence[Recording],
+    config: CalibrationConfig | None = None,
+    progress: Progress | None = None,
+    prepare: Preparation = prepare_runs,
+) -> CalibrationResult:
+    """Calibrate on the fly: only deviations perpendicular to the path are used.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Runs of one machine; no time relation between samples and path is needed. Other tracker
+        places, feeds and target offsets add to what can be seen.
+    config : CalibrationConfig, optional
+    progress : callable(stage, fraction), optional
+        Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
+    prepare : callable, optional
+        One of ``methods.PREPARATIONS``.
+
+    Returns
+    -------
+    CalibrationResult
+
+    Raises
+    ------
+    InputError
+        If samples and path do not belong together or determine nothing.
+
+    References
+    ----------
+    Sanders et al., J. Manuf. Mater. Process. 2023, 7, 60, section 1.2.
+    """
+    config, progress = config or CalibrationConfig(), progress or silent
+    with one_thread():
+        solved = solve_recordings(recordings, config, progress, prepare)
+        return assemble(solved.solution, config, solved.findings)
 
 
 @dataclass(frozen=True)
@@ -151,6 +197,85 @@ def solve_recordings(
         repairs.append(Finding('table_pitch', WARNING, pitch.removeprefix('table_pitch: ')))
     stated = (*repairs, *contradictions, *findings(outliers))
     return SolvedRecordings(runs, nodes, stated, solution, outliers)
+
+
+def assemble(
+    solved: ReversalSolution[Run],
+    config: CalibrationConfig,
+    findings: Sequence[Finding] = (),
+    taken: TakenOff | None = None,
+) -> CalibrationResult:
+    """Work out fit and uncertainties of a solution, tables and verdicts: the result.
+
+    Parameters
+    ----------
+    solved : ReversalSolution
+    config : CalibrationConfig
+    findings : sequence of Finding
+        Of the examination of its runs.
+    taken : TakenOff, optional
+        Effects that were taken off the runs.
+    """
+    runs = solved.runs
+    found = assess(runs, solved.done, config, taken)
+    done, budget, table, tables = found.done, found.budget, found.table, found.tables
+    solution, covariance = done.solution, budget.covariance
+    findings = (*findings, *check_worth(tables, covariance, sample_noise(runs)))
+    hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
+    prior = prior_of(done, tables, config.unidentifiable_above)
+    stated = with_typical(budget, found.typical)
+    whole = budget.covariance if found.typical is None else stated.covariance
+    volume = VolumetricError(tables, whole, prior, hidden)
+    return CalibrationResult(
+        run_id=_run_id([r.recording for r in runs], config),
+        tables=tables,
+        covariance=covariance,
+        budget=budget,
+        runs=tuple(found.results),
+        fit=found.fit,
+        headline=headline_of(volume, stated, found.typical),
+        reversal=Reversal(
+            solved.choice.model,
+            solved.choice.evidence,
+            reversal_tables(
+                tables,
+                done.unknowns,
+                solution.value,
+                found.whole,
+                solution.accepted,
+            ),
+            solved.choice.held,
+            backlash_at_target(
+                tables,
+                done.unknowns,
+                solution.value,
+                found.whole,
+                solution.accepted,
+            ),
+        ),
+        fraction=table.fraction,
+        table_costs=table.costs,
+        prior=prior,
+        not_identifiable=hidden,
+        typical=found.typical,
+        warnings=(
+            *typical_warnings(found.typical),
+            *words_of(findings, WARNING),
+            *_warnings(found.fit, tables, config.unidentifiable_above),
+            *filter(None, [found.lack_of_fit]),
+            *mixture_warnings([r.machine for r in runs], hidden),
+            *(r.alignment.remark for r in runs if r.alignment.remark),
+            *curve_remarks(runs, done),
+        ),
+        failed_gates=(
+            *words_of(findings, GATE),
+            *_failed_gates(found.fit),
+        ),
+        config=config,
+        origin=origins(r.recording for r in runs),
+        effects=taken.stated if taken is not None else (),
+        machine_verdict=judge(tables, whole, stated, hidden, prior),
+    )
 
 
 @dataclass(frozen=True)
@@ -270,50 +395,6 @@ def _fit(
     )
 
 
-APART = 1e-3
-"""m; targets that are nearer than this to a line lie on it."""
-ALONG = 0.999
-"""Cosine of the angle up to which a line is along a machine axis."""
-
-
-def mixture_warnings(machines: Sequence[Machine], hidden: Collection[str]) -> list[str]:
-    """Name the motions of every axis that are meant with the hidden rotation at zero.
-
-    Parameters
-    ----------
-    machines : sequence of Machine
-        Of the runs, with their target offsets.
-    hidden : collection of str
-        Motions that are not identifiable.
-    """
-    offsets = np.array([machine.target_offset for machine in machines])
-    size, lines = np.linalg.svd(offsets - offsets.mean(axis=0))[1:]
-    if np.count_nonzero(size > APART) != 1 or np.abs(lines[0]).max() > ALONG:
-        return []
-    found = []
-    for axis in machines[0].axis_names:
-        rotations = [m for m in MOTIONS if m.axis == axis and not m.is_translation]
-        unseen = [m for m in rotations if m in hidden]
-        if len(unseen) != 1 or set(machines[0].chain.lever_axes(axis)) - {axis}:
-            continue
-        others = ' and '.join(m for m in rotations if m not in unseen)
-        found.append(
-            f'{others} hold a share of {unseen[0]}, which is taken for zero: the target offsets '
-            f'do not differ along one machine axis, and no turn of {axis} about the line between '
-            f'them is seen; the translations of {axis} hold the rest of it. Predictions at these '
-            f'offsets are right. Take offsets that differ along a machine axis, or a third one'
-        )
-    return found
-
-
-MIN_COVERAGE = 0.8
-"""Share of the path length below which a calibration fails the quality gate."""
-MAX_OUTLIERS = 0.2
-"""Share of left-out samples above which a calibration fails the quality gate."""
-MAX_ERROR = 5e-4
-"""m; mean distance from the path above which the input is not plausible for a machine tool."""
-
-
 def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
     digest = hashlib.sha256()
     for r in recordings:
@@ -322,6 +403,28 @@ def _run_id(recordings: Sequence[Recording], config: CalibrationConfig) -> str:
         digest.update(json.dumps(r.machine.to_dict(), sort_keys=True).encode())
     digest.update(json.dumps(asdict(config), sort_keys=True).encode())
     return digest.hexdigest()[:12]
+
+
+def _failed_gates(fit: Fit) -> tuple[str, ...]:
+    failed = []
+    if fit.coverage < MIN_COVERAGE:
+        failed.append(
+            f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
+            f'{100 * MIN_COVERAGE:.0f} % needed'
+        )
+    if fit.outliers > MAX_OUTLIERS * fit.samples:
+        failed.append(
+            f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out, '
+            f'{100 * MAX_OUTLIERS:.0f} % allowed'
+        )
+    if fit.path_mae_before > MAX_ERROR:
+        failed.append(
+            f'plausibility: the track is {1e3 * fit.path_mae_before:.2f} mm off the path on '
+            f'average; check units, scale and the machine description'
+        )
+    if fit.path_mae_after >= fit.path_mae_before:
+        failed.append('compensation: the tables do not reduce the distance from the path')
+    return tuple(failed)
 
 
 def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
@@ -351,151 +454,36 @@ def _warnings(fit: Fit, tables: ErrorTables, limit: float) -> list[str]:
     return found
 
 
-def calibrate(
-    samples: Samples,
-    path: NominalPath,
-    machine: Machine,
-    config: CalibrationConfig | None = None,
-    progress: Progress | None = None,
-) -> CalibrationResult:
-    """Calibrate one run on the fly; see ``calibrate_runs``."""
-    return calibrate_runs([Recording(samples, path, machine)], config, progress)
+def mixture_warnings(machines: Sequence[Machine], hidden: Collection[str]) -> list[str]:
+    """Name the motions that hold a share of a rotation that two target offsets do not show.
 
-
-def calibrate_runs(
-    recordings: Sequence[Recording],
-    config: CalibrationConfig | None = None,
-    progress: Progress | None = None,
-    prepare: Preparation = prepare_runs,
-) -> CalibrationResult:
-    """Calibrate on the fly: only deviations perpendicular to the path are used.
+    With the offsets T1 and T2 a rotation r of an axis whose lever arm no other axis changes is a
+    translation where r x (T2 - T1) = 0: the turn about the line between both targets is not seen.
+    If that line is along a machine axis it is one motion, which is not identifiable; if not, it is
+    a mixture of three of which one is taken for zero, and the others take its share.
 
     Parameters
     ----------
-    recordings : sequence of Recording
-        Runs of one machine; no time relation between samples and path is needed. Other tracker
-        places, feeds and target offsets add to what can be seen.
-    config : CalibrationConfig, optional
-    progress : callable(stage, fraction), optional
-        Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
-    prepare : callable, optional
-        One of ``methods.PREPARATIONS``.
-
-    Returns
-    -------
-    CalibrationResult
-
-    Raises
-    ------
-    InputError
-        If samples and path do not belong together or determine nothing.
-
-    References
-    ----------
-    Sanders et al., J. Manuf. Mater. Process. 2023, 7, 60, section 1.2.
+    machines : sequence of Machine
+        Of the runs, with their target offsets.
+    hidden : collection of str
+        Motions that are not identifiable.
     """
-    config, progress = config or CalibrationConfig(), progress or silent
-    with one_thread():
-        solved = solve_recordings(recordings, config, progress, prepare)
-        return assemble(solved.solution, config, solved.findings)
-
-
-def _failed_gates(fit: Fit) -> tuple[str, ...]:
-    failed = []
-    if fit.coverage < MIN_COVERAGE:
-        failed.append(
-            f'coverage: {100 * fit.coverage:.0f} % of the path driven, '
-            f'{100 * MIN_COVERAGE:.0f} % needed'
+    offsets = np.array([machine.target_offset for machine in machines])
+    size, lines = np.linalg.svd(offsets - offsets.mean(axis=0))[1:]
+    if np.count_nonzero(size > COLLINEAR_WITHIN) != 1 or np.abs(lines[0]).max() > ALONG_AN_AXIS:
+        return []
+    found = []
+    for axis in machines[0].axis_names:
+        rotations = [m for m in MOTIONS if m.axis == axis and not m.is_translation]
+        unseen = [m for m in rotations if m in hidden]
+        if len(unseen) != 1 or set(machines[0].chain.lever_axes(axis)) - {axis}:
+            continue
+        others = ' and '.join(m for m in rotations if m not in unseen)
+        found.append(
+            f'{others} hold a share of {unseen[0]}, which is taken for zero: the target offsets '
+            f'do not differ along one machine axis, and no turn of {axis} about the line between '
+            f'them is seen; the translations of {axis} hold the rest of it. Predictions at these '
+            f'offsets are right. Take offsets that differ along a machine axis, or a third one'
         )
-    if fit.outliers > MAX_OUTLIERS * fit.samples:
-        failed.append(
-            f'outliers: {100 * fit.outliers / fit.samples:.0f} % of the samples left out, '
-            f'{100 * MAX_OUTLIERS:.0f} % allowed'
-        )
-    if fit.path_mae_before > MAX_ERROR:
-        failed.append(
-            f'plausibility: the track is {1e3 * fit.path_mae_before:.2f} mm off the path on '
-            f'average; check units, scale and the machine description'
-        )
-    if fit.path_mae_after >= fit.path_mae_before:
-        failed.append('compensation: the tables do not reduce the distance from the path')
-    return tuple(failed)
-
-
-def assemble(
-    solved: ReversalSolution[Run],
-    config: CalibrationConfig,
-    findings: Sequence[Finding] = (),
-    taken: TakenOff | None = None,
-) -> CalibrationResult:
-    """Work out fit and uncertainties of a solution, tables and verdicts: the result.
-
-    Parameters
-    ----------
-    solved : ReversalSolution
-    config : CalibrationConfig
-    findings : sequence of Finding
-        Of the examination of its runs.
-    taken : TakenOff, optional
-        Effects that were taken off the runs.
-    """
-    runs = solved.runs
-    found = assess(runs, solved.done, config, taken)
-    done, budget, table, tables = found.done, found.budget, found.table, found.tables
-    solution, covariance = done.solution, budget.covariance
-    findings = (*findings, *check_worth(tables, covariance, sample_noise(runs)))
-    hidden = tuple(n for n in (*SQUARENESS, *MOTIONS) if n not in solution.accepted)
-    prior = prior_of(done, tables, config.unidentifiable_above)
-    stated = with_typical(budget, found.typical)
-    whole = budget.covariance if found.typical is None else stated.covariance
-    volume = VolumetricError(tables, whole, prior, hidden)
-    return CalibrationResult(
-        run_id=_run_id([r.recording for r in runs], config),
-        tables=tables,
-        covariance=covariance,
-        budget=budget,
-        runs=tuple(found.results),
-        fit=found.fit,
-        headline=headline_of(volume, stated, found.typical),
-        reversal=Reversal(
-            solved.choice.model,
-            solved.choice.evidence,
-            reversal_tables(
-                tables,
-                done.unknowns,
-                solution.value,
-                found.whole,
-                solution.accepted,
-            ),
-            solved.choice.held,
-            backlash_at_target(
-                tables,
-                done.unknowns,
-                solution.value,
-                found.whole,
-                solution.accepted,
-            ),
-        ),
-        fraction=table.fraction,
-        table_costs=table.costs,
-        prior=prior,
-        not_identifiable=hidden,
-        typical=found.typical,
-        warnings=(
-            *typical_warnings(found.typical),
-            *words_of(findings, WARNING),
-            *_warnings(found.fit, tables, config.unidentifiable_above),
-            *filter(None, [found.lack_of_fit]),
-            *mixture_warnings([r.machine for r in runs], hidden),
-            *(r.alignment.remark for r in runs if r.alignment.remark),
-            *curve_remarks(runs, done),
-        ),
-        failed_gates=(
-            *words_of(findings, GATE),
-            *_failed_gates(found.fit),
-        ),
-        config=config,
-        origin=origins(r.recording for r in runs),
-        effects=taken.stated if taken is not None else (),
-        machine_verdict=judge(tables, whole, stated, hidden, prior),
-    )
+    return found

@@ -1,17 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result of a calibration.
+"""Result of a calibration: tables, uncertainties, fit, headline, predictions and their display.
 
-What is stated first of a calibration: the volumetric error, and how well it is known.
-
-One grid (``evaluation.lattice`` over the whole volume, best rigid motion taken out), one coverage
-factor, mean beside mean and largest beside largest. The uncertainty that comes first holds the
-systematic contributions: those of machine.yaml, and typical values for what it does not declare.
-
-A result in an interactive session: one line, a short table, a data frame, a figure.
-
-pandas and matplotlib are used where they are installed, and needed for nothing else.
-
-What a calibration found.
+The headline is the volumetric error on one grid (``evaluation.lattice`` over the whole volume,
+best rigid motion taken out) with one coverage factor, mean beside mean and largest beside largest.
+Its uncertainty includes the systematic contributions: those of machine.yaml, and typical values
+for what it does not declare. pandas and matplotlib are used by ``to_frame`` and ``plot`` alone.
 """
 
 from __future__ import annotations
@@ -34,17 +27,21 @@ from otf_core.config import CalibrationConfig
 from otf_core.effects.stated_effect import StatedEffect
 from otf_core.errors import ConfigError
 from otf_core.files.writing import tidy
+from otf_core.model.evaluation import driven_grid
 from otf_core.model.expanded import micro_figure, micro_significant, micro_with_expanded
 from otf_core.model.frames import RigidTransform
+from otf_core.model.kinematics import displacement
 from otf_core.model.motions import MOTIONS, SQUARENESS, unit_of
 from otf_core.model.presets import TYPICAL
 from otf_core.model.provenance import Origin
 from otf_core.model.tables import ErrorTables
+from otf_core.model.volume import VolumeErrors
 from otf_core.noise.noise_model import Misfit, NoiseModel
 from otf_core.noise.standstill import Lost
 from otf_core.pieces.pieces import Pieces
 from otf_core.prediction.absorbed import OffsetBound, offset_bound
 from otf_core.prediction.table_prior import MotionPrior
+from otf_core.prediction.uncertainty import prediction_uncertainty
 from otf_core.prediction.volumetric import VolumetricError, length_sizes, table_places
 from otf_core.solving.reversal import Reversal
 from otf_core.solving.tabulate import TableCost
@@ -622,3 +619,33 @@ class CalibrationResult:
 
     def _repr_html_(self) -> str:
         return table_html(self)
+
+
+COUNT = 5
+"""Points per axis."""
+
+
+def volume_errors(
+    result: CalibrationResult, provisional: bool = False, count: int = COUNT
+) -> VolumeErrors:
+    """Return the errors on a grid of count**3 points over the range of the tables."""
+    tables = result.tables
+    points = driven_grid(tables, count)
+    nodes: dict[str, Array] = {name: tables.motions[name].position for name in MOTIONS}
+    u = prediction_uncertainty(tables.machine, nodes, result.covariance, points)
+    return VolumeErrors(points, displacement(tables, points), u, provisional)
+
+
+def motion_sizes(result: CalibrationResult) -> dict[str, tuple[float, float]]:
+    """Return of every motion the largest absolute error and the largest u of a node, m or rad.
+
+    u is NaN where the samples do not determine the motion.
+    """
+    sizes: dict[str, tuple[float, float]] = {}
+    for name in MOTIONS:
+        table = result.tables.motions[name]
+        seen = table.u if table.node_identifiable is None else table.u[table.node_identifiable]
+        known = table.identifiable and len(seen) > 0
+        u = float(seen.max()) if known else float('nan')
+        sizes[name] = float(np.abs(table.value).max()), u
+    return sizes

@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First look at a run in progress: pose of the tracker, and which path is driven.
-
-A first look at a run under way: where the tracker stands, whether the path is followed.
-
-Which of two paths a run follows, where another one was published while it was driven.
-"""
+"""First look at a run in progress: tracker pose, and which of two published paths it follows."""
 
 from __future__ import annotations
 

@@ -1,24 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration with stated or found effects removed from the runs.
-
-Effects in a calibration: their displacement taken off the pieces, their uncertainty passed on.
+"""Calibration with effects removed: their displacement subtracted, their uncertainty propagated.
 
 With c the columns of the coefficients theta of effects, jointly with tables and poses,
 
     theta = theta_0 + M^-1 (c^T W e - P (theta_0 - theta_p)),  M = c^T W c - c^T W A C A^T W c + P
 
 e the residual of the solution of the data less c theta_0, C its covariance, theta_p and P mean and
-precision of what is known of theta before. The joint estimate of the tables is the solution of
-the data less c theta; its covariance is C + S M^-1 S^T, S = C A^T W c. What an effect is not
-linear in (a time constant, a period) is linearised about its last value, in its logarithm. Noise
-and misfit are fitted to the corrected residuals: they would hold the effect otherwise.
+precision of the prior of theta. The joint estimate of the tables is the solution of the data less
+c theta; its covariance is C + S M^-1 S^T, S = C A^T W c. What an effect is not linear in (a time
+constant, a period) is linearised about its last value, in its logarithm. Noise and misfit are
+fitted to the corrected residuals: otherwise they would include the effect.
 
-Calibration with effects taken off beside the one without.
-
-Reversal is left to the calibration's own choice (``reversal_choice``) unless the configuration
-says 'none': backlash and direction-dependent tables that a diagnosis finds are not taken off
-twice. A file that names one of them switches that choice off. Nodes too far apart are nothing to
-take off: it is the tables that follow finer. Each effect says which it is (``belongs_to``).
+Reversal is left to the calibration's own choice (``model_choice``) unless the configuration states
+'none': backlash and direction-dependent tables that a diagnosis finds are not removed twice. A
+file that names one of them switches that choice off. Nodes too far apart are not removed: the
+tables follow finer instead. Each effect states which it is (``belongs_to``).
 """
 
 from __future__ import annotations

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interruptions of the beam after which the distance is another.
-
-Uninterrupted parts of a recording, and an offset of each: a beam found again with a shift.
+"""A beam found again with a shift: an offset of its own for every uninterrupted segment.
 
 After a break a tracker may come back with another range (the interferometer lost its count) or
 another point (target or tracker touched). Each segment between breaks then has an offset of its
 own, a vector or a length along the beam, drawn from a normal distribution whose width the data
-give (empirical Bayes; MacKay 1992). Whether the offsets are real is asked by an experiment beside
-it: the same number of segments that begin in the middle of the true ones.
-
-A beam found again with a shift: an offset of its own for every uninterrupted segment.
+give (empirical Bayes; MacKay 1992). Whether the offsets are real is decided by comparison with the
+same number of segments that begin in the middle of the true ones.
 """
 
 from __future__ import annotations

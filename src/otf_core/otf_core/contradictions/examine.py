@@ -1,29 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contradictions between runs, machine description and noise.
+"""Examination of runs that are aligned and reduced to pieces, most consequential checks first.
 
-A chain in machine.yaml that the data contradict.
-
-A rotation acts through the travels of the axes beyond it. Its own travel acts like a translation
-of the same axis, so the place of the base b in the chain changes what is called straightness and
-positioning, never what fits: the data tell the order of the axes from workpiece to tool, six
-classes of four chains each.
-
-A driven range far below the one that machine.yaml declares.
-
-Target offsets that the data of runs with different ones contradict.
-
-With one offset a wrong one cannot be seen: rotations times a constant lever are translations of
-the same axis, and what is predicted at that target stays right. Between runs the difference of
-the offsets counts; signs of its parts are tried.
-
-Runs that are not of one machine: each alone fits, together they do not.
-
-A specification of the tracker's noise that its samples contradict.
-
-What is asked of runs that are aligned and reduced to pieces, in the order in which it counts.
-
-First what can be mended (offsets of segments, steps of the tracker), then what the mended runs
+First what can be repaired (offsets of segments, steps of the tracker), then what the repaired runs
 contradict: each other, the chain, the target offsets, the noise, the range.
+
+*Chain.* A rotation acts through the travels of the axes beyond it. Its own travel acts like a
+translation of the same axis, so the place of the base b in the chain changes what is called
+straightness and positioning, never what fits: the data show the order of the axes from workpiece
+to tool, six classes of four chains each.
+
+*Target offset.* With one offset a wrong one cannot be seen: rotations times a constant lever are
+translations of the same axis, and what is predicted at that target stays right. Between runs the
+difference of the offsets counts; signs of its parts are tried.
 """
 
 from __future__ import annotations

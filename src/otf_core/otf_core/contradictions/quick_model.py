@@ -1,21 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Straight model of the errors for examinations that cost seconds.
-
-Rows of a quick least-squares model of runs, for questions about the input.
+"""Linear model of runs with tables, reversal, lag and slow drift, fitted in less than a second.
 
 The rigid-body model of ``kinematics`` with tables at half the pitch, so that their kinks cost
-little, pieces taken as independent. Good for telling what fits from what does not in a fraction
-of a second; error tables come from ``joint``.
-
-Columns of the quick model, and its normal matrix from what is known of their form.
+little, pieces taken as independent, fitted robustly. Examinations
+compare with it what fits and what does not; error tables come from ``solving.joint``.
 
 A row of the tables holds, for every axis, the influences of its six motions times the two hat
 functions that are not zero there. So the products of two axes are 6 x 6 numbers of a piece, the
 same for all pairs of nodes but for a factor, and need no multiplication of sparse matrices.
-
-Weighted least squares on ``quick_rows``, robust, and what further columns would explain.
-
-The quick model of runs that the checks ask: pose, tables, reversal, lag and slow drift.
 """
 
 from __future__ import annotations

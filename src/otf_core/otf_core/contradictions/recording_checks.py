@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contradictions within recordings: samples repeated, time stamps, units.
+"""Contradictions within recordings, checked before they are aligned.
 
-The same samples given twice: they count as independent and make u too small.
-
-Stamps that contradict the samples: equal, in blocks, of two streams, of a wrong clock.
-
-Path and machine description in different units, or of different machines.
-
-What is asked of recordings before they are aligned.
+Samples given twice count as independent and make u too small. Time stamps may be equal, in blocks,
+of two streams or of a wrong clock. Path and machine description may be in different units, or of
+different machines.
 """
 
 from __future__ import annotations
@@ -69,7 +65,7 @@ def same_points(a: Samples, b: Samples) -> int:
     return int(np.intersect1d(_keys(a.xyz), _keys(b.xyz)).size)
 
 
-def _keys(xyz: NDArray[np.float64]) -> NDArray[np.void]:
+def _keys(xyz: Array) -> NDArray[np.void]:
     rows = np.ascontiguousarray(xyz + 0.0)
     return rows.view(np.dtype((np.void, rows.dtype.itemsize * 3))).ravel()
 

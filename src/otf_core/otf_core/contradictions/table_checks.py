@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the pitch of the tables suits the run, and whether the tables improve the machine.
-
-A table pitch so fine that the pieces of the path say nothing of every node, or nothing ends.
-
-Tables that are no use: as uncertain as the errors that they state.
-"""
+"""Tables too fine for the pieces of the path, and tables as uncertain as the errors they state."""
 
 from __future__ import annotations
 

@@ -1,22 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A tracker that moved or drifted while the run was driven.
-
-Columns that begin at a moment: what a step there would explain, for many moments at once.
-
-A step at moment t is the sum of the columns of all time blocks after t, so sums over blocks give
-the normal matrix, its product with the model and the score of every candidate.
-
-A step against a smooth change: what drifts with time and place is no tracker that moved.
-
-Smooth change: a rigid motion, a strain of the volume and a reversal of the axes, each a polynomial
-of time. A step in time is a kink that no polynomial of low order follows; an axis that expands, or
-play that grows, is followed to the end.
-
-Tracker or target moved in mid-run: a rigid step of all points at one moment.
+"""Tracker or target moved in mid-run: a rigid step of all points at one moment.
 
 Six numbers before and after a moment explain what tables, reversal and a drift of third order in
-time leave. A step shows as a peak over time; other misfit explains little, or at no moment more
-than at others, or a smooth change of the machine explains it as well (``smooth_change``).
+time leave. A step at moment t is the sum of the columns of all time blocks after t, so sums over
+blocks give the normal matrix, its product with the model and the score of every candidate. A step
+shows as a peak over time; other misfit explains little, or at no moment more than at others.
+
+A smooth change of the machine is a rigid motion, a strain of the volume and a reversal of the
+axes, each a polynomial of time. A step in time is a kink that no polynomial of low order follows;
+an axis that expands, or play that grows, is followed to the end.
 """
 
 from __future__ import annotations

@@ -1,18 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time correlation, spectrum and scatter of measured noise.
-
-Colour of noise: its white and its slow part (first-order Gauss-Markov), from short windows.
+"""Colour of measured noise: white and slow part (first-order Gauss-Markov), spectrum, peaks.
 
 Half the mean square of the differences at lag k is w + s (1 - exp(-k dt / tau)) for white noise
 of variance w and slow noise of variance s (variogram, Matheron 1963). Unlike the autocovariance it
-needs no mean, which short windows do not tell. Lags are spaced by octaves and each counts by its
-relative precision, so that a small white part beside a large slow one is still seen.
-
-How well windows of standstill tell the noise: fits with a part of them left out (jackknife).
-
-Colour, tails, and lengths of the windows all enter, as far as the recording shows them.
-
-Spectrum of noise and the peaks in it: vibration of the target or of the tracker.
+needs no mean, which short windows do not determine. Lags are spaced by octaves and each counts by
+its relative precision, so that a small white part beside a large slow one is still resolved. The
+scatter of the fit is that of fits without a part of the windows (jackknife).
 """
 
 from __future__ import annotations

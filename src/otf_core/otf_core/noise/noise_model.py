@@ -1,20 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model of the tracker noise, and its fields in noise.json.
+"""Model of the tracker noise: from range and angle noise of samples to the covariance of pieces.
 
-Tracker noise: from range and angle noise of samples to the covariance of path pieces.
+Along the beam acts the noise of the range, across it the noise of two angles times the range
+(paper Eq. 8-10, derived anew in docs/formulation.md since Eq. 4 prints the path direction where
+the beam direction belongs). Samples are not independent: each of range and two angles has a white
+part and a part that is correlated in time (first-order Gauss-Markov). ``NoiseModel`` is what
+specification, standstills, noise.json, simulator and weights share.
 
-Along the beam noise of the range, across it noise of two angles times range (paper Eq. 8-10,
-derived anew in docs/formulation.md since Eq. 4 prints the path direction where the beam direction
-belongs).
-Samples are not independent: each of range and two angles has a white part and a part that is
-correlated in time (first-order Gauss-Markov). ``NoiseModel`` is what specification, standstills,
-noise.json, simulator and weights share; how noise averages out is known here alone.
-
-A noise model as the fields of noise.json, and back.
-
-``u_range``, ``u_angle`` and ``white_range``, ``white_angle`` are standard deviations, of both
-angles in the order horizontal, vertical; ``correlation_time`` is one number, or three where range
-and angles differ; ``tails`` holds degrees of freedom by quantity.
+In noise.json ``u_range``, ``u_angle`` and ``white_range``, ``white_angle`` are standard
+deviations, of both angles in the order horizontal, vertical; ``correlation_time`` is one number,
+or three where range and angles differ; ``tails`` holds degrees of freedom by quantity.
 """
 
 from __future__ import annotations
@@ -26,16 +21,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.errors import ConfigError
 from otf_core.files.strict_yaml import read_json, shown
 from otf_core.model.beam_frame import beam_frame
 from otf_core.model.frames import RigidTransform
 from otf_core.model.machine import TrackerSpec
 
-Windows = tuple[Array, Array, NDArray[np.int64]]
+Windows = tuple[Array, Array, Index]
 """Mean time, duration (s) and number of samples of pieces."""
 
 QUANTITIES = ('range', 'horizontal angle', 'vertical angle')
@@ -327,7 +321,7 @@ def with_diagonal(matrices: Array, *values: Array) -> Array:
 
 
 def mean_covariance(
-    white: float, correlation_time: float, time: Array, duration: Array, count: NDArray[np.int64]
+    white: float, correlation_time: float, time: Array, duration: Array, count: Index
 ) -> Array:
     """Covariance of means over time windows for noise of unit variance.
 

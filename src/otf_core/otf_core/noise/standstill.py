@@ -1,17 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Standstill: blocks at rest, steps and drift, tails and level of the noise.
-
-Where in a standstill the target is at rest: settling, shaking and the next start left out.
+"""Standstills of a recording: which of their blocks are at rest, and the noise seen in them.
 
 A target that has stopped goes on moving for a while: axes settle, a structure rings, the next move
 begins. This is no noise of the tracker. Each standstill is judged in blocks of a tenth of a second
-against the quiet blocks of the whole recording, so that no size of noise has to be known before.
-
-What a recording holds besides noise: lost samples, steps and drift while the target stands.
-
-Tails of noise: excess kurtosis and the degrees of freedom of a Student distribution.
-
-Standstills of a recording, and the tracker noise seen in them.
+against the quiet blocks of the whole recording, so that no level of noise has to be known before.
+Steps and drift of a resting target and lost samples are reported separately. Heavy tails are
+described by the degrees of freedom of a Student distribution.
 """
 
 from __future__ import annotations
@@ -526,7 +520,7 @@ def _usable(windows: list[Array], step: float) -> tuple[list[Array], int]:
 def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
     """Deviations of range and angles in windows of standstill.
 
-    Only the part at rest is taken (``rest.at_rest``), and windows much louder than the quiet
+    Only the part at rest is taken (``at_rest``), and windows much louder than the quiet
     ones are left out: there the target moves (a machine that settles or is shaken).
 
     Parameters

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Methods that reduce recordings: on the fly, and at standstill.
 
-Standstill calibration (Montavon et al., Lamdamap 2019; paper, Table 1).
-
-The machine stops at every corner point. Stops are recognised in the samples, matched to the points
-in driving order by their mutual distances alone (how the machine moves between them does not
-matter), and averaged. Every stop gives the full deviation in three directions, weighted by the
-tracker noise along and across the beam; the same equations are solved as on the fly.
-
-How every method of calibration prepares recordings.
+Standstill calibration (Montavon et al., Lamdamap 2019; paper, Table 1): the machine stops at every
+corner point. Stops are recognised in the samples, matched to the points in driving order by their
+mutual distances alone (how the machine moves between them does not matter), and averaged. Every
+stop gives the full deviation in three directions, weighted by the tracker noise along and across
+the beam; the same equations are solved as on the fly.
 """
 
 from __future__ import annotations
@@ -240,7 +237,7 @@ def prepare_stops(
 
 
 Preparation = Callable[
-    [Sequence[Recording], CalibrationConfig], tuple[list[Run], dict[str, NDArray[np.float64]]]
+    [Sequence[Recording], CalibrationConfig], tuple[list[Run], dict[str, Array]]
 ]
 """From recordings to runs reduced to pieces, and the table nodes."""
 PREPARATIONS: Mapping[str, Preparation] = {OTF: prepare_runs, STANDSTILL: prepare_stops}

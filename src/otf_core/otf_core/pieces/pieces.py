@@ -1,17 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples reduced to means over pieces of straight travel.
-
-Values combined over every window of some length, in few passes over all of them.
-
-Samples far from the running median of their leg.
-
-Where the pieces of a path begin and end: at table nodes, and in equal parts between them.
-
-Reduction of samples to path pieces (paper 2.3: 500 000 points to 4427 values).
+"""Reduction of samples to path pieces (paper 2.3: 500 000 points to 4427 values).
 
 A piece never crosses a table node, so every error table is linear inside it and the mean of its
-samples loses nothing. Left out: corners, standstill and the moments around it, outliers. Curves
-have pieces of their own kind, see ``curve_pieces``.
+samples loses nothing. Left out: corners, standstill and the moments around it, and outliers, which
+are samples far from the running median of their leg. Curves have pieces of their own kind, see
+``tracking.curves``.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings, and runs as they are solved.
+"""Runs of one machine: each with its samples, path, tracker pose and target offset.
 
-What is observed of a machine in one run: of a recording, or of a plan that nobody drove yet.
-
-Solving, budget and diagnosis need pieces, the place of the tracker, its noise and the shape of the
-path; single samples only where ``runs.Run`` is asked for.
-
-Runs of one machine: each with its samples, path, tracker place and target offset.
+Solving, budget and diagnosis need pieces, the pose of the tracker, its noise and the shape of the
+path (``Observed``: of a recording, or of a plan that is not driven yet); single samples only where
+``Run`` is required.
 """
 
 from __future__ import annotations
@@ -18,7 +15,6 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.arrays import Array
 from otf_core.config import CalibrationConfig
@@ -57,7 +53,7 @@ class Observed:
     noise : NoiseModel
         As the standstills of the run show it, else as specified.
     fitted : ndarray, shape (5,), optional
-        What the residuals say of noise and misfit, see ``noise_fit.fit_noise``.
+        What the residuals say of noise and misfit, see ``joint.fit_noise``.
     name : str
         Where it comes from, for messages and reports; empty if it needs none.
     late : float, s
@@ -73,14 +69,14 @@ class Observed:
     pieces: Pieces
     pose: RigidTransform
     noise: NoiseModel
-    fitted: NDArray[np.float64] | None = None
+    fitted: Array | None = None
     name: str = ''
     late: float = 0.0
     signals: Mapping[str, Signal] = field(default_factory=dict)
     first_ns: int = 0
 
     @property
-    def leg_starts(self) -> NDArray[np.float64] | None:
+    def leg_starts(self) -> Array | None:
         """When every line began from rest, as far as samples tell; see ``tracking.leg_starts``."""
         return None
 

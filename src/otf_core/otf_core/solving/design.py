@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Design matrix of the pieces of a run.
-
-What the error motions of one axis do at places: splines of its position, and a lever arm.
-
-Derivatives of the rows of all pieces by the unknowns, never all of them at once.
+"""Design matrix: derivatives of the rows of all pieces by the unknowns, never all at once.
 
 A row is a . J(q) for the direction a of the row: motions of one axis share the splines of its
 position, and a rotation acts as r . (L x a) for its lever arm L. So products with a vector need
-the error vector of every piece only, and dense rows are made for a few legs at a time.
+the error vector of every piece only, and dense rows are formed for a few legs at a time.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint solution of all runs, with the noise fitted to the residuals.
-
-How much noise there is, as the residuals of a run say it.
+"""Joint solution of runs: common tables, one pose per run, noise as the residuals show it.
 
 Standstills show the noise of the tracker at rest, some of it for too short a time, and nothing of
 what the model lacks. So the sizes of five parts of the covariance S of a line are fitted: white
@@ -13,9 +11,7 @@ for K = dS by a logarithm
     score = (e^T S^-1 K S^-1 e - tr P K) / 2,  P = S^-1 - S^-1 A V A^T S^-1,
     information = tr(P K P K') / 2
 
-What standstills or the specification say is the prior.
-
-Joint solution of runs: common tables, one pose per run.
+The prior is what standstills or the specification state.
 
 References
 ----------
@@ -88,7 +84,7 @@ class FittedNoise:
     Attributes
     ----------
     logs : ndarray, shape (5,)
-        For ``noise.scaled`` and ``noise.misfit_of``.
+        For ``noise_model.scaled`` and ``noise_model.misfit_of``.
     u : ndarray, shape (5,)
         Their standard uncertainties.
     """
@@ -104,7 +100,7 @@ class _Lines:
     Attributes
     ----------
     shares : ndarray, shape (3, c, n, m)
-        See ``noise.beam_shares``.
+        See ``noise_model.beam_shares``.
     windows : tuple of time, duration (s) and count, each of shape (n, m)
     residual : ndarray, shape (c, n, m), m
     explained : ndarray, shape (c, n, m, m), m^2
@@ -421,7 +417,7 @@ def _same_noise(found: FittedNoise, before: Array) -> bool:
 
 
 def fitted_noise(run: Observed, solved: SolvedRun, done: JointSolution) -> FittedNoise:
-    """What the residuals of one run say of noise and misfit, see ``noise_fit.fit_noise``."""
+    """What the residuals of one run say of noise and misfit, see ``fit_noise``."""
     return fit_noise(
         solved.system,
         run.pieces,

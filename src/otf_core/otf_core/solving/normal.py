@@ -1,25 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Normal equations, with lines that repeat solved once.
+"""Normal equations of whitened rows (generalised least squares).
 
-Products with lower triangular matrices, strip by strip: what is zero above is left out.
-
-Lines that laps repeat, taken once with the weight of all passes.
+The rows of each leg are whitened and added to the normal equations: the cost grows linearly with
+the path, and only the normal matrix is kept. With independent samples this is the paper's
+weighting (Eq. 4-6).
 
 Rows of a line are the same in every lap, but for where in a piece its samples happen to lie (half
-a step between samples at most). Were they the same, nothing would be lost of l passes with
+a step between samples at most). If they were the same, nothing would be lost of l passes with
 deviations y_l and inverse covariances W_l in
 
     W = sum_l W_l,    y = W^-1 sum_l W_l y_l,
     sum_l (y_l - v)^T W_l (y_l - v) = (y - v)^T W (y - v) + sum_l y_l^T W_l y_l - y^T W y
 
-and sums over rows would grow with the path, not with the time that it is driven. What is compared,
-or repeated until nothing changes, may do with that.
-
-Normal equations of whitened rows (generalised least squares).
-
-Each leg's rows are freed of the correlation of their noise and added to the normal equations: the
-cost grows linearly with the path, and only the normal matrix is kept. With independent samples
-this is the paper's weighting (Eq. 4-6).
+and sums over rows would grow with the path, not with the time that it is driven. Comparisons of
+models and iterations use these sums.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Residuals of solved runs: of samples, against the noise assumed, and in folds.
+"""Residuals of solved runs: of single samples, their size and correlation, folds of legs.
 
-Single samples of a solved run: their state, and what is left of them.
-
-How far residuals exceed the assumed noise, in size and in correlation along a leg.
-
-Folds of a cross-validation: whole legs are held out, since noise is correlated within a leg.
+Noise is correlated within a leg, so a cross-validation holds out whole legs.
 """
 
 from __future__ import annotations
@@ -13,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otf_core.arrays import Array, Index
 from otf_core.effects import State
@@ -130,7 +125,7 @@ class ResidualCheck:
         return max(1.0, self.variance_ratio * self.correlation_factor)
 
 
-def check_residuals(whitened: Array, leg: NDArray[np.int64], rank: int) -> ResidualCheck:
+def check_residuals(whitened: Array, leg: Index, rank: int) -> ResidualCheck:
     """Compare residuals with the assumed noise.
 
     Parameters

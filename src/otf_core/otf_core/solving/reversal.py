@@ -81,7 +81,7 @@ class Reversal:
     model : str
         A name of ``MODELS``.
     evidence : mapping of str to number or text
-        Why this model: see ``reversal_choice.choose``.
+        Why this model: see ``model_choice.choose``.
     motions : mapping of motion name to ReversalTable
         Empty for the model 'none'.
     held : bool

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solution of the normal equations with priors; singular directions stated.
-
-Symmetric positive definite matrices, scaled to a diagonal of ones before they are factored.
-
-Rank-revealing solution of the normal equations (paper 1.2.6, 1.2.7).
+"""Rank-revealing solution of the normal equations (paper 1.2.6, 1.2.7).
 
 The normal matrix is reduced motion by motion: a block of columns that the accepted ones leave
 without information is dropped and its motion reported as not identifiable. 'Undetermined' has a
-physical meaning: the data leave more than ``unidentifiable_above`` (m, rad) uncertain. What
-single places of an accepted motion lack in data, its smoothness supplies (``roughness``).
+physical meaning: the data leave more than ``unidentifiable_above`` (m, rad) uncertain. What single
+places of an accepted motion lack in data, its smoothness supplies (``roughness``). Symmetric
+positive definite matrices are scaled to a diagonal of ones before they are factored.
 """
 
 from __future__ import annotations
@@ -22,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.model.motions import MOTIONS
 from otf_core.solving.normal import NormalEquations
 from otf_core.solving.unknowns import Unknowns, is_reversal
@@ -175,13 +172,13 @@ def identifiable_blocks(
     return tuple(accepted)
 
 
-def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> NDArray[np.int64]:
+def free_columns(unknowns: Unknowns, blocks: Sequence[str]) -> Index:
     """Places of blocks in the free vector."""
     parts = (unknowns.free_blocks[n] for n in blocks)
     return np.concatenate([np.arange(part.start, part.stop) for part in parts])
 
 
-def estimated(normal: NormalEquations, use: NDArray[np.int64], prior: Array) -> Array:
+def estimated(normal: NormalEquations, use: Index, prior: Array) -> Array:
     """Solve for some columns of normal equations, all others zero; see ``solve``.
 
     Parameters

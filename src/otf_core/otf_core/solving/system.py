@@ -40,7 +40,7 @@ class System:
     rows : Design
         Derivatives of the deviations.
     shares : ndarray, shape (3, c, p)
-        Of the noise of range and angles in the deviations, see ``noise.beam_shares``.
+        Of the noise of range and angles in the deviations, see ``noise_model.beam_shares``.
     """
 
     q: Array

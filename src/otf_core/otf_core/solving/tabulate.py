@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of the estimated functions, and priors of what the data do not show.
-
-From smooth functions to tables: nodes fine enough that straight lines between them cost little.
+"""From smooth functions to tables, and priors of what the data do not show.
 
 Node values are those of the table that is nearest to the function in the mean square over the
 range and keeps the gauge at its nodes exactly. Nodes stand at the spacing of machine.yaml
-(``table_pitch``), or at a whole fraction of it where the straight lines would cost more than
-``WORTH`` of the uncertainty of the grid.
+(``table_pitch``), or at a whole fraction of it where the straight lines between them would cost
+more than ``WORTH`` of the uncertainty of the grid.
 
-What the motions that were seen say of motions where no data hold them; see ``table_prior``.
-
-Beyond the ends of its table a motion goes on with its mean slope (tables are constant there) and
+Beyond the ends of its table a motion continues with its mean slope (tables are constant there) and
 with waves of the size and length that its own data show. Motions and squareness errors that the
-data do not see are taken to be as large as those that they see; translations of an axis that does
-not move (a single plane) grow with the distance from where it stands.
+data do not show are taken to be as large as those that they show; translations of an axis that
+does not move (a single plane) grow with the distance from its position.
 """
 
 from __future__ import annotations

@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Unknowns of a solution: B-splines of the motions, squareness errors, poses.
-
-Functions of one axis position as B-splines: cubic and smooth, or linear between nodes.
-
-f(q) = sum_k c_k B_k(q). Knots at both ends are repeated, so the first and the last coefficient
-are the values there; outside the knots f is constant. Degree 1 gives the hat functions of
-tables: c_k is the value at knot k.
-
-The unknowns of a calibration and their gauge.
+"""Unknowns of a calibration and their gauge.
 
 Unknowns are a pose correction per run (3 translations, 3 rotations), 3 squareness errors, the
-spline coefficients of 18 error motions and, if asked for, reversal coefficients of these motions.
-The gauge (docs/formulation.md): positioning and rotations are zero at the axis' zero position,
-else at its minimum; straightness is zero at both ends. Gauge conditions are met exactly, by
-leaving coefficients out: ``full = gauge @ free``.
+spline coefficients of 18 error motions and, where it is modelled, reversal coefficients of these
+motions. The gauge (docs/formulation.md): positioning and rotations are zero at the axis' zero
+position, else at its minimum; straightness is zero at both ends. Gauge conditions are met exactly,
+by leaving coefficients out: ``full = gauge @ free``.
+
+Functions of one axis position are B-splines, f(q) = sum_k c_k B_k(q), cubic and smooth or linear
+between nodes. Knots at both ends are repeated, so the first and the last coefficient are the
+values there; outside the knots f is constant. Degree 1 gives the hat functions of tables: c_k is
+the value at knot k.
 
 References
 ----------
@@ -27,7 +24,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from otf_core.arrays import Array, Index
@@ -177,14 +173,14 @@ class Unknowns:
         return int(self.gauge.shape[0])
 
     @cached_property
-    def kept(self) -> NDArray[np.int64]:
+    def kept(self) -> Index:
         """Places of the free unknowns in the full vector, shape (free,)."""
         dense = self.gauge.toarray()
         alone = (np.count_nonzero(dense, axis=1) == 1) & (dense.max(axis=1, initial=0.0) == 1.0)
         return np.flatnonzero(alone)
 
     @cached_property
-    def _tied(self) -> tuple[NDArray[np.int64], Array]:
+    def _tied(self) -> tuple[Index, Array]:
         """Places (t,) of those that follow the free ones, and how, (t, free); others are zero."""
         rest = np.setdiff1d(np.arange(self.full), self.kept)
         rows = self.gauge[rest].toarray()

@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Covariance of the pieces along a leg, and the rows whitened by it.
-
-Covariances of the noise of legs of as many pieces, factored together.
-
-Frees rows of the correlation of their noise (generalised least squares).
+"""Rows whitened: freed of the correlation of their noise (generalised least squares).
 
 Pieces of one leg share slow noise, so their covariance is a full matrix; legs are separated by
-corners and count as independent. Legs of as many pieces are treated together.
+corners and count as independent. Legs with the same number of pieces are factored together.
 """
 
 from __future__ import annotations

@@ -1,23 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose of the tracker, and the leg of the path to which every sample belongs.
-
-One step of a rigid motion towards lines: least squares of the distances across them.
-
-A motion u + w x l moves a point l along its line d by [d, l x d] . [u, w], which costs nothing;
-all else counts. Points of one line differ in l alone, so a line needs no more of them than their
-moments up to the second.
-
-Corners that the machine rounds: where they would be, and how far the rounding reaches.
-
-A control in continuous-path mode leaves one line before its end and meets the next after its
-start. The lines themselves are still driven; where two of them meet is the corner of the path.
-
-Alignment of tracker samples with the nominal path (paper 1.2.3).
+"""Alignment of tracker samples with the nominal path (paper 1.2.3).
 
 Rough: ``matching``. Fine: each point's nearest point on its own leg, then the rigid motion that
 minimises the distances perpendicular to the legs, repeated to a stop criterion. The paper fits
 point to point; point to line is the same problem without the sliding along the path, and settles
 in three or four steps instead of hundreds (docs/formulation.md).
+
+A motion u + w x l moves a point l along its line d by [d, l x d] . [u, w], which costs nothing;
+all else counts. Points of one line differ in l alone, so a line needs no more of them than their
+moments up to the second.
+
+A control in continuous-path mode leaves one line before its end and meets the next after its
+start. The lines themselves are still driven; where two of them meet is the corner of the path.
 """
 
 from __future__ import annotations
@@ -309,7 +303,7 @@ class Alignment:
     coverage: float
     last_leg_driven: bool
     curves: PathShape | None = None
-    published: NDArray[np.int64] | None = None
+    published: Index | None = None
     rounded: Array | None = None
     bulge: Bulge | None = None
 
@@ -353,7 +347,7 @@ def _refine(
     return pose
 
 
-def _hop_legs(match: Match) -> NDArray[np.int64]:
+def _hop_legs(match: Match) -> Index:
     """Measured leg of every hop of the track, ``OFF_PATH`` if it belongs to no leg of the path."""
     legs = np.full(len(match.track.hops), OFF_PATH, dtype=np.int64)
     pairs = zip(match.track.start, match.track.stop, match.leg, strict=True)

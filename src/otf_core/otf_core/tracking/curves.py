@@ -1,27 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Curves of a path: chords, arcs through their joints, pieces across them.
-
-Curves in a path of straight lines: arcs, circles and helices published as short chords.
+"""Curves in a path of straight lines: arcs, circles and helices published as short chords.
 
 A run of short chords that turn gently from one to the next is one *stretch*: the machine does not
 stop at its joints, so nothing is left out there, and its pieces may span them. A stretch is cut
 into *groups* that turn little enough to share one direction of the tracker's noise. A chord that
 is long, or that meets its neighbours at an angle, is a stretch and a group of its own: a leg.
 
-Where the pieces of a curve end, and which of its joints are left out.
-
 A piece of a curve has one direction, the mean of its samples', and one origin, the mean of their
 feet on the chords. Deviations across the path of samples at small angles f to that direction sum
 up to the deviation of the mean but for a share <f^2> of it, at most MAX_TURN^2 / 12: no sagitta
 enters.
 
-Whether the machine drives the chords of a curve or the arcs through their ends.
-
-A published curve is a polyline; the control may have driven circles (G2, G3) or a spline through
-its points. Between two joints an arc of curvature k leaves its chord L by k s (L - s) / 2, at most
-by the sagitta k L^2 / 8: 1 um for chords of 1 mm and a radius of 125 mm, 26 um for 5 mm and
-120 mm. That profile repeats from chord to chord, as no error of a machine does, so the samples
-tell how much of it was driven.
+The control may have driven the chords, or arcs (G2, G3) or a spline through their ends. Between
+two joints an arc of curvature k leaves its chord L by k s (L - s) / 2, at most by the sagitta
+k L^2 / 8: 1 um for chords of 1 mm and a radius of 125 mm, 26 um for 5 mm and 120 mm. That profile
+repeats from chord to chord, as no error of a machine does, so the samples show how much of it was
+driven.
 """
 
 from __future__ import annotations
@@ -211,9 +205,7 @@ def joint_rounding(lines: Lines) -> Array:
     return np.asarray(shorter * turns(lines.unit) / 8.0)
 
 
-def near_joints(
-    lines: Lines, chord: NDArray[np.int64], along: Array, exclusion: float
-) -> NDArray[np.bool_]:
+def near_joints(lines: Lines, chord: Index, along: Array, exclusion: float) -> NDArray[np.bool_]:
     """Samples so near a joint of a curve that its rounding could matter.
 
     Parameters

@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Order in which the legs of the path were driven, and the path as driven.
-
-Order of driving: which leg of the path each measured leg is, given where the tracker stands.
+"""Order in which the legs of the path were driven, given the tracker pose; the path as driven.
 
 Dynamic programming (Viterbi) over the legs of the path. They advance one by one; anything else has
 its price: legs passed over, measured legs that lie off the path, a jump to any other leg (parts
 driven again, a restart from an earlier corner), a change of the sense in which the path is driven.
-
-The path as it was driven: parts repeated, left out, or driven backward.
 
 A run that drove the published path as planned keeps it, with whatever it left out. Any other run
 gets a path of its own: the legs in the order and the sense in which they were driven, with

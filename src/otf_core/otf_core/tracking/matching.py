@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured legs matched with the legs of the path, arcs and curves included.
-
-Places of the tracker proposed by points at equal distances along track and path.
-
-Corners tell nothing on circles and smooth curves, and none is shared by a path driven backward.
-The length along the path does not depend on the frame either: points that follow each other at
-equal lengths have the same mutual distances in the track and in the path.
-
-Rough alignment: which leg of the nominal path is each measured leg, and where is the tracker.
+"""Rough alignment: which leg of the nominal path is each measured leg, and where is the tracker.
 
 The paper (1.2.3) uses start point, end point and centroid, which fails where the recording holds
 more or less than the path. Here short runs of measured corner points are compared with runs of
 nominal ones by their mutual distances; each agreement proposes a pose, and the pose under which
-the whole track follows the path (``driving_order``) wins. Where corners do not decide, points at
-equal distances along track and path take their place (``arc_windows``).
+the whole track follows the path (``driving_order``) wins.
 
-The published path as it is matched: corners as they are, curves thinned.
+Circles and smooth curves have no corners, and a path driven backward shares no run of them. There,
+points at equal lengths along track and path take their place: they have the same mutual distances,
+and the length along the path does not depend on the frame. The published path is matched with its
+corners as they are and its curves thinned (``Guide``).
 """
 
 from __future__ import annotations
@@ -24,9 +18,8 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
 from otf_core.model.frames import RigidTransform, rigid_fit
 from otf_core.model.path import Legs, NominalPath
@@ -391,7 +384,7 @@ class Guide:
     """
 
     shape: PathShape
-    vertex: NDArray[np.int64]
+    vertex: Index
 
     @classmethod
     def of(cls, path: NominalPath, tolerance: float) -> Guide:
@@ -408,7 +401,7 @@ class Guide:
         return self.shape.corners[self.vertex]
 
     @property
-    def curve(self) -> NDArray[np.int64]:
+    def curve(self) -> Index:
         """Curve, numbered from 0, of the leg between successive vertices, shape (v - 1,)."""
         stretch = self.shape.stretch[self.vertex[:-1]]
         return np.asarray(np.unique(stretch, return_inverse=True)[1], dtype=np.int64)

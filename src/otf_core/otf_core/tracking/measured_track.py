@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otf_core.arrays import Array
+from otf_core.arrays import Array, Index
 from otf_core.errors import InputError
 from otf_core.memory import blocks
 from otf_core.model.observation import Samples
@@ -50,10 +50,10 @@ class Track:
         True if the leg begins at the corner where the one before it ended (no gap between).
     """
 
-    hops: NDArray[np.int64]
+    hops: Index
     points: Array
-    start: NDArray[np.int64]
-    stop: NDArray[np.int64]
+    start: Index
+    stop: Index
     joined: NDArray[np.bool_]
 
     @property
@@ -106,7 +106,7 @@ class Track:
         ahead = np.einsum('ij,ij->i', unit, self.ends - self.starts)
         return centre + origin, unit * np.sign(ahead)[:, None]
 
-    def cut_at(self, hops: NDArray[np.int64]) -> Track:
+    def cut_at(self, hops: Index) -> Track:
         """Cut legs at hops; those at the ends of a leg are left out."""
         leg = np.searchsorted(self.start, hops, side='right') - 1
         inside = (leg >= 0) & (hops > self.start[leg]) & (hops < self.stop[leg])
@@ -123,7 +123,7 @@ def broken(samples: Samples) -> NDArray[np.bool_]:
     return np.asarray(np.diff(samples.stamp_ns) > pause)
 
 
-def _hop_selection(points: Array) -> NDArray[np.int64]:
+def _hop_selection(points: Array) -> Index:
     """Keep a point whenever it is one hop away from the last one kept."""
     keep, at = bytearray(len(points)), 0
     for part in blocks(len(points)):
@@ -178,7 +178,7 @@ def _farthest(points: Array, i: int, j: int) -> tuple[int, float]:
     return i + 1 + k, math.sqrt(float(distance[k]))
 
 
-def reversals(points: Array) -> NDArray[np.int64]:
+def reversals(points: Array) -> Index:
     """Points where the track turns by more than a right angle, shape (k,).
 
     A line driven to and fro lies on its own chord, so distance alone does not show its ends.
@@ -195,7 +195,7 @@ def reversals(points: Array) -> NDArray[np.int64]:
     return np.array(found, dtype=np.int64)
 
 
-def simplify(points: Array, tolerance: float) -> NDArray[np.int64]:
+def simplify(points: Array, tolerance: float) -> Index:
     """Corner points of a polyline (Ramer, Douglas, Peucker), between its reversals.
 
     Parameters
