@@ -4,8 +4,8 @@
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    import numpy
+    import numpy.typing
 
-Array: TypeAlias = 'NDArray[np.float64]'
-Index: TypeAlias = 'NDArray[np.int64]'
+Array: TypeAlias = 'numpy.typing.NDArray[numpy.float64]'
+Index: TypeAlias = 'numpy.typing.NDArray[numpy.int64]'
