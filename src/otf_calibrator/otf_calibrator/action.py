@@ -33,7 +33,6 @@ class CalibrateAction:
     Parameters
     ----------
     node : rclpy.node.Node
-    session : Session
     latest : callable
         Returns the result that was published last, None before the first.
     """

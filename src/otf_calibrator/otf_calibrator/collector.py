@@ -71,7 +71,6 @@ class Collector:
 
     Attributes
     ----------
-    path : NominalPath or None
     path_message : bytes
         In which it came.
     other : OtherPath or None

@@ -65,7 +65,6 @@ class Intake:
 
     Parameters
     ----------
-    collector : Collector
     warn : callable
         Takes messages for the user.
     publishers : callable
@@ -122,7 +121,6 @@ class Intake:
             Of a driver that was killed before this one; empty where none was.
         published : int
             Samples that it had published.
-        message : bytes
         """
         if message in self._gaps:
             return
@@ -192,7 +190,6 @@ class Intake:
 
         Parameters
         ----------
-        batch : Batch
         may_end : bool
             A standstill is looked at soon: what comes after it is not of the run until then.
         """

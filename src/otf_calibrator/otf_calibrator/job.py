@@ -283,7 +283,6 @@ def check_files(files: CalibratorConfig, changed: Collection[str] | None = None)
 
     Parameters
     ----------
-    files : CalibratorConfig
     changed : collection of str, optional
         Only what these parameters name.
     """

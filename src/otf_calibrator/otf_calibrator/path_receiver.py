@@ -25,8 +25,6 @@ class PathReceiver:
     Parameters
     ----------
     node : rclpy.node.Node
-    topic : str
-    session : Session
     files : callable
         The files that the parameters name now.
     """

@@ -60,7 +60,6 @@ class Solver:
 
         Parameters
         ----------
-        task : Task
         progress : callable(stage, fraction)
             Called again and again; what it raises ends the work.
 

@@ -18,8 +18,6 @@ def make_plan(files: PlannerFiles, config: PlannerConfig) -> tuple[Machine, Plan
 
     Returns
     -------
-    machine : Machine
-    plan : Plan
     passes : int
         How often the path is driven.
 

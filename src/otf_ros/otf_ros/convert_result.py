@@ -65,11 +65,8 @@ def all_tables_to_message(
 
     Parameters
     ----------
-    result : CalibrationResult
     tables : iterable of ErrorTable
         As of ``tables_to_messages``.
-    stamp : Time
-    method : str
     """
     machine, run = result.tables.machine, result.origin[0]
     squareness = {name: result.tables.squareness[name] for name in SQUARENESS}

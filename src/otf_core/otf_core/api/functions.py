@@ -81,10 +81,6 @@ def read_bag(
     publisher : int, optional
         Whose samples, from 1, where several trackers published on one topic.
 
-    Returns
-    -------
-    Recording
-
     Raises
     ------
     ConfigError
@@ -112,7 +108,6 @@ def write_bag(recording: Recording, folder: Name, *, overwrite: bool = False) ->
     ----------
     recording : Recording
         Its samples and its path; the machine is not part of a bag.
-    folder : str or Path
     overwrite : bool
         Replace a bag that is there; never anything else.
 
@@ -139,16 +134,10 @@ def write_calibration(
 
     Parameters
     ----------
-    result : CalibrationResult
-    folder : str or Path
     overwrite : bool
         Replace results that are there and unchanged; other files are never deleted.
     report : bool
         Write report.html.
-
-    Returns
-    -------
-    list of Path
 
     Raises
     ------
@@ -174,14 +163,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Name, *, overwrite: bool = Fal
 
     Parameters
     ----------
-    diagnosis : Diagnosis
-    folder : str or Path
     overwrite : bool
         As in `write_calibration`.
-
-    Returns
-    -------
-    list of Path
 
     Raises
     ------
@@ -206,16 +189,10 @@ def write_plan(
 
     Parameters
     ----------
-    report : PlanReport
-    folder : str or Path
     dialect : str, optional
         Name of a dialect such as 'sinumerik' or 'linuxcnc'; there is no program for all.
     overwrite : bool
         As in `write_calibration`.
-
-    Returns
-    -------
-    list of Path
 
     Raises
     ------
@@ -238,14 +215,6 @@ def write_plan(
 
 def summary(of: CalibrationResult | Diagnosis | PlanReport) -> str:
     """Return a result as the text that the command line shows.
-
-    Parameters
-    ----------
-    of : CalibrationResult, Diagnosis or PlanReport
-
-    Returns
-    -------
-    str
 
     Examples
     --------
@@ -296,7 +265,6 @@ def calibrate(
         On the fly, or from the stops at the corner points alone.
     effects : str or Path, optional
         Effects to take off: 'auto' for those that a diagnosis finds, or an effects.yaml.
-    config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
         Called as work goes on; what it raises ends the work.
 
@@ -348,13 +316,8 @@ def diagnose(
         Several: runs of one machine, diagnosed as one.
     exclude : sequence of str
         Effects that are not searched for.
-    config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
         Called as work goes on; what it raises ends the work.
-
-    Returns
-    -------
-    Diagnosis
 
     Raises
     ------
@@ -396,10 +359,6 @@ def predict(
         Programmed axis positions.
     target_offset : array_like, shape (3,), m, optional
         Predict for this one, e.g. a longer tool; as measured if not given.
-
-    Returns
-    -------
-    Prediction
 
     Raises
     ------
@@ -484,7 +443,6 @@ def plan(
 
     Parameters
     ----------
-    machine : Machine
     path : Plan, NominalPath or array_like, shape (n, 3), m, optional
         Judge this path instead of making one.
     time_budget : float, optional
@@ -495,8 +453,6 @@ def plan(
         Beam origin in the machine frame; in front of the volume if not given.
     noise : str or Path, optional
         noise.json of ``otf noise``; as specified in machine.yaml if not given.
-    config : PlannerConfig, optional
-    forecast : ForecastConfig, optional
 
     Returns
     -------
@@ -547,7 +503,6 @@ def simulate(
 
     Parameters
     ----------
-    machine : Machine
     plan : Plan or PlanReport, optional
         What is driven; of a report also the place of the tracker. The default path if not given.
     seed : int, optional
@@ -558,11 +513,6 @@ def simulate(
         What else is wrong: names of effects to their parameters in SI units, or an effects.yaml.
     tracker_place : array_like, shape (3,), m, optional
         Beam origin in the machine frame; drawn if no report says where.
-    config : SimulationConfig, optional
-
-    Returns
-    -------
-    Simulation
 
     Raises
     ------

@@ -168,7 +168,6 @@ class BagContent:
     ----------
     samples : Samples
         Stamps strictly increase.
-    path : NominalPath
     remarks : tuple of str
         What was repaired or left out, in words.
     left_out : tuple of LeftOut
@@ -243,7 +242,6 @@ def content_of(
     ----------
     parts : sequence of Reading
         Of each of the sources. A single one has to have a path if it may have one.
-    sources : sequence of str or Path
     path : str or Path, optional
         File that the path comes from, for messages.
     """
@@ -301,7 +299,6 @@ def write_bag(folder: str | Path, content: BagContent, *, overwrite: bool = Fals
     ----------
     folder : str or Path
         The new bag; missing parent folders are made.
-    content : BagContent
     overwrite : bool
         Replace the folder if it is a bag or empty; never anything else.
 

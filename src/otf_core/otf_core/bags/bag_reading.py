@@ -115,9 +115,6 @@ class BagReading:
 
     Parameters
     ----------
-    source : str or Path
-    point : Topic
-    path : Topic, optional
     recover : bool
         See ``read_bag``.
 

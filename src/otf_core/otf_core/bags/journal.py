@@ -73,7 +73,6 @@ class Rows:
 
     Attributes
     ----------
-    topic : Topic
     data : ndarray, shape (n,)
         Items of raw bytes, one per message.
     log_time : int
@@ -353,7 +352,6 @@ class JournalRun:
     ----------
     folder : Path
         Made with the first rows.
-    definitions : Definitions
     parts : sequence of Part
         Parts that are there already.
     """
@@ -433,7 +431,6 @@ class Recorded:
 
     Attributes
     ----------
-    run : JournalRun
     end_ns : int
         When the last message was received.
     arrived : tuple
@@ -552,7 +549,6 @@ class Journal:
 
     Attributes
     ----------
-    directory : Path
     trouble : str
         Why what arrives is not on the disk at present; empty if it is.
 
@@ -596,8 +592,6 @@ class Journal:
         ----------
         stamp_ns : ndarray of int64, shape (n,), ns
         xyz : ndarray of float64, shape (n, 3), m
-        frame : str
-        topic : Topic
         """
         run = self._run or self._begin()
         self._put(run, Rows(topic, encode_points(stamp_ns, xyz, frame), self._now()))
@@ -638,7 +632,6 @@ class Journal:
 
         Returns
         -------
-        recorded : Recorded or None
         left : list of Path
             Other unfinished runs.
 

@@ -155,7 +155,6 @@ class MessageBlock:
 
     Attributes
     ----------
-    topic : str
     buffer : ndarray of uint8
     start, size : ndarray of int64, shape (n,)
         Where each serialized message begins in the buffer, and its bytes.
@@ -182,7 +181,6 @@ class McapMessages:
 
     Parameters
     ----------
-    file : Path
     wanted : mapping of topic to message types
         Topics to read; one that is in the file with another type is an InputError.
     topics : dict of topic to message type

@@ -68,7 +68,6 @@ class Clock(Generic[T]):
 
         Parameters
         ----------
-        stamp_ns : int
         item : T
             What it belongs to.
         back_ns : int

@@ -79,7 +79,6 @@ def read_signals(
 
     Parameters
     ----------
-    source : str or Path
     wanted : sequence of str
         ``TOPIC`` or ``TOPIC:field``.
     declared : sequence of SignalSpec

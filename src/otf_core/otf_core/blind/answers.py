@@ -25,7 +25,6 @@ class Question:
 
     Attributes
     ----------
-    cell : str
     bags : tuple of str
         Names of bags within the cell.
     exclude : tuple of str
@@ -81,14 +80,12 @@ def ask_all(
 
     Parameters
     ----------
-    questions : sequence of Question
     folder : Path
         Of the trial.
     sealed : str
         Hash of its key: other cells are other questions.
     workers : callable(jobs)
         See ``fleet.fleet``.
-    progress : callable(str)
 
     Returns
     -------

@@ -89,7 +89,6 @@ class Part:
 
     Attributes
     ----------
-    applied : AppliedEffect
     size : float
         m; root mean square left in the residual per piece.
     raw : float
@@ -97,7 +96,6 @@ class Part:
     snr : float
         Length of what is left once freed of the noise: a perfect observer who knew its shape
         would see so many standard deviations.
-    depends : Depends
     """
 
     applied: AppliedEffect
@@ -125,9 +123,6 @@ class Case:
 
     Attributes
     ----------
-    trial : Trial
-    kind : str
-    parts : tuple of Part
     measured, simulated : float
         m; residual per piece with and without the effects, for the same noise.
     bends : float

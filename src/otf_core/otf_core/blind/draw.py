@@ -40,9 +40,6 @@ class Trial:
 
     Attributes
     ----------
-    name : str
-    machine : Machine
-    plan : Plan
     configs : tuple of SimulationConfig
         One per tracker place; their seeds draw place and noise.
     tables : ErrorTables
@@ -147,7 +144,6 @@ def draw_trial(name: str, rng: Rng, places: int = 1, *, signals: bool = False) -
 
     Parameters
     ----------
-    name : str
     rng : numpy.random.Generator
     places : int
         Tracker places it is measured from.

@@ -29,7 +29,6 @@ class Nature(UnknownEffect):
     ----------
     form : callable(View)
         Displacement (n, 3), m, or that and what it depends on.
-    stands_for : frozenset of str
     depends : Depends
         Where the form does not say it.
     """

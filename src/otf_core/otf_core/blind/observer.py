@@ -135,7 +135,6 @@ def observe(sights: Sequence[Sight], tables: ErrorTables) -> Observer:
 
     Parameters
     ----------
-    sights : sequence of Sight
     tables : ErrorTables
         Of the truth machine.
     """

@@ -35,10 +35,8 @@ class Recovery:
 
     Attributes
     ----------
-    cell : str
     deviations : tuple of float
         (Fitted less true) parameters over their standard uncertainties.
-    gap_um, true_gap_um : float
     shrink_percent : float
         Predicted by the answer.
     interval_percent : tuple of two floats

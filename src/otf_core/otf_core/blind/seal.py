@@ -127,11 +127,8 @@ def seal(
 
     Parameters
     ----------
-    wanted : sequence of Order
-    folder : Path
     workers : callable(jobs)
         See ``fleet.fleet``.
-    progress : callable(str)
 
     Returns
     -------

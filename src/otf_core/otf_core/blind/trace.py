@@ -27,11 +27,8 @@ class Ruler:
 
     Attributes
     ----------
-    trial : Trial
-    runs : tuple of SimulatedRun
     states : tuple of State
         Of all samples of each run.
-    observer : Observer
     """
 
     trial: Trial

@@ -150,12 +150,9 @@ def run_trial(
     ----------
     trials : int
         Cells.
-    seed : int
-    folder : str or Path
     workers : callable(jobs)
         Who draws, diagnoses and judges the cells, see ``fleet.fleet``; the results do not
         depend on it.
-    progress : callable(str)
     """
     folder = ensure_folder(folder)
     ended = seal(orders(trials, seed), folder, workers, progress)

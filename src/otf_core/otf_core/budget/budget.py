@@ -205,7 +205,6 @@ def noise_parts(runs: Sequence[Observed], done: JointSolution) -> NoiseParts:
 
     Parameters
     ----------
-    runs : sequence of Observed
     done : JointSolution
         Of the same runs.
     """
@@ -242,7 +241,6 @@ def standstill_freedom(runs: Sequence[Run], speed: float) -> float:
 
     Parameters
     ----------
-    runs : sequence of Run
     speed : float
         m/s; slower counts as standstill.
     """
@@ -290,7 +288,6 @@ class Systematic:
     ----------
     effect : Effect
         What it acts as.
-    acts : Contribution
     """
 
     effect: Effect
@@ -344,10 +341,8 @@ def systematic_sensitivities(
 
     Parameters
     ----------
-    sources : sequence of Systematic
     states : sequence of State
         See ``piece_states``.
-    done : JointSolution
 
     Returns
     -------
@@ -410,7 +405,6 @@ class Source:
 
     Attributes
     ----------
-    name : str
     covariance : ndarray, shape (full, full), m and rad
         Of all unknowns.
     dof : float
@@ -511,7 +505,6 @@ def make_budget(
 
     Parameters
     ----------
-    runs : sequence of Run
     done : JointSolution
         Of the same runs.
     parts : NoiseParts

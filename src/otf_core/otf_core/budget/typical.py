@@ -48,7 +48,6 @@ class TypicalSystematic:
     ----------
     missing : tuple of str
         Contributions of which at least one key is not declared, as the budget calls them.
-    nothing_declared : bool
     assumed : mapping of key to float
         Typical standard uncertainty of every missing key.
     squareness : mapping of name to (float, float), rad
@@ -120,7 +119,6 @@ def typical_systematic(
 
     Parameters
     ----------
-    runs : sequence of Observed
     done : JointSolution
         Of the same runs.
     tables : ErrorTables

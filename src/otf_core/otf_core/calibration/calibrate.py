@@ -94,15 +94,10 @@ def calibrate_runs(
     recordings : sequence of Recording
         Runs of one machine; no time relation between samples and path is needed. Other tracker
         places, feeds and target offsets add to what can be seen.
-    config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
         Called as work goes on, stage 'aligning' or 'solving'; what it raises ends the work.
     prepare : callable, optional
         One of ``methods.PREPARATIONS``.
-
-    Returns
-    -------
-    CalibrationResult
 
     Raises
     ------
@@ -149,7 +144,6 @@ class SolvedRecordings(Examined):
 
     Attributes
     ----------
-    solution : ReversalSolution
     left : tuple of LeftOut
         What was left out of every run as outliers.
     """
@@ -209,8 +203,6 @@ def assemble(
 
     Parameters
     ----------
-    solved : ReversalSolution
-    config : CalibrationConfig
     findings : sequence of Finding
         Of the examination of its runs.
     taken : TakenOff, optional
@@ -286,16 +278,12 @@ class Assessed:
     ----------
     done : JointSolution
         With the covariance of all passes.
-    results : list of RunResult
     budget : Budget
         Of the rows of ``table``.
     whole : ndarray, shape (full, full)
         Covariance of all unknowns.
-    fit : Fit
-    table : Tabulation
     tables : ErrorTables
         With their uncertainties.
-    typical : TypicalSystematic, optional
     lack_of_fit : str, optional
         Words on what the tables leave in every pass over a line, where it matters.
     """

@@ -372,7 +372,6 @@ class Fit:
 
     Attributes
     ----------
-    samples, used, outliers, pieces : int
     unknowns, rank : int
         Free unknowns after the gauge; combinations of them that the data determine.
     coverage : float
@@ -387,7 +386,6 @@ class Fit:
         See ``uncertainty.ResidualCheck``.
     inflation : float
         Factor on the covariance that these two call for.
-    iterations : int
     """
 
     samples: int
@@ -416,21 +414,18 @@ class RunResult:
     name : str
         Of the recording.
     target_offset : ndarray, shape (3,), m
-    samples : int
     remarks : tuple of str
         What was repaired or left out while the recording was read.
     rate : float
         Hz, usual rate of the samples.
     lost : Lost
         What their stamps say is missing.
-    T_machine_tracker : RigidTransform
     noise : NoiseModel
         Noise of single samples as the residuals show it.
     misfit : Misfit
         What the model leaves besides.
     coverage : float
         Driven share of the path length.
-    pieces : Pieces
     q : ndarray, shape (p, 3), m
         Nominal position of every piece.
     axes : ndarray, shape (c, p, 3)
@@ -473,12 +468,8 @@ class CalibrationResult:
     ----------
     run_id : str
         Hash of samples, paths, machine and configuration.
-    tables : ErrorTables
     covariance : ndarray, shape (m, m)
         Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order, m and rad: all sources.
-    budget : Budget
-    runs : tuple of RunResult
-    fit : Fit
     headline : Headline
         What is stated first: volumetric error and its expanded uncertainty.
     reversal : Reversal
@@ -493,10 +484,8 @@ class CalibrationResult:
         Motions and squareness errors the data cannot see.
     typical : TypicalSystematic, optional
         What typical systematic contributions would add; None if all are declared.
-    warnings : tuple of str
     failed_gates : tuple of str
         Quality gates of the measurement that failed; empty for a good one.
-    config : CalibrationConfig
     origin : tuple of Origin
         The recordings.
     effects : tuple of StatedEffect

@@ -29,8 +29,6 @@ class FirstSight:
 
     Attributes
     ----------
-    T_machine_tracker : RigidTransform
-    samples : int
     share : float
         Of the length of the path, driven so far.
     distance : float
@@ -69,10 +67,8 @@ def first_sight(
     ----------
     samples : Samples
         May be in the order of their arrival.
-    path : NominalPath
     travelled : float
         Length driven so far, m.
-    config : CalibrationConfig
 
     Raises
     ------
@@ -109,7 +105,6 @@ class TwoPaths:
         Of the run, in the order of their arrival.
     since : int
         Samples that had come when the other path was published.
-    present, other : NominalPath
     travelled, travelled_since : float
         Length that the target has travelled in the run, and since the other path came, m.
     """

@@ -104,7 +104,6 @@ def unfollowed(runs: Sequence[Observed], done: JointSolution) -> Unfollowed | No
     ----------
     runs : sequence of Observed
         With the pieces of the solution.
-    done : JointSolution
     """
     if any(run.pieces.standstill for run in runs):
         return None

@@ -59,8 +59,6 @@ class Judged:
     ----------
     name : str
         Key of ``limits``.
-    unit : str
-    limit, value : float
     U : float
         Expanded uncertainty of the value, 95 %; zero for ``uncertainty``.
     state : str
@@ -88,12 +86,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All limits of a machine.
-
-    Attributes
-    ----------
-    judged : tuple of Judged
-    """
+    """All limits of a machine."""
 
     judged: tuple[Judged, ...]
 
@@ -213,7 +206,6 @@ def judge(
 
     Parameters
     ----------
-    tables : ErrorTables
     covariance : ndarray, shape (m, m), m and rad
     budget : Budget
         Of the same nodes: coverage factors.

@@ -71,7 +71,6 @@ class Estimates:
 
     Attributes
     ----------
-    effects : tuple of Taken
     covariance : ndarray, shape (k, k)
         Of all parameters, effect by effect: coefficients run by run, then shape in logarithms.
     change : ndarray, shape (full, k)
@@ -98,7 +97,6 @@ class Corrected:
 
     Attributes
     ----------
-    result : CalibrationResult
     parameters : tuple of tuple of mapping
         Of the effects as they were estimated, run by run.
     """
@@ -179,7 +177,6 @@ def corrected(
     ----------
     runs : sequence of Run
         Their poses good to the errors sought.
-    effects : sequence of Taken
     nodes : mapping of axis to ndarray, m
     tables : ErrorTables, optional
         For the place along the path, as far as they are known.
@@ -207,7 +204,6 @@ def estimates(
         Corrected by the effects as they are, as solved.
     done : JointSolution
         Of these runs.
-    effects : sequence of Taken
 
     Returns
     -------
@@ -284,15 +280,12 @@ def solve_with_effects(
     runs : sequence of Run
         As prepared.
     nodes : mapping of axis to ndarray, m
-    effects : sequence of Taken
-    config : CalibrationConfig
     progress : callable(stage, fraction)
 
     Returns
     -------
     solved : ReversalSolution
         Of the corrected runs.
-    estimates : Estimates
     """
     now, whole = tuple(effects), list(runs)
     solved = solve_with_reversal(corrected(whole, now, nodes, None), nodes, config, progress)
@@ -326,10 +319,8 @@ def calibrate_without(
 
     Parameters
     ----------
-    examined : Examined
     effects : sequence of Taken
         At least one.
-    config : CalibrationConfig
     progress : callable(stage, fraction), optional
     """
     solved, found = solve_with_effects(examined.runs, examined.nodes, effects, config, progress)
@@ -377,7 +368,6 @@ def beside_plain(
 
     Parameters
     ----------
-    plain : CalibrationResult
     corrected : Corrected, optional
         See ``calibrate_without``; None where nothing was taken off.
     taking : sequence of Taken
@@ -418,7 +408,6 @@ def calibrate_with_file(
     file : str
         An effects.yaml, whose coefficients are estimated anew where the data see them and whose
         shapes (time constant, period) are held.
-    config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
 
     Raises

@@ -48,15 +48,9 @@ class Seen:
 
     Attributes
     ----------
-    name : str
     topics : mapping of topic to message type
-    config : CalibrationConfig
-    received : Received, optional
     samples : Samples, optional
         In the order of time, unusable ones dropped.
-    path : NominalPath, optional
-    machine : Machine, optional
-    alignment : Alignment, optional
     run : Run, optional
         Reduced to pieces; needs a machine.
     findings : tuple of Finding
@@ -107,16 +101,10 @@ def look(source: str, machine: Machine | None, config: CalibrationConfig, given:
 
     Parameters
     ----------
-    source : str
     machine : Machine, optional
         Without it the path is followed, but nothing is said of axes and uncertainties.
-    config : CalibrationConfig
     given : Given
         How it is read.
-
-    Returns
-    -------
-    Seen
 
     Raises
     ------
@@ -215,7 +203,6 @@ class Checked:
         For the table; empty if there is nothing to look at.
     facts : mapping of str to plain data
         In the units that the names state.
-    problems : tuple of Problem
     """
 
     words: str = ''
@@ -560,7 +547,6 @@ class CheckReport:
 
     Attributes
     ----------
-    name : str
     checked : mapping of str to Checked
         By the names of the checks.
     """
@@ -602,14 +588,8 @@ def check(
     ----------
     source : str
         A bag, or a table of samples as text.
-    machine : Machine, optional
-    config : CalibrationConfig, optional
     given : Given
         How it is read.
-
-    Returns
-    -------
-    CheckReport
 
     Raises
     ------

@@ -46,8 +46,6 @@ class Source:
 
     Attributes
     ----------
-    name : str
-    tables : ErrorTables
     whole : ndarray, shape (3 + m, 3 + m)
         Covariance of the squareness errors and the nodes of EXX ... ECZ in that order.
     squareness : tuple of str
@@ -217,7 +215,6 @@ def vector_rows(common: Common, q: Array) -> Array:
 
     Parameters
     ----------
-    common : Common
     q : ndarray, shape (n, 3), m
 
     Returns
@@ -247,8 +244,6 @@ def squareness_rows(source: Source, common: Common, q: Array) -> Array:
 
     Parameters
     ----------
-    source : Source
-    common : Common
     q : ndarray, shape (n, 3), m
         Points that span the common range.
 
@@ -375,14 +370,11 @@ class Comparison:
 
     Attributes
     ----------
-    names : tuple of str
     offsets : tuple of ndarray, shape (3,), m
         Target offsets.
-    common : Common
     motions : mapping of motion to MotionComparison
     squareness : mapping of name to SquarenessComparison
         Those that both know.
-    volume : VolumeComparison
     """
 
     names: tuple[str, str]
@@ -416,8 +408,6 @@ def source_of_tables(
 
     Parameters
     ----------
-    name : str
-    tables : ErrorTables
     covariance : ndarray, shape (3 + m, 3 + m), optional
         Of squareness errors and nodes; independent values if not given.
     hidden : collection of str
@@ -500,7 +490,6 @@ def compare(a: Source, b: Source, points: Array | None = None) -> Comparison:
 
     Parameters
     ----------
-    a, b : Source
     points : ndarray, shape (n, 3), m, optional
         Where error vectors are compared; a regular grid over the common ranges if not given.
 

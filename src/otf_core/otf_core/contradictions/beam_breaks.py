@@ -88,7 +88,6 @@ def offset_columns(rows: Rows, share: Array, kind: str) -> Array:
 
     Parameters
     ----------
-    rows : Rows
     share : ndarray, shape (p, segments)
         Zero for the pieces of other runs.
     kind : str
@@ -105,11 +104,9 @@ def fitted_offsets(rows: Rows, fit: Fit, share: Array, kind: str) -> Offsets:
 
     Parameters
     ----------
-    rows : Rows
     fit : Fit
         Of the model without offsets; its unknowns are free again.
     share : ndarray, shape (p, segments)
-    kind : str
     """
     columns = offset_columns(rows, share, kind)
     left, score = fit.left(columns), fit.score(columns)
@@ -153,10 +150,8 @@ class FoundAgain:
 
     Attributes
     ----------
-    run : int
     segment : ndarray of int64, shape (n,)
         Of every sample.
-    offsets : Offsets
     """
 
     run: int

@@ -157,7 +157,6 @@ def check_one_machine(model: Model, alone: Sequence[Model]) -> list[Finding]:
 
     Parameters
     ----------
-    model : Model
     alone : sequence of Model
         Of every recording by itself.
 
@@ -375,10 +374,8 @@ def examine(
 
     Parameters
     ----------
-    runs : sequence of Run
     nodes : mapping of axis to ndarray, m
         Table nodes.
-    config : CalibrationConfig
     mend : bool
         Take offsets off and cut runs at steps; else only say what is found.
 

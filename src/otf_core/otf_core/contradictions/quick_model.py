@@ -236,7 +236,6 @@ class AxisTables:
 
     Attributes
     ----------
-    nodes : int
     first : ndarray of int64, shape (p,)
         First node at every piece whose hat function is not zero.
     hat : ndarray, shape (w, p)
@@ -277,7 +276,6 @@ class AxisTables:
 
         Parameters
         ----------
-        other : AxisTables
         weight : ndarray, shape (c, p)
         """
         left, right = self.influence * weight[:, None], other.influence
@@ -306,7 +304,6 @@ class Design:
     Attributes
     ----------
     usual : ndarray, shape (r, k)
-    axes : tuple of AxisTables
     """
 
     usual: Array
@@ -377,7 +374,6 @@ class Fit:
 
     Attributes
     ----------
-    design : Design
     weight : ndarray, shape (r,), 1/m^2
         Zero for pieces left out.
     factor : tuple
@@ -464,8 +460,6 @@ def solve(rows: Rows, design: Design, weight: Array | None = None) -> Fit:
 
     Parameters
     ----------
-    rows : Rows
-    design : Design
     weight : ndarray, shape (r,), 1/m^2, optional
         As of another fit, so that both are judged alike; then nothing more is left out.
     """
@@ -503,8 +497,6 @@ class Model:
 
     Attributes
     ----------
-    runs : tuple of Run
-    rows : Rows
     fit : Fit
         Pose of every run, tables, a constant reversal of every axis, a lag of every axis behind
         its speed and a slow drift of every pose: what these explain is no contradiction.
@@ -525,7 +517,6 @@ class Model:
 
         Parameters
         ----------
-        chains : sequence of Chain
         offsets : sequence of ndarray, shape (runs, 3), m
             One for each chain.
 

@@ -31,7 +31,6 @@ def check_table_pitch(machine: Machine, piece_length: float) -> str:
 
     Parameters
     ----------
-    machine : Machine
     piece_length : float
         m; what the samples of a line are averaged over.
 
@@ -95,7 +94,6 @@ def volumetric(tables: ErrorTables, covariance: Array) -> tuple[float, float]:
 
     Parameters
     ----------
-    tables : ErrorTables
     covariance : ndarray, shape (m, m)
         Of squareness and nodes in the order of ``tables.MOTIONS``.
     """
@@ -129,7 +127,6 @@ def check_worth(tables: ErrorTables, covariance: Array, noise: float) -> list[Fi
 
     Parameters
     ----------
-    tables : ErrorTables
     covariance : ndarray, shape (m, m)
     noise : float
         m; of a sample.

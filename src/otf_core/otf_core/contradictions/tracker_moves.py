@@ -65,8 +65,6 @@ def step_profile(
 
     Parameters
     ----------
-    rows : Rows
-    fit : Fit
     columns : ndarray, shape (c p, k)
         What steps; zero for pieces of other runs.
     order : ndarray of int64, shape (n,)
@@ -110,10 +108,8 @@ def sharp_share(rows: Rows, fit: Fit, run: int, time: float) -> float:
 
     Parameters
     ----------
-    rows : Rows
     fit : Fit
         Of the usual model.
-    run : int
     time : float
         s; first piece after the step.
     """
@@ -187,7 +183,6 @@ class Step:
 
     Attributes
     ----------
-    run : int
     time : float
         s since the first sample.
     place : ndarray, shape (3,), m
@@ -327,7 +322,6 @@ def settle_steps(
         Of one recording.
     nodes : three arrays, m
         Table nodes of X, Y, Z.
-    config : CalibrationConfig
     mend : bool
         Cut the runs; else only say what is found.
 
@@ -335,7 +329,6 @@ def settle_steps(
     -------
     model : Model
         Of the parts.
-    findings : list of Finding
     """
     found: list[Finding] = []
     whole = model

@@ -40,7 +40,6 @@ def named_causes(
 
     Parameters
     ----------
-    explained : Explanation
     fitted : sequence of FittedCause
         Of its causes.
     noise : NoiseFinding, optional

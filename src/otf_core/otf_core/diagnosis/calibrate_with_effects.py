@@ -36,7 +36,6 @@ def calibrate_with_effects(
         ``calibrate_with_file``.
     twin : callable
         Simulates a run again, for the diagnosis: ``sim.twin.twin_recording``.
-    config : CalibrationConfig, optional
     progress : callable(stage, fraction), optional
     method : str
         Only 'otf' can do this: stops hold neither direction nor feed.

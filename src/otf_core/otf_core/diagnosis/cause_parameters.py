@@ -28,7 +28,6 @@ class FittedCause:
 
     Attributes
     ----------
-    cause : Cause
     value, u : ndarray, shape (k,)
         Coefficients of its terms and their standard uncertainties. Combinations that the data do
         not see are zero in ``value``; in ``u`` they may be ``FREE`` times as large as the rest.

@@ -31,11 +31,8 @@ class Told:
 
     Attributes
     ----------
-    confidence : float
-    indistinguishable : tuple of str
     words : str
         Its name with its axes.
-    axes : tuple of str
     """
 
     confidence: float
@@ -72,7 +69,6 @@ class FoundCauses:
 
         Parameters
         ----------
-        config : CalibrationConfig
         plain : CalibrationResult
             With nothing taken off.
         """
@@ -112,11 +108,8 @@ def with_causes(
 
     Parameters
     ----------
-    plain : CalibrationResult
     corrected : Corrected, optional
         See ``without_causes``.
-    causes : FoundCauses
-    config : CalibrationConfig
     sentence : str
         What the diagnosis says.
     """

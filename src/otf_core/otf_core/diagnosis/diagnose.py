@@ -112,7 +112,6 @@ class _WithoutReversal:
     ----------
     runs : list of Run
         As they were kept.
-    solution : JointSolution
     nodes : mapping of axis to ndarray, m
         Table nodes.
     """
@@ -187,17 +186,7 @@ def _search(
 
 @dataclass(frozen=True)
 class _Weighed:
-    """Causes after what else could be, and where the gap lies.
-
-    Attributes
-    ----------
-    judged : Judged
-    fitted : tuple of FittedCause
-    gap : Gap
-    causes : tuple of NamedCause
-    where : Where
-    shape : str
-    """
+    """Causes after what else could be, and where the gap lies."""
 
     judged: Judged
     fitted: tuple[FittedCause, ...]

@@ -87,7 +87,6 @@ def explain(rows: Rows, found: Sequence[Cause], twin_um: float) -> Explanation:
 
     Parameters
     ----------
-    rows : Rows
     found : sequence of Cause
         What the search found, decoys among them, in its order.
     twin_um : float

@@ -43,13 +43,11 @@ class Curve:
         Direction, rotation or coefficient of the formula that follows it.
     axis : str
         Machine axis of the term, if any.
-    input, input_unit : str
     at : tuple of float
         Values of the input, SI.
     value, u : tuple of float
         Value and its standard uncertainty, in ``unit``, but for what the data do not see, such as
         the mean of a shift, which the place of the tracker holds as well.
-    unit : str
     held : mapping of str to float
         Values of the other inputs.
     """
@@ -73,7 +71,6 @@ def curves_of(part: FittedCause, units: Mapping[str, str] = NO_UNITS) -> tuple[C
 
     Parameters
     ----------
-    part : FittedCause
     units : mapping of str to str
         Of declared signals, by their names as inputs.
     """

@@ -24,7 +24,6 @@ def qualify_moves(findings: Sequence[Finding], unnamed: Unnamed | None) -> tuple
 
     Parameters
     ----------
-    findings : sequence of Finding
     unnamed : Unnamed, optional
         What explains the gap, if it has no name.
     """

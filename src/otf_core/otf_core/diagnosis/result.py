@@ -31,7 +31,6 @@ class Gap:
     before_um, after_um : float
         sqrt(max(0, measured^2 - simulated^2)) without and with the causes; ``after`` is judged on
         legs that the causes were not fitted on.
-    shrink_percent : float
     shrink_interval_percent : tuple of two floats
         95 % interval over legs, with the uncertainty of ``simulated_um``.
     simulated_u_um : float
@@ -53,16 +52,11 @@ class NamedCause:
 
     Attributes
     ----------
-    effect : str
-    axes : tuple of str
     parameters, u : mapping of str to float
         Fitted parameters in SI units with their standard uncertainties (shape parameters have
         none).
-    units : mapping of str to str
     before_um, after_um, shrink_percent : float
         Gap without and with this cause, those found before it being in both.
-    confidence : float
-    indistinguishable_from : tuple of str
     form : str
         'formula', or 'free' where a smooth function of inputs explains the data better.
     departs : str
@@ -94,13 +88,7 @@ class NamedCause:
 
 @dataclass(frozen=True)
 class Shown:
-    """What figures show: arrays of every run, and the conditions in words.
-
-    Attributes
-    ----------
-    views : tuple of RunView
-    conditions : mapping of str to str
-    """
+    """What figures show: arrays of every run, and the conditions in words."""
 
     views: tuple[RunView, ...]
     conditions: Mapping[str, str]
@@ -118,13 +106,9 @@ class Diagnosis:
         One of ``VERDICTS``.
     sentence : str
         The verdict in words.
-    gap : Gap
     causes : tuple of NamedCause
         First the cause that shrinks the gap most.
-    unexplained_um : float
-    unexplained_where : str
     not_visible : tuple of (effect, needs)
-    where : Where
     considered : tuple of (effect, log odds)
         Ranking of the last round of the search.
     smallest_found_um : mapping of effect to float
@@ -140,7 +124,6 @@ class Diagnosis:
         What ``calibrate`` gives, and what it gives with the causes taken off.
     origin : tuple of Origin
         The recordings.
-    shown : Shown
     unnamed : Unnamed, optional
         Cause without a name, where the verdict is 'unknown' and something was found.
     """

@@ -34,7 +34,6 @@ class CauseSize:
         SI.
     u : float, optional
         Standard uncertainty; none of what is chosen, not estimated.
-    unit : str
     remark : str
         What kind of size it is, in words.
     """
@@ -63,7 +62,6 @@ def sizes_of(
 
     Parameters
     ----------
-    part : FittedCause
     states : sequence of State
         Of the pieces of every run.
     curves : sequence of Curve

@@ -35,7 +35,6 @@ def simulated_residual_um(
         Of the runs.
     nodes : mapping of axis to ndarray, m
         Table nodes.
-    config : CalibrationConfig
     twin : callable
         ``sim.twin.twin_recording``.
     seed : int

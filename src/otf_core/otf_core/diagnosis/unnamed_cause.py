@@ -95,16 +95,12 @@ class Unnamed:
 
     Attributes
     ----------
-    depends_on : tuple of str
     acts_as : str
         'vector', 'direction', 'rigid_tracker' or 'rigid_table'.
-    words : str
     before_um, after_um : float
         Gap without and with it, on legs it was not fitted on.
-    shrink_percent : float
     shrink_interval_percent : tuple of two floats
         95 % interval over legs.
-    curves : tuple of Curve
     """
 
     depends_on: tuple[str, ...]
@@ -134,8 +130,6 @@ def find_unnamed(
 
     Parameters
     ----------
-    rows : Rows
-    explained : Explanation
     verdict : str
         By the effects of the catalogue.
     tried : Structures

@@ -27,13 +27,10 @@ class Judged:
 
     Attributes
     ----------
-    verdict : str
     explained : Explanation
         Without causes where they are not enough.
-    noise : NoiseFinding or None
     left : str
         Where what the causes leave lies.
-    nameless : Nameless or None
     """
 
     verdict: str

@@ -18,7 +18,6 @@ class AppliedEffect:
 
     Attributes
     ----------
-    effect : Effect
     parameters : mapping of str to float
         Coefficients and shape by name, in the units of the effect; what is missing is zero or
         the default.

@@ -198,7 +198,6 @@ class Effect(ABC):
         ----------
         state : State
             Of the run or the machine that the parameters are for; any points will do.
-        parameters : mapping of str to float
 
         Raises
         ------
@@ -221,7 +220,6 @@ class Effect(ABC):
 
         Parameters
         ----------
-        state : State
         parameters : mapping of str to float
             Coefficients by their names in ``Terms`` (missing ones are zero) and the shape.
 

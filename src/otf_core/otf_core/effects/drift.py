@@ -44,7 +44,6 @@ def time_functions(state: State, shape: Shape) -> list[tuple[str, Array]]:
 
     Parameters
     ----------
-    state : State
     shape : mapping
         tau and until in s, order.
 

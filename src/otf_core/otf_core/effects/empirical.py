@@ -98,8 +98,6 @@ def of_table(
 
     Parameters
     ----------
-    name : str
-    acts : Acting
     nodes : mapping of input to sequence of float
         Ascending, the first and the last are the range; of a phase an odd number in one period.
     values : mapping of term to ndarray

@@ -35,7 +35,6 @@ class FreeForm(Effect):
 
     Attributes
     ----------
-    free : Free
     parent : Effect
         Whose name it has.
     spans : mapping of input to (float, float)

@@ -66,7 +66,6 @@ def path_history(
 
     Parameters
     ----------
-    lines : Lines
     leg : ndarray of int64, shape (n,)
         In driving order.
     q : ndarray, shape (n, 3), m

@@ -46,7 +46,6 @@ class FoundKind:
     order : int
         Highest order of a function of it that says anything; 0 for any.
     values : callable(state, numbers) -> ndarray, shape (n,), SI
-    words : callable(numbers) -> str
     """
 
     count: int

@@ -34,8 +34,6 @@ class Taken:
 
     Attributes
     ----------
-    effect : Effect
-    shape : mapping of str to float
     names : tuple of str
         Coefficients that take part; all others are zero.
     values : ndarray, shape (r, k)

@@ -33,7 +33,6 @@ class Coefficients:
     axes : tuple of str
         Axes that take part, the strongest first.
     shape : mapping of name to float
-    machine : Machine
     """
 
     value: Mapping[str, float]
@@ -110,7 +109,6 @@ def vector_size(
 
     Parameters
     ----------
-    found : Coefficients
     parts : sequence of Part
         Of the components.
     unit, remark : str

@@ -39,7 +39,6 @@ def state_on_path(
 
     Parameters
     ----------
-    machine : Machine
     corners : ndarray, shape (m + 1, 3), m
         Leg j runs from corner j to corner j + 1.
     leg : ndarray of int64, shape (n,)
@@ -47,9 +46,7 @@ def state_on_path(
         Nominal positions on those legs.
     speed : ndarray, shape (n,), m/s
     time : ndarray, shape (n,), s
-    T_machine_tracker : RigidTransform
     nodes : mapping of axis to ndarray, m
-    tables : ErrorTables, optional
     duration : float, s
         Length of the recording; 0 stands for the time of the last point.
     shape : PathShape, optional
@@ -91,7 +88,6 @@ def state_of_travel(machine: Machine, q: Array, direction: Array) -> State:
 
     Parameters
     ----------
-    machine : Machine
     q, direction : ndarray, shape (n, 3), m and 1
     """
     zero, vector = np.zeros(len(q)), np.zeros_like(q)
@@ -113,12 +109,7 @@ def state_of_travel(machine: Machine, q: Array, direction: Array) -> State:
 
 
 def probe_state(machine: Machine) -> State:
-    """One point in the middle of the volume: for names and units of terms.
-
-    Parameters
-    ----------
-    machine : Machine
-    """
+    """One point in the middle of the volume: for names and units of terms."""
     corners = np.stack([machine.lower, machine.upper])
     middle = corners.mean(axis=0)
     place = middle - np.array([1.0, 0.0, 0.0])

@@ -21,7 +21,6 @@ class State:
 
     Attributes
     ----------
-    machine : Machine
     q : ndarray, shape (n, 3), m
         Programmed axis positions.
     direction : ndarray, shape (n, 3)

@@ -60,7 +60,6 @@ class Request:
 
     Attributes
     ----------
-    content : TablesFile
     name : str
         Name of the file to write, without folder.
     sign : str, optional
@@ -294,7 +293,6 @@ def remaining_error(
 
     Parameters
     ----------
-    tables : ErrorTables
     held : callable
         Error that the control takes off, m.
     headline : mapping, optional

@@ -57,8 +57,6 @@ def axis_positions(tables: ErrorTables, axis: int, points: int | None = None) ->
 
     Parameters
     ----------
-    tables : ErrorTables
-    axis : int
     points : int, optional
         Spread this many evenly over the range of the tables, instead of taking their nodes. The
         only position of an axis that did not move stands once.
@@ -123,14 +121,9 @@ def line_terms(
 
     Parameters
     ----------
-    tables : ErrorTables
     pairs : collection of pair
         Direction of the error, axis that moves.
     positions : mapping of axis to ndarray, m
-
-    Returns
-    -------
-    mapping of pair to LineTerm
     """
     means = {j: others_at_their_means(tables, j) for j in {j for _, j in pairs}}
     terms = {}
@@ -152,8 +145,6 @@ def even_terms(
 
     Parameters
     ----------
-    tables : ErrorTables
-    pairs : collection of pair
     points : int, optional
         Per axis; as fine as the nodes if not given.
     most : int
@@ -231,8 +222,6 @@ def half_reversal(content: TablesFile, axis: int, position: Array) -> Array:
 
     Parameters
     ----------
-    content : TablesFile
-    axis : int
     position : ndarray, shape (k,), m
         Along the line of the axis through the middle of the volume.
     """
@@ -288,7 +277,6 @@ def sampled_lattice(tables: ErrorTables, points: int | None) -> tuple[Lattice, t
 
     Parameters
     ----------
-    tables : ErrorTables
     points : int, optional
         Per axis, evenly spread. If not given, the planes stand at the nodes of the tables: the
         model is linear between them in the coordinates of axes that carry the target, so that
@@ -298,7 +286,6 @@ def sampled_lattice(tables: ErrorTables, points: int | None) -> tuple[Lattice, t
 
     Returns
     -------
-    Lattice
     tuple of str
         Remark, where it does not stand at the nodes though no number is given.
 
@@ -391,7 +378,6 @@ def tables_from_lattice(lattice: Lattice, machine: Machine) -> ImportedTables:
 
     Parameters
     ----------
-    lattice : Lattice
     machine : Machine
         Its chain and target offset say how rotations act.
 

@@ -51,10 +51,6 @@ class LatticeCsv(Format):
 def read_lattice_csv(path: str | Path) -> Lattice:
     """Read a lattice in any order of its points.
 
-    Returns
-    -------
-    Lattice
-
     Raises
     ------
     ConfigError

@@ -316,11 +316,8 @@ class OutputFile:
 
     Parameters
     ----------
-    path : str or Path
     is_ours : callable
         Tells whether an existing file is a result of this command, which alone is overwritten.
-    overwrite : bool
-    inputs : sequence of str or Path
     """
 
     def __init__(

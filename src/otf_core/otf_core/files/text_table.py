@@ -166,7 +166,6 @@ class TextTable:
         Of the columns, with the names of their groups in front; None: no head that is looked for.
     units : tuple of str
         Of the columns, as a line below the head states them; empty: there is none.
-    dialect : Dialect
     head_line : int
         Number of the line of names; 0: there is none.
     comments : mapping of int to str
@@ -250,7 +249,6 @@ def read_text_table(path: str | Path, is_head: IsHead | None = None) -> TextTabl
 
     Parameters
     ----------
-    path : str or Path
     is_head : callable, optional
         Tells of the fields of a line whether they name the columns that are looked for; without
         it what the columns are is said elsewhere.

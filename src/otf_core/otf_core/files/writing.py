@@ -40,8 +40,6 @@ def write_if_it_fits(
     ----------
     missing : dict of str to str, or None
         Takes the name and why it is missing; None: it may not be missing.
-    name : str
-    write : callable
 
     Returns
     -------
@@ -144,8 +142,6 @@ def write_csv(
 
     Parameters
     ----------
-    path : str or Path
-    header : str
     columns : ndarray, shape (n, columns)
     flags : ndarray of bool, shape (n,), optional
         A last column of 1 and 0.

@@ -184,7 +184,6 @@ def call_job(
 
     Parameters
     ----------
-    name : str
     function : str
         'module:function'.
     arguments : mapping
@@ -293,7 +292,6 @@ def listed_jobs(verb: str, runs: Sequence[ListedRun], folder: Path) -> list[Job]
     ----------
     verb : str
         Of ``RESULTS``.
-    runs : sequence of ListedRun
     folder : Path
         Of the fleet.
     """
@@ -352,7 +350,6 @@ def done_here(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, JobResul
 
     Parameters
     ----------
-    jobs : sequence of Job
     workers : int
         Jobs at once: a thread each that waits for the process of its job.
     """
@@ -441,12 +438,10 @@ def run_fleet(
 
     Parameters
     ----------
-    jobs : sequence of Job
     folder : Path
         Its ``.fleet`` keeps how they ended.
     workers : callable(jobs)
         Yields every job with its outcome.
-    progress : callable(str)
 
     Returns
     -------

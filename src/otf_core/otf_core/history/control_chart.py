@@ -334,7 +334,6 @@ class Step:
         The later run.
     events : tuple of StoredEvent
         What happened between them.
-    volume : Change
     motions : mapping of motion or squareness error to Change
     """
 
@@ -361,8 +360,6 @@ class History:
 
     Attributes
     ----------
-    machine : str
-    series : Series
     chart : tuple of mapping
         For every run the change of each motion since the first run.
     volume : tuple of Change
@@ -371,7 +368,6 @@ class History:
         Mean length of the errors over the volume by every run, best rigid motion taken out.
     u_error : ndarray, shape (r,), m
         Mean standard uncertainty of these errors.
-    steps : tuple of Step
     events : tuple of StoredEvent
         From the first run on.
     reference : int
@@ -436,8 +432,6 @@ def history_of(store: Store, machine: str, limit: float | None = None) -> Histor
 
     Parameters
     ----------
-    store : Store
-    machine : str
     limit : float, optional
         m; mean volumetric drift that is allowed; if not given, twice the mean standard
         uncertainty of the latest tables.

@@ -91,7 +91,6 @@ def interim_path(history: History, seconds: float = 120.0) -> NominalPath:
 
     Parameters
     ----------
-    history : History
     seconds : float
         Driving time at the planner's usual feed, dwells at the corners included.
     """
@@ -143,7 +142,6 @@ class InterimCheck:
 
     Attributes
     ----------
-    lines : int
     left, expected : float
         m; root mean square of the mean deviation of a line across it, found and expected if the
         tables hold.
@@ -212,7 +210,6 @@ def interim_check(recording: Recording, series: Series) -> InterimCheck:
     ----------
     recording : Recording
         Of the same machine and target offset.
-    series : Series
 
     Raises
     ------

@@ -54,7 +54,6 @@ class StoredRun:
         First digits of its hash.
     at : datetime
         When it was measured, UTC.
-    content : TablesFile
     """
 
     name: str
@@ -129,7 +128,6 @@ def add_run(folder: Path, tables: Path, at: str | None = None) -> tuple[str, boo
 
     Parameters
     ----------
-    folder : Path
     tables : Path
         An error_tables.json.
     at : str, optional
@@ -238,7 +236,6 @@ class Series:
     ----------
     runs : tuple of StoredRun
         In the order of time.
-    common : Common
     values : ndarray, shape (r, m), m or rad
     covariances : ndarray, shape (r, m, m)
     """

@@ -56,7 +56,6 @@ class Kind:
 
     Attributes
     ----------
-    name : str
     what : str
         What it is good for, one sentence.
     is_one : callable

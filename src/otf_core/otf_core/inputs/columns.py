@@ -345,7 +345,6 @@ def columns_of(
 
     Parameters
     ----------
-    headings : sequence of str
     where : str
         File, for messages.
     nominal : bool
@@ -405,7 +404,6 @@ def find_columns(table: TextTable, wanted: str | None, *, nominal: bool = False)
 
     Parameters
     ----------
-    table : TextTable
     wanted : str, optional
         What stands in the columns, in their order, e.g. ``time_s,-,x_mm,y_mm,z_mm``.
     nominal : bool

@@ -113,14 +113,12 @@ class DrivenPath:
             Of the block, for messages.
         goal : mapping of str to Decimal
             Where it ends, m; axes that are not given stay.
-        frame : str
         plane : str
             First and second axis; an arc that is not clockwise turns from the first to the second.
         centre : mapping of str to Decimal, optional
             Of both axes of the plane, m.
         radius : Decimal, optional
             m; where no centre is given; negative: more than half a turn.
-        clockwise : bool
         """
         start = dict(self.at)
         end = {**start, **goal}

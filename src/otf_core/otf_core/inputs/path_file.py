@@ -31,7 +31,6 @@ class PlanFile:
 
     Attributes
     ----------
-    plan : Plan
     tracker_place : ndarray, shape (3,), m, optional
         Beam origin in the machine frame that the forecast assumed.
     """

@@ -100,7 +100,6 @@ def read_content(sources: Sequence[str | Path], given: Given = AS_IT_IS) -> BagC
     sources : sequence of str or Path
         One recording, or several that are parts of the run, in any order: every part has samples,
         one of them at least the path, which is the same in all that have it.
-    given : Given
     """
     return content_of([open_reading(source, given) for source in sources], sources, given.path)
 

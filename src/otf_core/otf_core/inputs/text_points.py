@@ -83,7 +83,6 @@ def read_times(texts: Sequence[str], unit: str | None, xyz: Array, *, alone: boo
 
     Parameters
     ----------
-    texts : sequence of str
     unit : str or None
         As stated; of dates their order.
     xyz : ndarray, shape (n, 3), m
@@ -183,7 +182,6 @@ def decimals_ns(texts: Sequence[str], power: int) -> Stamps:
 
     Parameters
     ----------
-    texts : sequence of str
     power : int
         Of ten, that takes the numbers to s.
 
@@ -284,7 +282,6 @@ class TextReading:
 
     Parameters
     ----------
-    source : str or Path
     columns : str, optional
         What stands in the columns, see ``columns.find_columns``.
     rate : float, optional
@@ -367,9 +364,6 @@ class _Chosen:
 
     Attributes
     ----------
-    where : str
-    lines : sequence of int
-    point : list of NumberColumn
     time : list of list of str
         Fields of each column of times.
     faults : dict of int to str

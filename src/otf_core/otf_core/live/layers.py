@@ -24,12 +24,7 @@ NO_POINTS = np.empty((0, 3))
 
 
 class PathDistance:
-    """Nearest places on a polyline, each leg asked; for single points and short lists.
-
-    Parameters
-    ----------
-    path : NominalPath
-    """
+    """Nearest places on a polyline, each leg asked; for single points and short lists."""
 
     def __init__(self, path: NominalPath) -> None:
         moving = path.leg_lengths > MIN_LEG
@@ -194,7 +189,6 @@ class Layer:
 
     Attributes
     ----------
-    name : str
     kind : str
         One of KINDS.
     points : ndarray, shape (n, 3), m
@@ -203,7 +197,6 @@ class Layer:
         Red, green, blue, opacity, 0 to 1.
     width : float
         m; of lines and dots, height of words.
-    text : str
     """
 
     name: str
@@ -263,10 +256,8 @@ def moving(
 
     Parameters
     ----------
-    path : NominalPath
     travelled : float
         m, so far.
-    track : Track
     pose : RigidTransform, optional
         Of the tracker in the machine frame, once it is known.
     scale : float

@@ -59,13 +59,11 @@ class Solved:
         From a part of the run.
     ok : bool
         Solved, and no quality gate failed.
-    message : str
     mae_before, mae_after, residual_rms : float
         m; distance from the path.
     motions : mapping of EXX ... ECZ to (largest absolute error, largest u of a node), m or rad
         u is NaN where the samples do not determine the motion.
     squareness : mapping of C0Y, B0Z, A0Z to (value, u), rad
-    warnings : tuple of str
     """
 
     provisional: bool
@@ -89,13 +87,10 @@ class LiveRun:
 
     Attributes
     ----------
-    path : NominalPath or None
     pose : RigidTransform or None
         Of the tracker in the machine frame, as this run shows it.
     track : Track
     progress : RunProgress
-    solved : Solved or None
-    volume : VolumeErrors or None
     rate : float
         Samples per second as they arrive, Hz; NaN as long as it is not known.
     """

@@ -60,7 +60,6 @@ def check_plan(machine: Machine, feed: float, rng: np.random.Generator) -> Plan:
 
     Parameters
     ----------
-    machine : Machine
     feed : float
         m/s
     rng : numpy.random.Generator
@@ -184,7 +183,6 @@ def on_path(driven: Driven, programmed: NominalPath, nominal: NominalPath | None
 
     Parameters
     ----------
-    driven : Driven
     programmed : NominalPath
         Points of the program.
     nominal : NominalPath, optional
@@ -217,7 +215,6 @@ def by_line(error: Array, at: OnPath, path: NominalPath) -> tuple[tuple[float, f
     Parameters
     ----------
     error : ndarray, shape (n, 3), m
-    at : OnPath
     path : NominalPath
         The lines.
 
@@ -311,9 +308,6 @@ class Circle:
     ----------
     way : str
         'axes', 'volume' or 'program'.
-    proof : Proof
-    result : CalibrationResult
-    truth : ErrorTables
     recordings : mapping of name to Recording
         'fit', 'check', 'proof'.
     files : mapping of file name to bytes
@@ -409,14 +403,12 @@ def go_round(
 
     Parameters
     ----------
-    machine : Machine
     plan : Plan
         What is fitted.
     way : str
         One of ``WAYS``.
     config : SimulationConfig
         Its acceleration is that of the control's axes.
-    progress : callable(str)
 
     Raises
     ------

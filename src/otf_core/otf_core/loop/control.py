@@ -49,7 +49,6 @@ def ini_text(machine: Machine, acceleration: float, feed: float) -> str:
 
     Parameters
     ----------
-    machine : Machine
     acceleration : float
         m/s^2, of every axis.
     feed : float
@@ -272,11 +271,6 @@ def drive(files: Mapping[str, bytes], programs: Sequence[Program]) -> list[Drive
     ----------
     files : mapping of file name to bytes
         INI, HAL and what they name.
-    programs : sequence of Program
-
-    Returns
-    -------
-    list of Driven
 
     Raises
     ------

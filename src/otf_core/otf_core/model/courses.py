@@ -32,7 +32,6 @@ class Courses(Mapping[str, Array]):
 
     Parameters
     ----------
-    signals : mapping of str to Signal
     stamp_ns : int
         From which ``time`` counts.
     time : ndarray, shape (n,), s

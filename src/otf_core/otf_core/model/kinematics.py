@@ -32,7 +32,6 @@ def lever(machine: Machine, axis: str, q: Points) -> Points:
 
     Parameters
     ----------
-    machine : Machine
     axis : str
         X, Y or Z.
     q : ndarray, shape (n, 3), m
@@ -54,8 +53,6 @@ def motion_influence(machine: Machine, motion: ErrorMotion, q: Points) -> Points
 
     Parameters
     ----------
-    machine : Machine
-    motion : ErrorMotion
     q : ndarray, shape (n, 3), m
 
     Returns
@@ -116,7 +113,6 @@ def displacement(tables: ErrorTables, q: Points) -> Points:
 
     Parameters
     ----------
-    tables : ErrorTables
     q : ndarray, shape (n, 3), m
         Programmed axis positions.
 
@@ -158,7 +154,6 @@ def exact_position(tables: ErrorTables, q: Points) -> Points:
 
     Parameters
     ----------
-    tables : ErrorTables
     q : ndarray, shape (n, 3), m
 
     Returns

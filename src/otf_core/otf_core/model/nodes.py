@@ -30,7 +30,6 @@ def table_nodes(machine: Machine, low: Array, high: Array) -> dict[str, Array]:
 
     Parameters
     ----------
-    machine : Machine
     low, high : ndarray, shape (3,), m
         Covered part of the axis ranges.
 

@@ -39,7 +39,6 @@ class Signal:
 
         Parameters
         ----------
-        stamp_ns : int
         time : ndarray, shape (n,), s
         lag : float, s
             Time constant; 0 for none.

@@ -73,7 +73,6 @@ class ErrorTables:
 
     Attributes
     ----------
-    machine : Machine
     motions : mapping of motion name (EXX ... ECZ) to MotionTable
     squareness : mapping of C0Y, B0Z, A0Z to Squareness
 
@@ -119,7 +118,6 @@ def with_uncertainty(tables: ErrorTables, covariance: NDArray[np.float64]) -> Er
 
     Parameters
     ----------
-    tables : ErrorTables
     covariance : ndarray, shape (m, m), m and rad
         Of C0Y, B0Z, A0Z and the nodes of EXX ... ECZ in that order.
     """
@@ -143,7 +141,6 @@ class TablesFile:
 
     Attributes
     ----------
-    tables : ErrorTables
     extra : mapping of str to object
         All other top-level keys.
     without_value : tuple of str
@@ -332,14 +329,6 @@ def _check_fit(entry: Mapping[str, Any], where: str) -> None:
 
 def load_tables(path: str | Path) -> TablesFile:
     """Read an error_tables.json.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    TablesFile
 
     Raises
     ------

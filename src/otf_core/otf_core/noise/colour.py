@@ -229,7 +229,6 @@ def expected_density(frequency: Array, noise: NoiseModel) -> Array:
     ----------
     frequency : ndarray, shape (m,), Hz
         From zero to half the sampling rate.
-    noise : NoiseModel
     """
     rows = []
     for c in noise:
@@ -244,7 +243,6 @@ def find_peaks(seen: Spectrum, expected: Array) -> tuple[Peak, ...]:
 
     Parameters
     ----------
-    seen : Spectrum
     expected : ndarray, shape (c, m)
         Shape of the density without peaks, see ``expected_density``; its size does not matter.
     """

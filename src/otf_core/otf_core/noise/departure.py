@@ -130,8 +130,6 @@ def noise_departure(samples: Samples, spec: TrackerSpec, speed: float) -> Depart
 
     Parameters
     ----------
-    samples : Samples
-    spec : TrackerSpec
     speed : float
         m/s; slower counts as standstill.
 

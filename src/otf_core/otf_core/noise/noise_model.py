@@ -239,7 +239,6 @@ def noise_covariance(
 
     Parameters
     ----------
-    noise : NoiseModel
     shares, other : ndarray, shape (3, ..., m)
         Of the one and of the other row, see ``beam_shares``; of one line, or of several alike.
     windows : tuple of time, duration (s) and count, each of shape (..., m)
@@ -270,8 +269,6 @@ def covariance_parts(
 
     Parameters
     ----------
-    noise : NoiseModel
-    misfit : Misfit
     shares : ndarray, shape (3, ..., m)
         Of range and angle noise, see ``beam_shares``; of one line, or of several alike.
     windows : tuple of time, duration (s) and count, each of shape (..., m)
@@ -295,7 +292,6 @@ def misfit_covariance(misfit: Misfit, windows: Windows) -> tuple[Array, Array]:
 
     Parameters
     ----------
-    misfit : Misfit
     windows : tuple of time, duration (s) and count, each of shape (..., m)
         See ``mean_covariance``.
 

@@ -60,7 +60,6 @@ class NoiseReport:
 
     Attributes
     ----------
-    measured : MeasuredNoise
     u_total, u_white : ndarray, shape (3,), m, rad, rad
         Standard uncertainties of the levels by leaving out part of the windows; nan if there is
         too little to leave out.
@@ -74,15 +73,10 @@ class NoiseReport:
         Hz.
     distance : float
         m, mean length of the beam in the standstills.
-    peaks : tuple of Peak
     lost : Lost
         Of the whole recording.
-    steps : tuple of Step
     drift : Drift or None
         None without a long standstill.
-    variogram : Variogram
-    spectrum : Spectrum
-    warnings : tuple of str
     """
 
     measured: MeasuredNoise
@@ -172,7 +166,6 @@ def noise_report(samples: Samples, standstill_speed: float) -> NoiseReport:
 
     Parameters
     ----------
-    samples : Samples
     standstill_speed : float
         m/s; slower counts as standstill.
 

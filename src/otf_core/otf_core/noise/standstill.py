@@ -160,7 +160,6 @@ def at_rest(samples: Samples, runs: Index) -> Index:
 
     Parameters
     ----------
-    samples : Samples
     runs : ndarray of int64, shape (k, 2)
         First sample and one past the last of every standstill.
 
@@ -262,7 +261,6 @@ def find_steps(samples: Samples, runs: Index) -> tuple[Step, ...]:
 
     Parameters
     ----------
-    samples : Samples
     runs : ndarray of int64, shape (k, 2)
         From ``find_standstills``.
     """
@@ -294,7 +292,6 @@ def find_drift(samples: Samples, rest: Index) -> Drift | None:
 
     Parameters
     ----------
-    samples : Samples
     rest : ndarray of int64, shape (k, 2)
         From ``at_rest``.
     """
@@ -432,7 +429,6 @@ def find_standstills(samples: Samples, speed: float, min_duration: float = MIN_D
 
     Parameters
     ----------
-    samples : Samples
     speed : float
         m/s; slower counts as standstill. Taken over 0.1 s, so that noise does not hide it.
     min_duration : float
@@ -525,7 +521,6 @@ def quiet_windows(samples: Samples, runs: Index) -> tuple[list[Array], int]:
 
     Parameters
     ----------
-    samples : Samples
     runs : ndarray of int64, shape (k, 2)
         From ``find_standstills``.
 
@@ -548,7 +543,6 @@ def standstill_noise(
 
     Parameters
     ----------
-    samples : Samples
     runs : ndarray of int64, shape (k, 2)
         From ``find_standstills``.
     min_total : float
@@ -605,8 +599,6 @@ def noise_model(samples: Samples, spec: TrackerSpec, speed: float) -> NoiseModel
 
     Parameters
     ----------
-    samples : Samples
-    spec : TrackerSpec
     speed : float
         m/s; slower counts as standstill.
 

@@ -157,7 +157,6 @@ def align_stops(
     alignment : Alignment
         ``corners`` are the points of the path; ``leg`` holds the point of every sample in a
         stop; ``coverage`` is the share of points with a stop.
-    stops : Stops
     point : ndarray of int64, shape (k,)
         Point of every stop or ``OFF_PATH``.
 

@@ -78,7 +78,6 @@ def outlying(
         Offsets (3, m), m, of a slice of the samples; so that not all are held at once.
     bounds : sequence of (int, int)
         First sample and one past the last of every leg.
-    limit : float
     """
     if all(_apart(offset_of(slice(*leg))) < GROSS for leg in bounds):
         return np.zeros(bounds[-1][1], dtype=bool)
@@ -149,7 +148,6 @@ def all_boundaries(
 
     Parameters
     ----------
-    lines : Lines
     first : ndarray of int64, shape (k,)
         First leg of each.
     nodes : three ndarrays, m
@@ -402,11 +400,8 @@ def reduce_to_pieces(
 
     Parameters
     ----------
-    samples : Samples
-    alignment : Alignment
     nodes : three ndarrays, m
         Table nodes of X, Y, Z; pieces end there.
-    config : CalibrationConfig
 
     Raises
     ------

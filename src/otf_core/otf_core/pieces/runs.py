@@ -47,7 +47,6 @@ class Observed:
         As set up in this run.
     shape : PathShape
         Corner points and curves of the path as driven.
-    pieces : Pieces
     pose : RigidTransform
         Tracker to machine, to start from: fitted rigidly, or of a solution before.
     noise : NoiseModel
@@ -102,8 +101,6 @@ class Recording:
 
     Attributes
     ----------
-    samples : Samples
-    path : NominalPath
     machine : Machine
         The same machine in all runs; its target offset and tracker may differ.
     name : str
@@ -154,10 +151,8 @@ class Run(Observed):
 
     Attributes
     ----------
-    samples : Samples
     path : NominalPath
         As published.
-    alignment : Alignment
     read : tuple of str
         Remarks of the recording.
     left_out : tuple of LeftOut
@@ -312,7 +307,6 @@ def prepare_runs(
 
     Returns
     -------
-    runs : list of Run
     nodes : mapping of axis to ndarray, m
     """
     check_same_machine(recordings)

@@ -106,8 +106,6 @@ def imitators(result: Forecast, errors: Sequence[str], limit: float) -> dict[str
 
     Parameters
     ----------
-    result : Forecast
-    errors : sequence of str
     limit : float
         m or rad; ``unidentifiable_above``.
     """
@@ -191,8 +189,6 @@ def findings(result: Forecast, machine: Machine, limit: float) -> tuple[Unseen, 
 
     Parameters
     ----------
-    result : Forecast
-    machine : Machine
     limit : float
         m or rad; ``unidentifiable_above``.
 

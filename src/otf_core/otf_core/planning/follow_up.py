@@ -71,7 +71,6 @@ class TrackerPlace:
     ----------
     place : ndarray, shape (3,), m
         Beam origin in the machine frame.
-    words : str
     mean_grid_u : float
         m; forecast with splines of ``candidate_lines.INTERVALS`` parts per axis.
     shortest, longest : float
@@ -123,8 +122,6 @@ def judge_places(plan: Plan, setup: Setup, accepted: tuple[str, ...]) -> Callabl
 
     Parameters
     ----------
-    plan : Plan
-    setup : Setup
     accepted : tuple of str
         Blocks of unknowns that the plan shows, see ``Forecast.solution``.
 
@@ -186,7 +183,6 @@ def candidate_places(machine: Machine, near: float) -> list[tuple[Array, str]]:
 
     Parameters
     ----------
-    machine : Machine
     near : float
         m, from the working volume; on the sides also twice as far.
     """
@@ -208,7 +204,6 @@ def compare_places(
 
     Parameters
     ----------
-    plan : Plan
     setup : Setup
         Its own place is left out.
     judge : callable
@@ -273,11 +268,9 @@ class Answer:
 
     Attributes
     ----------
-    question : Question
     log_odds : float
         Logarithm of the odds for the cause against its rival; of an effect that was not visible,
         ``SURE`` times the size of 5 um over the least size found, at most ``SURE`` twice.
-    words : str
     """
 
     question: Question
@@ -309,7 +302,6 @@ def open_questions(folder: str | Path, machine: Machine) -> list[Question]:
     ----------
     folder : str or Path
         That ``otf diagnose`` wrote.
-    machine : Machine
 
     Raises
     ------
@@ -448,8 +440,6 @@ def plan_after(
 
     Parameters
     ----------
-    questions : sequence of Question
-    setup : Setup
     config : PlannerConfig
         Feed, dwells and margin are taken as they are.
     budget : float, optional
@@ -460,8 +450,6 @@ def plan_after(
 
     Returns
     -------
-    plan : Plan
-    answers : list of Answer
     setup : Setup
         With the place of the tracker that is proposed.
 

@@ -83,7 +83,6 @@ class DriveTimes:
 
         Parameters
         ----------
-        leg : int
         along : ndarray, shape (k,), m
             From the start of the leg.
 
@@ -118,7 +117,6 @@ def drive_times(plan: Plan, acceleration: float) -> DriveTimes:
 
     Parameters
     ----------
-    plan : Plan
     acceleration : float
         m/s^2, along the path.
     """
@@ -152,13 +150,9 @@ class Setup:
 
     Attributes
     ----------
-    machine : Machine
     place : ndarray, shape (3,), m
         Beam origin of the tracker in the machine frame; it stands upright, its third axis along
         Z, which matters where its two angles are not equally good.
-    noise : NoiseModel
-    config : ForecastConfig
-    calibration : CalibrationConfig
     """
 
     machine: Machine
@@ -195,7 +189,6 @@ class Forecast:
 
     Attributes
     ----------
-    unknowns : Unknowns
     solution : Solution
         Its values are zero; covariance and accepted blocks count.
     nodes : mapping of axis to ndarray, m
@@ -215,7 +208,6 @@ class Forecast:
     grid_u_free : ndarray, shape (n, 3), m
         The same with the best rigid motion of the whole grid taken out, as for the grid errors
         of ``evaluation``: free of the choice of gauge.
-    pieces : Pieces
     duration : float
         s, accelerations and dwells included.
     """
@@ -339,7 +331,6 @@ def lay_out(starts: Array, ends: Array, times: DriveTimes, cut: Cut, setup: Setu
         Of these legs.
     cut : callable
         Such as ``as_recorded``.
-    setup : Setup
 
     Returns
     -------
@@ -382,17 +373,7 @@ def tracker_pose(setup: Setup) -> RigidTransform:
 
 
 def forecast(plan: Plan, setup: Setup) -> Forecast:
-    """Forecast what a calibration with this plan will show.
-
-    Parameters
-    ----------
-    plan : Plan
-    setup : Setup
-
-    Returns
-    -------
-    Forecast
-    """
+    """Forecast what a calibration with this plan will show."""
     points = plan.path.points
     nodes = table_nodes(setup.machine, points.min(axis=0), points.max(axis=0))
     equal = equal_pieces(layout(smooth_bases(nodes)).knots, PART, setup.calibration.piece_length)
@@ -413,20 +394,14 @@ def forecast_of_pieces(
 
     Parameters
     ----------
-    pieces : Pieces
     pose : RigidTransform
         Of the tracker.
     nodes : mapping of axis to ndarray, m
         Of the tables.
     points : ndarray, shape (n, 3), m
         Corner points, which span the grid that is judged.
-    setup : Setup
     duration : float
         s.
-
-    Returns
-    -------
-    Forecast
     """
     machine, limit = setup.machine, setup.calibration.unidentifiable_above
     unknowns = layout(smooth_bases(nodes))

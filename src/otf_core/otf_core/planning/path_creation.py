@@ -56,15 +56,6 @@ def inner_range(
 def plan_path(machine: Machine, config: PlannerConfig) -> Plan:
     """Create the path for one machine.
 
-    Parameters
-    ----------
-    machine : Machine
-    config : PlannerConfig
-
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     ConfigError

@@ -133,7 +133,6 @@ def candidate_lines(
 
     Parameters
     ----------
-    setup : Setup
     points : ndarray, shape (k, 3), m
     feeds : ndarray, shape (f,), m/s
     corner_dwell : float
@@ -232,13 +231,8 @@ def judge(lines: CandidateLines, matrix: Array) -> Judgement:
 
     Parameters
     ----------
-    lines : CandidateLines
     matrix : ndarray, shape (u, u)
         Sum of normal matrices.
-
-    Returns
-    -------
-    Judgement
     """
     factor = linalg.cho_factor(matrix + lines.prior, lower=True, check_finite=False)
     half = linalg.cho_solve(factor, lines.target, check_finite=False)
@@ -259,7 +253,6 @@ def allocate(lines: CandidateLines, time: float, iterations: int = ITERATIONS) -
 
     Parameters
     ----------
-    lines : CandidateLines
     time : float
         s, connections not counted: every line is a candidate, so are they.
 
@@ -323,12 +316,10 @@ def best_walk(lines: CandidateLines, ideal: Array, time: float, passes: int) -> 
 
     Parameters
     ----------
-    lines : CandidateLines
     ideal : ndarray, shape (u, u), 1/s
         Normal matrix per second of an ideal share of the time among the lines.
     time : float
         s, of all passes together.
-    passes : int
 
     Returns
     -------
@@ -382,8 +373,6 @@ class OptimisedPlan:
 
     Attributes
     ----------
-    plan : Plan
-    forecast : Forecast
     passes : int
         How often the walk is driven, every second time backwards.
     efficiency : float
@@ -402,7 +391,6 @@ class PathOptimiser:
 
     Parameters
     ----------
-    setup : Setup
     config : PlannerConfig
         ``feed`` is the highest feed; dwells and margin count, the rest is chosen.
 

@@ -70,16 +70,10 @@ class PlanReport:
 
     Attributes
     ----------
-    plan : Plan
     how : str
         How the path came about, one line.
-    setup : Setup
-    forecast : Forecast
-    findings : tuple of Unseen
     places : tuple of TrackerPlace
         Ranked places of the tracker.
-    advice : tuple of str
-    effects : tuple of EffectForecast
     systematic : PlannedSystematic, optional
         The grid with systematic contributions; everything else is noise only.
     after : tuple of Answer
@@ -225,16 +219,8 @@ def make_plan(
 
     Parameters
     ----------
-    machine : Machine
-    request : PlanRequest
-    config : PlannerConfig
-    judged : ForecastConfig
     progress : callable(stage, fraction)
         Stages are those of ``live.stages.PLAN``.
-
-    Returns
-    -------
-    PlanReport
     """
     place = None if request.tracker_place is None else np.array(request.tracker_place)
     setup = Setup.of(machine, place, request.noise, judged)

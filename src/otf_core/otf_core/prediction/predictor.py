@@ -66,7 +66,6 @@ class Predictor:
     correlated : bool
         False if the file holds no covariance: nodes are taken as independent.
     prior : mapping of motion to MotionPrior
-    driven : DrivenVolume, optional
     not_seen : tuple of str
         Motions and squareness errors that the data did not see.
     holds : str
@@ -91,7 +90,6 @@ class Predictor:
 
         Parameters
         ----------
-        source : str, Path or TablesFile
         target_offset : ndarray, shape (3,), m, optional
             See ``predict.predict``.
 

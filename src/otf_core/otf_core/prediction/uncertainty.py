@@ -17,7 +17,6 @@ def prediction_rows(machine: Machine, nodes: dict[str, Array], q: Array) -> Arra
 
     Parameters
     ----------
-    machine : Machine
     nodes : mapping of motion name to ndarray, m
     q : ndarray, shape (n, 3), m
 
@@ -44,7 +43,6 @@ def prediction_uncertainty(
 
     Parameters
     ----------
-    machine : Machine
     nodes : mapping of motion name to ndarray, m
     covariance : ndarray, shape (m, m)
         Of squareness and nodes, in the order of ``prediction_rows``.

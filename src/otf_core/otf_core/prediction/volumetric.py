@@ -76,7 +76,6 @@ class VolumetricError:
 
     Attributes
     ----------
-    tables : ErrorTables
     covariance : ndarray, shape (m, m), m and rad
         Of squareness and nodes.
     prior : mapping of motion or squareness error to MotionPrior

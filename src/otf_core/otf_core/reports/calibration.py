@@ -500,7 +500,6 @@ def write_calibration(
 
     Parameters
     ----------
-    result : CalibrationResult
     folder : str or Path
         Made if missing; files of the same names are replaced.
     verb : str
@@ -516,10 +515,6 @@ def write_calibration(
     missing : dict of str to str, optional
         Takes names of files that are left out as the disk is full, and why; error_tables.json
         never is.
-
-    Returns
-    -------
-    list of Path
 
     Raises
     ------
@@ -596,10 +591,6 @@ def write_with_effects(
 
     Without effects taken off there is no folder ``plain``: the tables are the plain ones.
     ``missing`` as of ``write_calibration``.
-
-    Returns
-    -------
-    list of Path
     """
     folder = Path(folder)
     files = []

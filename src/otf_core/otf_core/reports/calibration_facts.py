@@ -90,7 +90,6 @@ def budget_lines(tables: ErrorTables, budget: Budget) -> list[BudgetLine]:
 
     Parameters
     ----------
-    tables : ErrorTables
     budget : Budget
         Of the same nodes.
     """
@@ -214,8 +213,6 @@ class Facts:
 
     Attributes
     ----------
-    result : CalibrationResult
-    lines : tuple of BudgetLine
     provenance : mapping
         Block of that name in error_tables.json.
     """

@@ -231,7 +231,6 @@ def comparison_html(result: Comparison, convention: str, remarks: Sequence[str],
 
     Parameters
     ----------
-    result : Comparison
     convention : str
         In which both are compared.
     remarks : sequence of str
@@ -509,14 +508,8 @@ def write_comparison(
 
     Parameters
     ----------
-    result : Comparison
-    folder : str or Path
     about : mapping, optional
         Block ``provenance`` of the JSON file; what is known without it if not given.
-
-    Returns
-    -------
-    list of Path
     """
     folder = ensure_folder(folder)
     data = comparison_to_dict(result) | {'provenance': about or provenance('compare')}

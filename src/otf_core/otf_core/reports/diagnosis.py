@@ -119,7 +119,6 @@ def write_diagnosis(
 
     Parameters
     ----------
-    diagnosis : Diagnosis
     folder : str or Path
         Made if missing.
     report : str

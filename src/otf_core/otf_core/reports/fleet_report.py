@@ -115,7 +115,6 @@ def fleet_rows(
     ----------
     verb : str
         'calibrate' or 'diagnose'.
-    folder : Path
     outcomes : mapping of run to JobResult
     """
     done = list(listed_results(verb, folder, outcomes))
@@ -175,12 +174,7 @@ def fleet_page(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> st
 
 
 def write_fleet(verb: str, folder: Path, outcomes: Mapping[str, JobResult]) -> list[Path]:
-    """Write fleet.json and fleet.html into the folder of a fleet.
-
-    Returns
-    -------
-    list of Path
-    """
+    """Write fleet.json and fleet.html into the folder of a fleet."""
     write_text(folder / PAGE, fleet_page(verb, folder, outcomes))
     file = write_outcomes(verb, folder, outcomes, offset_warnings(verb, folder, outcomes))
     list_results(verb, folder)

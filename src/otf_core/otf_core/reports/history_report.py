@@ -502,12 +502,7 @@ def history_page(histories: Sequence[History]) -> str:
 
 
 def write_history(histories: Sequence[History], folder: Path) -> list[Path]:
-    """Write history.json and history.html; the folder exists.
-
-    Returns
-    -------
-    list of Path
-    """
+    """Write history.json and history.html; the folder exists."""
     data: Mapping[str, Any] = store_to_dict(histories)
     write_text(folder / FILE, json.dumps(data, indent=1) + '\n')
     write_text(folder / PAGE, history_page(histories))

@@ -165,7 +165,6 @@ def loop_page(
     ----------
     data : mapping
         loop.json.
-    result : CalibrationResult
     path : NominalPath
         That was fitted.
     files : iterable of str
@@ -272,12 +271,7 @@ def format_loop(circle: Circle) -> str:
 
 
 def write_loop(circle: Circle, folder: str | Path) -> list[Path]:
-    """Write loop.json, the calibration, the bags, and what the control was given.
-
-    Returns
-    -------
-    list of Path
-    """
+    """Write loop.json, the calibration, the bags, and what the control was given."""
     folder = ensure_folder(folder)
     control = ensure_folder(folder / 'control')
     for name, content in circle.files.items():

@@ -87,7 +87,6 @@ def noise_html(
 
     Parameters
     ----------
-    report : NoiseReport
     name : str
         Of the recording.
     date : str
@@ -278,14 +277,8 @@ def write_noise(
 
     Parameters
     ----------
-    report : NoiseReport
-    folder : str or Path
     about : mapping, optional
         Block ``provenance`` of the JSON file; what is known without it if not given.
-
-    Returns
-    -------
-    list of Path
     """
     folder = ensure_folder(folder)
     data = noise_to_dict(report) | {'provenance': about or provenance('noise')}

@@ -75,11 +75,8 @@ class Table:
 
     Attributes
     ----------
-    head : tuple of str
-    rows : tuple of tuple of Cell
     numbers : tuple of int
         Columns that are set to the right.
-    title : str
     folded : str
         Not empty: shown on request, under these words.
     stacked : bool
@@ -106,7 +103,6 @@ class Picture:
         Plain text.
     columns : int
         Parts side by side on a wide page.
-    title : str
     key : str
         What colours mean, as markup.
     hint : str
@@ -140,7 +136,6 @@ class Section:
         Sentences of the page, plain text; ``um`` and ``urad`` are set as µm and µrad.
     data : mapping
         The same as numbers in SI units, plain data.
-    tables : tuple of Table
     text : tuple of str
         Lines for a terminal; empty where it shows nothing of this.
     draw : callable

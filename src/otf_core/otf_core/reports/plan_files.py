@@ -425,9 +425,6 @@ def write_report(
 
     Parameters
     ----------
-    report : PlanReport
-    folder : Path
-    dialect : Dialect, optional
     about : mapping, optional
         Block ``provenance`` of plan.json; of the machine alone if not given.
 

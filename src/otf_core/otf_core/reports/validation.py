@@ -152,14 +152,8 @@ def write_validation(
 
     Parameters
     ----------
-    found : Validation
     measurement : DirectMeasurement
         The direct one of the first cell.
-    folder : str or Path
-
-    Returns
-    -------
-    list of Path
     """
     folder = ensure_folder(folder)
     files = draw_validation(found, measurement, folder)
@@ -173,8 +167,6 @@ def write_table(seeds: Sequence[int], rows: Sequence[Row], folder: Path) -> list
     ----------
     seeds : sequence of int
         Of the cells.
-    rows : sequence of Row
-    folder : Path
     """
     data = {
         'schema': SCHEMA,

@@ -80,10 +80,6 @@ class SimulatedBag:
 
         Parameters
         ----------
-        run : SimulatedRun
-        plan : Plan
-        config : SimulationConfig
-        effects : sequence of AppliedEffect
         files : mapping of str to path
             What was read, for the block ``provenance``.
         """

@@ -40,8 +40,6 @@ class SimulatedRun:
 
     Attributes
     ----------
-    samples : Samples
-    truth : ErrorTables
     rotation, place : ndarray, shape (3, 3) and (3,), m
         Tracker point = rotation @ (machine point - place).
     signals : mapping of SignalSpec to Signal
@@ -69,14 +67,9 @@ def random_tables(machine: Machine, size: float, rng: np.random.Generator) -> Er
 
     Parameters
     ----------
-    machine : Machine
     size : float
         m; mean length of the error vectors once the best rigid motion is taken out.
     rng : numpy.random.Generator
-
-    Returns
-    -------
-    ErrorTables
     """
     motions: dict[str, MotionTable] = {}
     for name in MOTIONS:
@@ -103,9 +96,6 @@ def simulate(
 
     Parameters
     ----------
-    machine : Machine
-    plan : Plan
-    config : SimulationConfig
     tables : ErrorTables, optional
         Errors of the truth machine; drawn from the seed if not given.
     effects : sequence of AppliedEffect, optional
@@ -113,10 +103,6 @@ def simulate(
         all random numbers stay the same.
     tracker_place : ndarray, shape (3,), m, optional
         Beam origin in the machine frame; drawn from the seed if not given.
-
-    Returns
-    -------
-    SimulatedRun
 
     Raises
     ------

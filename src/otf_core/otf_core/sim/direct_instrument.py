@@ -56,14 +56,8 @@ def measure_directly(
     ----------
     tables : ErrorTables
         Errors of the truth machine.
-    seed : int
     runs, positions : int
         Paper 2.3: five runs, forward and backward.
-    noise : InstrumentNoise, optional
-
-    Returns
-    -------
-    DirectMeasurement
     """
     rng = np.random.default_rng([seed, 77])
     noise = noise or InstrumentNoise()

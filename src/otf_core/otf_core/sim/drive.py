@@ -15,7 +15,6 @@ class Drive:
 
     Parameters
     ----------
-    plan : Plan
     acceleration : float
         m/s^2, along the path.
     """

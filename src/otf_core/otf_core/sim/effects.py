@@ -56,9 +56,6 @@ def run_state(
 
     Parameters
     ----------
-    machine : Machine
-    plan : Plan
-    drive : Drive
     time, clock : ndarray, shape (n,), s
         Since the start, true and by the clock of the tracker: effects go by the latter, as it
         is the only one that a recording knows.

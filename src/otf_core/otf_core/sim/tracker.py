@@ -39,9 +39,7 @@ def drawn(noise: NoiseComponent, rng: np.random.Generator, n: int, rate: float) 
 
     Parameters
     ----------
-    noise : NoiseComponent
     rng : numpy.random.Generator
-    n : int
     rate : float
         Samples per second.
 

@@ -34,7 +34,6 @@ def twin_recording(run: Run, pose: RigidTransform, tables: ErrorTables, seed: in
         Tracker to machine.
     tables : ErrorTables
         As fitted to the real run.
-    seed : int
 
     Returns
     -------

@@ -40,10 +40,6 @@ def watched(
     config : SimulationConfig
         Rate, clock and colour of the noise.
     rng : numpy.random.Generator
-
-    Returns
-    -------
-    Samples
     """
     step = 1.0 / (config.rate * (1.0 + config.clock_drift))
     moments = np.arange(time[0] + step * rng.uniform(), time[-1], step)

@@ -180,8 +180,6 @@ class Design:
 
     Attributes
     ----------
-    machine : Machine
-    unknowns : Unknowns
     run : int
         Which pose block the rows belong to.
     q, points : ndarray, shape (p, 3), m

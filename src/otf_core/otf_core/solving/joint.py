@@ -184,18 +184,12 @@ def fit_noise(
 
     Parameters
     ----------
-    system : System
-    pieces : Pieces
     residual : ndarray, shape (c, p), m
     noise : NoiseModel
         As standstills or specification say it; the prior.
     covariance : ndarray, shape (full, full)
         Posterior covariance of the estimates.
     start : ndarray, shape (5,), optional
-
-    Returns
-    -------
-    FittedNoise
     """
     floor = 2.0 * np.log(MODEL_FLOOR)
     prior = np.array([0.0, 0.0, 0.0, floor, floor])
@@ -240,8 +234,6 @@ class SolvedRun:
     ----------
     pose : RigidTransform
         Tracker to machine.
-    system : System
-    whitener : Whitener
     residual : ndarray, shape (c, p), m
         Deviation less model.
     """
@@ -258,13 +250,8 @@ class JointSolution:
 
     Attributes
     ----------
-    unknowns : Unknowns
-    solution : Solution
-    roughness : Roughness
     normal : NormalEquations
         Of what was solved for, in the first iteration, or in the last, see ``settled``.
-    runs : tuple of SolvedRun
-    iterations : int
     """
 
     unknowns: Unknowns
@@ -458,9 +445,6 @@ def solve_jointly(
 
     Parameters
     ----------
-    runs : sequence of Observed
-    unknowns : Unknowns
-    config : CalibrationConfig
     progress : callable(stage, fraction)
     start : Start, optional
         What an earlier solution of the same blocks found.
@@ -520,7 +504,6 @@ def settled(
 
     Parameters
     ----------
-    done : JointSolution
     limit : float
         ``unidentifiable_above``.
     normal : NormalEquations, optional

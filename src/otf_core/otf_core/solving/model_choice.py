@@ -166,7 +166,6 @@ def choose_shapes(
     runs : sequence of Observed
     nodes : mapping of axis to ndarray, m
         Of the tables that machine.yaml asks for.
-    config : CalibrationConfig
     progress : callable(stage, fraction)
     """
     limit = config.unidentifiable_above
@@ -345,8 +344,6 @@ class ReversalSolution(Generic[AnyRun]):
     ----------
     runs : list of Observed
         With the pieces that were kept.
-    done : JointSolution
-    choice : Choice
     plain : (list of Observed, JointSolution)
         The same without reversal.
     """
@@ -396,10 +393,8 @@ def choose_reversal(
 
     Parameters
     ----------
-    runs : sequence of Observed
     done : JointSolution
         Of the same runs, without reversal.
-    config : CalibrationConfig
 
     Returns
     -------
@@ -544,7 +539,6 @@ class _Fold:
     Attributes
     ----------
     pieces : ndarray of int64, shape (m,)
-    rows : Design
     rival : ndarray, shape (c, m, k)
         Columns of the rival.
     """

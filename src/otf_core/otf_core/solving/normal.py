@@ -116,7 +116,6 @@ class NormalEquations:
     right : ndarray, shape (k,)
     square : float
         Sum of the squared whitened deviations.
-    rows : int
     """
 
     matrix: Array
@@ -179,9 +178,6 @@ def sum_groups(
 
     Parameters
     ----------
-    system : System
-    unknowns : Unknowns
-    whitener : Whitener
     group : ndarray of int, shape (legs,)
         Group of each entry of ``whitener.bounds``, from 0.
     extra : ndarray, shape (c, p, k), optional
@@ -191,10 +187,6 @@ def sum_groups(
     blocks : collection of str, optional
         What is solved for: sums of motions that are not among it stay zero. They cost as much as
         others, and with one target offset a fifth of the motions is not identifiable.
-
-    Returns
-    -------
-    list of NormalEquations
     """
     groups = max(groups, int(group.max()) + 1)
     further = system.deviation[:, :, None]
@@ -276,7 +268,6 @@ def white_rows(
 
     Parameters
     ----------
-    system : System
     inverses : sequence of ndarray, shape (c, m, m), 1/m
         What whitens the rows of every leg, see ``Whitener.inverses``.
     legs : sequence of slice

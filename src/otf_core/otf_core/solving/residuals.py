@@ -31,7 +31,6 @@ class SampleResiduals:
     Attributes
     ----------
     leg : ndarray of int64, shape (n,)
-    state : State
     residual : ndarray, shape (n, 3), m
         Perpendicular to the path, machine frame, compensated, slow part of each leg taken off.
     """
@@ -86,10 +85,8 @@ def sample_residuals(
 
     Parameters
     ----------
-    run : Run
     pose : RigidTransform
         Tracker to machine, as solved.
-    tables : ErrorTables
     nodes : mapping of axis to ndarray, m
     """
     state = sample_state(run, pose, tables, nodes)

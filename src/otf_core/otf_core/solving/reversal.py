@@ -109,7 +109,6 @@ def reversal_weights(
 
     Parameters
     ----------
-    machine : Machine
     q, direction : ndarray, shape (n, 3), m and 1
         Positions and unit directions of travel or approach; a zero vector where unknown.
     side : ndarray, shape (n, 3)
@@ -140,7 +139,6 @@ def reversal_tables(
     ----------
     tables : ErrorTables
         With the nodes.
-    unknowns : Unknowns
     estimate, covariance : ndarray, shape (full,) and (full, full), m and rad
     accepted : collection of str
         Blocks that were solved for.

@@ -186,8 +186,6 @@ class Search:
 
     Parameters
     ----------
-    normal : NormalEquations
-    unknowns : Unknowns
     accepted : sequence of str
         Blocks that are solved for.
     limit : float
@@ -280,7 +278,6 @@ def precision_like_others(
 
     Parameters
     ----------
-    motion : ErrorMotion
     basis : Basis
         Of its axis.
     logs : mapping of motion to ndarray, shape (3,)
@@ -302,7 +299,6 @@ def expected_precision(unknowns: Unknowns, limit: float, size: float) -> Array:
 
     Parameters
     ----------
-    unknowns : Unknowns
     limit : float
         m and rad.
     size : float

@@ -106,7 +106,6 @@ def sensitivity(done: JointSolution, columns: Sequence[Columns | Array]) -> Arra
 
     Parameters
     ----------
-    done : JointSolution
     columns : sequence of callable or ndarray
         One entry per run: columns (c, m, k), m, of some of its pieces, or of all (c, p, k).
     """

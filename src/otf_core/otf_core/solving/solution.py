@@ -135,7 +135,6 @@ def identifiable_blocks(
     ----------
     normal : NormalEquations
         Of a system built with ``nodal_lever``.
-    unknowns : Unknowns
     limit : float
         m and rad; ``unidentifiable_above``. In its units an eigenvalue of the normal matrix
         below 1 means undetermined.
@@ -211,18 +210,12 @@ def solve(
 
     Parameters
     ----------
-    normal : NormalEquations
-    unknowns : Unknowns
     limit : float
         m and rad; ``unidentifiable_above``.
     accepted : tuple of str
         Blocks to solve for.
     prior : ndarray, shape (free, free), 1 / (m, rad)^2
         Inverse covariance before any data, see ``roughness.Roughness``.
-
-    Returns
-    -------
-    Solution
     """
     use = free_columns(unknowns, accepted)
     data = normal.matrix[np.ix_(use, use)] * limit**2
@@ -248,9 +241,6 @@ def determined_by_data(
 
     Parameters
     ----------
-    normal : NormalEquations
-    unknowns : Unknowns
-    accepted : tuple of str
     limit : float
         m and rad; ``unidentifiable_above``.
     rows : ndarray, shape (m, full)

@@ -80,10 +80,8 @@ def nominal_positions(
 
     Parameters
     ----------
-    pieces : Pieces
     points : ndarray, shape (p, 3), m
         Measured points in the machine frame.
-    tables : ErrorTables, optional
 
     Returns
     -------
@@ -136,11 +134,8 @@ def build_system(
 
     Parameters
     ----------
-    machine : Machine
-    pieces : Pieces
     pose : RigidTransform
         Tracker to machine, good to the errors sought.
-    unknowns : Unknowns
     tables : ErrorTables, optional
         Tables of the last iteration, for the positions along the path.
     run : int
@@ -151,10 +146,6 @@ def build_system(
         instead of differing by what a spline times the travel is off a spline; and a turn of
         the tracker is one of the nominal positions, not of points that large errors move: for
         judging what is identifiable.
-
-    Returns
-    -------
-    System
     """
     points = pose.apply(pieces.xyz)
     q = nominal_positions(pieces, points, tables)
@@ -190,8 +181,6 @@ def model_rows(machine: Machine, unknowns: Unknowns, q: Array) -> Array:
 
     Parameters
     ----------
-    machine : Machine
-    unknowns : Unknowns
     q : ndarray, shape (n, 3), m
 
     Returns

@@ -215,16 +215,10 @@ def tabulate(machine: Machine, done: JointSolution, grid_u: float, limit: float)
 
     Parameters
     ----------
-    machine : Machine
-    done : JointSolution
     grid_u : float
         m; mean uncertainty of the grid, which decides how fine the tables are.
     limit : float
         m and rad; ``unidentifiable_above``.
-
-    Returns
-    -------
-    Tabulation
     """
     low, high = _ends(machine, done.unknowns)
     costs: dict[int, TableCost] = {}
@@ -273,8 +267,6 @@ def mean_grid_uncertainty(machine: Machine, unknowns: Unknowns, covariance: Arra
 
     Parameters
     ----------
-    machine : Machine
-    unknowns : Unknowns
     covariance : ndarray, shape (full, full)
     """
     grid = _inner_places(*_ends(machine, unknowns))
@@ -298,7 +290,6 @@ def prior_of(done: JointSolution, tables: ErrorTables, limit: float) -> dict[str
 
     Parameters
     ----------
-    done : JointSolution
     tables : ErrorTables
         Of it.
     limit : float

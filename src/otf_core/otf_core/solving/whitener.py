@@ -29,8 +29,6 @@ class Covariances:
 
     Attributes
     ----------
-    noise : NoiseModel
-    misfit : Misfit
     shares : ndarray, shape (3, c, p)
         See ``system.System``.
     windows : tuple of time, duration (s) and count, each of shape (p,)
@@ -179,7 +177,6 @@ class Whitener:
     ----------
     bounds : sequence of (int, int)
         First piece and one past the last of every leg.
-    alike : tuple of Alike
     first : ndarray of int64, shape (legs,)
         First leg over the same pieces of a line, by its place in ``bounds``.
     """
@@ -198,9 +195,6 @@ class Whitener:
         ----------
         system : System
             Its shares of noise change little between iterations.
-        pieces : Pieces
-        noise : NoiseModel
-        misfit : Misfit
 
         Raises
         ------
@@ -390,7 +384,6 @@ def _first_passes(pieces: Pieces, q: Array, bounds: Sequence[tuple[int, int]]) -
 
     Parameters
     ----------
-    pieces : Pieces
     q : ndarray, shape (p, 3), m
         Nominal positions.
     bounds : sequence of (int, int)

@@ -180,7 +180,6 @@ def sharpened(track: Track, tolerance: float) -> Track | None:
 
     Parameters
     ----------
-    track : Track
     tolerance : float
         m; corners that are rounded less stay.
     """
@@ -219,7 +218,6 @@ def rounded_ends(track: Track, legs: Index, corners: Array, least: float) -> Arr
 
     Parameters
     ----------
-    track : Track
     legs : ndarray of int64, shape (k,)
         Measured legs, each on one leg of the path.
     corners : ndarray, shape (k, 2, 3), m
@@ -276,7 +274,6 @@ class Alignment:
 
     Attributes
     ----------
-    T_machine_tracker : RigidTransform
     corners : ndarray, shape (m + 1, 3), m
         Corner points of the path as driven, straight-through points removed; leg j runs from j
         to j + 1. That is the published path, unless legs were repeated or driven backward.
@@ -406,13 +403,8 @@ class Followed:
 
     Attributes
     ----------
-    measured : Track
-    path : NominalPath
-    config : CalibrationConfig
-    guide : Guide
     match : Match
         With the track as it was matched.
-    driven : Driven
     rounded : ndarray, shape (m, 2), m
         See ``Alignment``.
     pose : RigidTransform
@@ -446,15 +438,8 @@ def align(
 
     Parameters
     ----------
-    samples : Samples
-    path : NominalPath
-    config : CalibrationConfig
     seen : Followed, optional
         Of the same run before its last samples; saves time if the target has not moved since.
-
-    Returns
-    -------
-    Alignment
 
     Raises
     ------

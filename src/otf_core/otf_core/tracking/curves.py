@@ -87,7 +87,6 @@ class Lines(Legs):
 
     Attributes
     ----------
-    shape : PathShape
     start : ndarray, shape (m,), m
         Path length from the start of the stretch to the start of the chord.
     total : ndarray, shape (m,), m
@@ -210,7 +209,6 @@ def near_joints(lines: Lines, chord: Index, along: Array, exclusion: float) -> N
 
     Parameters
     ----------
-    lines : Lines
     chord : ndarray of int64, shape (n,)
     along : ndarray, shape (n,), m
         From the start of the chord.
@@ -361,7 +359,6 @@ def bulge_of(points: Array, chord: Index, lines: Lines, least: float) -> Bulge |
     points : ndarray, shape (n, 3), m
         Samples on curves in order of time, machine frame.
     chord : ndarray of int64, shape (n,)
-    lines : Lines
     least : float
         m; shorter curves do not count.
     """

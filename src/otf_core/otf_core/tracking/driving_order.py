@@ -214,7 +214,6 @@ def follow(
     ----------
     pose : RigidTransform
         Tracker to machine.
-    track : Track
     corners : ndarray, shape (n, 3), m
         Nominal corner points.
     tolerance : float
@@ -297,7 +296,6 @@ class Visit:
     ----------
     leg : int
         Of the vertices of the published path.
-    sense : int
     first, last : int
         Measured legs, first and last.
     """
@@ -314,7 +312,6 @@ class Driven:
 
     Attributes
     ----------
-    shape : PathShape
     chord : ndarray of int64, shape (k,)
         Chord on which each measured leg begins, ``OFF_PATH`` for none.
     last : ndarray of int64, shape (k,)
@@ -334,7 +331,6 @@ def visits(match: Match, vertices: Array, slack: float) -> list[Visit]:
 
     Parameters
     ----------
-    match : Match
     vertices : ndarray, shape (v, 3), m
     slack : float
         m; a leg that begins anew by more is driven anew.
@@ -468,9 +464,6 @@ def sample_chords(
 
     Parameters
     ----------
-    match : Match
-    driven : Driven
-    T_machine_tracker : RigidTransform
     xyz : ndarray, shape (n, 3), m
         Samples in the tracker frame.
     exclusion, slack : float

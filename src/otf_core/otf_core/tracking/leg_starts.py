@@ -36,12 +36,10 @@ def leg_starts(
 
     Parameters
     ----------
-    samples : Samples
     pose : RigidTransform
         Tracker to machine.
     leg : ndarray of int32, shape (n,)
         Of every sample, ``OFF_PATH`` where there is none.
-    lines : Lines
     """
     found, seen = np.full(len(lines.length), np.nan), lines.seen_from(pose)
     first = np.flatnonzero((np.diff(leg, prepend=OFF_PATH) != 0) & (leg != OFF_PATH))

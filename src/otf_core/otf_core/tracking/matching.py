@@ -97,7 +97,6 @@ def propose(track: Track, corners: Array, tolerance: float) -> list[RigidTransfo
 
     Parameters
     ----------
-    track : Track
     corners : ndarray, shape (n, 3), m
     tolerance : float
         m.
@@ -211,14 +210,12 @@ def distinct_poses(
 
     Parameters
     ----------
-    poses : list of RigidTransform
     score : ndarray, shape (n,)
         Higher is better.
     points : ndarray, shape (k, 3), m
         Points that two different poses move apart.
     apart : float
         m.
-    most : int
     """
     probe = points[:: max(1, len(points) // 50)]
     found: list[RigidTransform] = []
@@ -238,7 +235,6 @@ def cut_track(track: Track, pose: RigidTransform, cuts: Array, reach: float) -> 
 
     Parameters
     ----------
-    track : Track
     pose : RigidTransform
         Tracker to machine.
     cuts : ndarray, shape (c, 3), m
@@ -339,7 +335,6 @@ def find_match(
 
     Parameters
     ----------
-    track : Track
     corners : ndarray, shape (n, 3), m
         Nominal corner points, straight-through points removed.
     tolerance : float
@@ -378,7 +373,6 @@ class Guide:
 
     Attributes
     ----------
-    shape : PathShape
     vertex : ndarray of int64, shape (v,)
         Corner points that are matched: curves are thinned.
     """

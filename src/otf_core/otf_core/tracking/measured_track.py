@@ -228,7 +228,6 @@ def measured_track(samples: Samples, tolerance: float) -> Track:
 
     Parameters
     ----------
-    samples : Samples
     tolerance : float
         m; deviation from a straight line that makes a corner.
 

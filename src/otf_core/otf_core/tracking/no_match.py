@@ -151,7 +151,6 @@ def check_partial(
 
     Parameters
     ----------
-    samples : Samples
     path : NominalPath
         As published.
     pose : RigidTransform

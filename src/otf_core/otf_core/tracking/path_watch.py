@@ -34,11 +34,6 @@ class PathWatcher:
 
     Which samples a run has follows from stamps and points alone, not from when somebody looks.
 
-    Parameters
-    ----------
-    path : NominalPath
-    config : CalibrationConfig
-
     Attributes
     ----------
     travelled : float

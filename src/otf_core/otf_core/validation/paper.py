@@ -135,8 +135,6 @@ class ReferenceTest:
 
     Attributes
     ----------
-    truth : ErrorTables
-    reference : Plan
     results : mapping of method to CalibrationResult
         ``STANDSTILL`` and the feeds, mm/min, as text.
     durations : mapping of method to float

@@ -167,7 +167,6 @@ def cell_jobs(seed: int, cells: int, folder: Path) -> list[Job]:
     ----------
     seed : int
         Of the first cell; the others count on.
-    cells : int
     folder : Path
         ``FOLDER/SEED/`` holds table and figures of a cell.
     """
@@ -228,8 +227,6 @@ def validate(
 
     Parameters
     ----------
-    laboratory : Laboratory
-    scale : Scale
     progress : callable(text), optional
         Told what comes next.
     machine : Machine, optional

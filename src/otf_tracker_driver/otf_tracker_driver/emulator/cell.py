@@ -23,7 +23,6 @@ class Cell:
 
     Parameters
     ----------
-    machine : Machine
     planning : PlannerConfig
         The path is that of a path planner with the same parameters.
     seed : int

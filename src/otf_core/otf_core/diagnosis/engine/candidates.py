@@ -34,7 +34,6 @@ class Beside:
 
     Attributes
     ----------
-    rows : Rows
     candidates : mapping of effect name to sequence of Tried
         Those that may be named beside the causes.
     basis : ndarray, shape (r, q)
@@ -73,7 +72,6 @@ class Pool:
 
     Attributes
     ----------
-    rows : Rows
     groups : mapping of effect name to sequence of Tried
     basis : ndarray, shape (r, q)
         Orthonormal.

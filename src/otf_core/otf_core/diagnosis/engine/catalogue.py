@@ -125,8 +125,6 @@ def tried_effects(
 
     Parameters
     ----------
-    rows : Rows
-    effects : sequence of Effect
     shapes : mapping of effect name to shapes
         Where not given, those of the effect itself.
 

@@ -67,9 +67,6 @@ class Tried:
 
     Attributes
     ----------
-    effect : Effect
-    shape : mapping of str to float
-    terms : Terms
     size : ndarray, shape (k,), m
         Root mean square of the columns where they act.
     whole : ndarray, shape (k,)
@@ -78,7 +75,6 @@ class Tried:
         P'P and P'y, less what the causes found so far can follow.
     takes : tuple of ndarray of int
         Terms of every option: all that act, those of each axis, of a few motions.
-    source : Source
     shared : ndarray, shape (q, k)
         Products with the orthonormal columns that were left out.
     price : float

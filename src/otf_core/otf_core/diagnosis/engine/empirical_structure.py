@@ -80,7 +80,6 @@ class Structure:
     ----------
     cause : Cause
         As a cause without a name.
-    effect : FreeForm
     """
 
     cause: Cause
@@ -104,8 +103,6 @@ class Structures:
 
     Attributes
     ----------
-    rows : Rows
-    ranked : tuple of Tried
     looked : float
         Logarithm of the number of structures that were looked at.
     """

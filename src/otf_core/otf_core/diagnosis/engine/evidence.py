@@ -45,8 +45,6 @@ class Option:
 
     Attributes
     ----------
-    effect : Effect
-    shape : mapping of str to float
     terms : Terms
         Of all runs; columns of one point of the first.
     take : ndarray of int, shape (k,)

@@ -59,8 +59,6 @@ def residuals_with(rows: Rows, causes: Sequence[Cause], *, held_out: bool = True
 
     Parameters
     ----------
-    rows : Rows
-    causes : sequence of Cause
     held_out : bool
         Each leg is judged with coefficients fitted without the legs of its fold; tables and
         poses are fitted to all legs with the weights of the calibration without the causes.

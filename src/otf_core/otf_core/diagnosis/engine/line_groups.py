@@ -22,7 +22,6 @@ class Touched:
 
     Attributes
     ----------
-    lines : list of int
     unknowns : ndarray of int64, shape (b,)
         Those that the lines touch.
     base : ndarray, shape (c m, b)

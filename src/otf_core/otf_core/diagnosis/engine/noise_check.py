@@ -38,7 +38,6 @@ class NoiseFinding:
         Probability of what departs most clearly; see ``noise.departure``.
     variance_ratio : float
         Mean variance of the rows with the measured levels over that with the specified ones.
-    words : str
     """
 
     parameters: dict[str, float]

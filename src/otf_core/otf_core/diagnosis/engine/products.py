@@ -25,8 +25,6 @@ def add_products(rows: Rows, run: int, values: Array, cross: Array, square: Arra
 
     Parameters
     ----------
-    rows : Rows
-    run : int
     values : ndarray, shape (c, p, k)
         The columns, not yet whitened.
     cross : ndarray, shape (b, k)

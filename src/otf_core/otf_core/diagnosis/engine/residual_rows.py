@@ -75,7 +75,6 @@ class Rows:
 
     Attributes
     ----------
-    observed : tuple of Observed
     done : JointSolution
         Of the calibration, without reversal: its residuals are the gap.
     whiteners : tuple of Whitener
@@ -358,7 +357,6 @@ def rows_of(observed: Sequence[Observed], done: JointSolution, limit: float) -> 
 
     Parameters
     ----------
-    observed : sequence of Observed
     done : JointSolution
         Of the same runs, without reversal.
     limit : float

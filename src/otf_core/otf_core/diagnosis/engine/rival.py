@@ -55,7 +55,6 @@ class Rival:
     ----------
     odds : float
         Logarithm of the odds of it against the causes; minus infinity if there is none.
-    inputs : tuple of str
     """
 
     odds: float = -np.inf

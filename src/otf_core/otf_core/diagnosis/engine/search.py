@@ -59,11 +59,8 @@ class Cause:
 
     Attributes
     ----------
-    option : Option
-    score : float
     confidence : float
         Probability among the candidates and 'none'.
-    indistinguishable : tuple of str
     time_as_well : bool
         True if it follows a signal, and functions of time explain the data as well.
     """

@@ -69,12 +69,10 @@ def rows_to_diagnose(
 
     Parameters
     ----------
-    runs : sequence of Run
     done : JointSolution
         Of the calibration, without reversal.
     nodes : mapping of axis to ndarray, m
         Of the tables that machine.yaml asks for.
-    config : CalibrationConfig
     exclude : sequence of str
         Effects taken out of the catalogue.
     """

@@ -63,7 +63,6 @@ def preferred(tried: Sequence[Tried], worth: Array, *, formula: NDArray[np.bool_
 
     Parameters
     ----------
-    tried : sequence of Tried
     worth : ndarray, shape (k,)
         Their scores.
     formula : ndarray of bool, shape (k,)

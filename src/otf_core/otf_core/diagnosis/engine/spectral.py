@@ -200,7 +200,6 @@ def strongest_lines(residuals: SampleResiduals, effects: Sequence[Effect]) -> li
 
     Parameters
     ----------
-    residuals : SampleResiduals
     effects : sequence of Effect
         Those that make no lines are passed over.
     """

@@ -103,10 +103,8 @@ class _Way:
 
     Attributes
     ----------
-    acts : Acting
     drivers : tuple of Effect
         Those that are candidates.
-    courses : Courses
     """
 
     acts: Acting
@@ -218,10 +216,8 @@ def judged(courses: Courses, sets: Array, *, alike: bool) -> Array:
 
     Parameters
     ----------
-    courses : Courses
     sets : ndarray, shape (m, c + 1), s
         Moments, and the lag with which they are followed.
-    alike : bool
 
     Returns
     -------

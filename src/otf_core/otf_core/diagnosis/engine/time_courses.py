@@ -92,7 +92,6 @@ class Courses:
     right : ndarray, shape (k, n)
     size : ndarray, shape (k,), m
         Displacement by a unit of each term of the way to act.
-    variance : float
     """
 
     time: Array

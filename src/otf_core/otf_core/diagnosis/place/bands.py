@@ -90,10 +90,8 @@ def band_groups(
 
     Parameters
     ----------
-    views : sequence of RunView
     states : sequence of (sequence of ndarray, shape (c, p), m)
         Residuals of all runs; the noise, which takes the time, is turned once for all.
-    bands : sequence of Bands
     """
     sums: list[list[list[LegSums]]] = [[[] for _ in bands] for _ in states]
     for view, *residuals in zip(views, *states, strict=True):

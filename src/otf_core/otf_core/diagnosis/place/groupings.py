@@ -28,8 +28,6 @@ class Grouping:
 
     Attributes
     ----------
-    kind : str
-    labels : list of str
     indices : list of ndarray of int, shape (p,)
         One per run.
     edges, second : ndarray, shape (n + 1,), optional

@@ -30,7 +30,6 @@ class Group:
 
     Attributes
     ----------
-    label : str
     kind : str
         What the pieces were grouped by.
     rms, expected : float
@@ -39,7 +38,6 @@ class Group:
         m^2; mean square beyond noise and its standard deviation, scatter of the legs included.
     significance : float
         How unlikely noise alone is to give so much: in standard deviations of a normal quantity.
-    pieces, legs : int
     """
 
     label: str
@@ -118,7 +116,6 @@ def leg_sums(rows: Sequence[LegRows], member: NDArray[np.bool_], pieces: Array) 
 
     Parameters
     ----------
-    rows : sequence of LegRows
     member : ndarray of bool, shape (n, g)
         Which groups each value belongs to.
     pieces : ndarray, shape (g,)
@@ -195,8 +192,6 @@ def partition(
 
     Parameters
     ----------
-    views : sequence of RunView
-    groupings : sequence of Grouping
     residuals : sequence of ndarray, shape (c, p), optional
         ``residual_before`` where not given.
     """

@@ -40,12 +40,10 @@ class Part:
 
     Attributes
     ----------
-    label : str
     place : int
         Number of its label in the grouping.
     excess, u_excess : float, m^2
         Mean square beyond noise and its standard deviation.
-    pieces : int
     """
 
     label: str
@@ -66,7 +64,6 @@ class Placement:
 
     Attributes
     ----------
-    separation : Separation
     parts : tuple of Part
         All that have pieces.
     words : str
@@ -118,9 +115,7 @@ def placed(views: Sequence[RunView], residuals: Sequence[Array], best: Separatio
 
     Parameters
     ----------
-    views : sequence of RunView
     residuals : sequence of ndarray, shape (c, p), m
-    best : Separation
     """
     [groups] = partition(views, [best.grouping], residuals)
     numbers = {label: k for k, label in enumerate(best.grouping.labels)}

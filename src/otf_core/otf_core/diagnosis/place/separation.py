@@ -53,7 +53,6 @@ class Separation:
     ----------
     view : str
         One of ``VIEWS``.
-    grouping : Grouping
     share : float
         See the head of this file; at most 1, about 0 by chance.
     probability : float
@@ -93,7 +92,6 @@ def separations(views: Sequence[RunView], residuals: Sequence[Array]) -> list[Se
 
     Parameters
     ----------
-    views : sequence of RunView
     residuals : sequence of ndarray, shape (c, p), m
     """
     starts = [_block_starts(v) for v in views]

@@ -30,7 +30,6 @@ class GapShape:
 
     Attributes
     ----------
-    family : str
     scales : callable(RunView) -> ndarray, shape (p, m)
         Displacements along X, Y and Z are in proportion to each of the m scales; coefficients
         are those of the first scale, X, Y, Z, then of the next.

@@ -45,8 +45,6 @@ class GapStructure:
 
     Attributes
     ----------
-    family : str
-    words : str
     share : float
         Of the squared residual beyond noise that it explains, 0 to 1.
     score : float
@@ -214,7 +212,6 @@ def find_structures(
 
     Parameters
     ----------
-    views : sequence of RunView
     residuals : sequence of ndarray, shape (c, p), m, optional
         ``residual_before`` where not given.
     project : callable(columns (r, k)) -> columns, optional

@@ -25,7 +25,6 @@ class RunView:
 
     Attributes
     ----------
-    name : str
     axis_names : tuple of str
         Of the machine, in the order of the components of ``q``.
     time : ndarray, shape (p,), s

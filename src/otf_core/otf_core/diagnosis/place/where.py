@@ -99,7 +99,6 @@ def components(views: Sequence[RunView], residuals: Sequence[Array]) -> dict[str
 
     Parameters
     ----------
-    views : sequence of RunView
     residuals : sequence of ndarray, shape (c, p), m
     """
     square, pieces = np.zeros(3), 0
@@ -214,7 +213,6 @@ def describe_structure(
 
     Parameters
     ----------
-    views : sequence of RunView
     residual : str
         'residual_before' or 'residual_after': without or with the causes.
     project : callable, optional
@@ -236,7 +234,6 @@ def where_and_shape(
 
     Parameters
     ----------
-    views : sequence of RunView
     residual, project
         See ``describe_structure``.
     known : str

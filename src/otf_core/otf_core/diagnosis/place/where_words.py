@@ -117,7 +117,6 @@ def structure_words(total: Group, groups: Sequence[Group], found: Sequence[GapSt
         All pieces.
     groups : sequence of Group
         Of all kinds.
-    found : sequence of GapStructure
     """
     if not stands_out(total, groups):
         return NO_STRUCTURE

@@ -22,7 +22,6 @@ class Dialect(ABC):
     ----------
     name : str
         As given on the command line.
-    file_name : str
     longest_dwell : float
         s.
     needs_dwell : bool

@@ -28,7 +28,6 @@ def on_increment(plan: Plan, low: Array, high: Array) -> Plan:
 
     Parameters
     ----------
-    plan : Plan
     low, high : ndarray, shape (3,), m
         Ends of the axis ranges.
     """
@@ -69,15 +68,10 @@ def program(dialect: Dialect, plan: Plan, header: Sequence[str]) -> str:
 
     Parameters
     ----------
-    dialect : Dialect
     plan : Plan
         Positions on the increment of the dialect, see ``on_increment``.
     header : sequence of str
         Comments, each of one line or more.
-
-    Returns
-    -------
-    str
 
     Raises
     ------

@@ -79,12 +79,10 @@ class ErrorSize:
 
     Attributes
     ----------
-    name : str
     unit : str
         m or rad.
     value, U : float
         Span of a motion, size of a squareness error; expanded uncertainty (95 %).
-    limit : float, optional
     state : str
         Of the limit; empty without one.
     known : bool

@@ -45,7 +45,6 @@ class Scale:
         Ends; ``high`` above ``low``.
     label : str
         What is shown, with its unit.
-    logarithmic : bool
     marks : int
         Marks wished for on a linear scale.
     named : tuple of (value, text)
@@ -391,7 +390,6 @@ class Bar:
 
     Attributes
     ----------
-    name : str
     parts : tuple of (size, class)
         In one unit; drawn one behind the other.
     words : str
@@ -433,7 +431,6 @@ def bars(
 
     Parameters
     ----------
-    rows : sequence of Bar
     title : str
         For readers who cannot see it.
     names : float, px
@@ -503,8 +500,6 @@ def sheet(
     ----------
     pictures : sequence of str
         As ``drawing.panel.svg`` returns them; row by row.
-    columns : int
-    title, caption : str
     key : sequence of (class, text)
     """
     rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]

@@ -34,7 +34,6 @@ class Strokes:
 
     Attributes
     ----------
-    kind : str
     ends : ndarray, shape (n, 2, 3), m
     arrows : bool
         With a head at the second end.
@@ -51,7 +50,6 @@ class Dots:
 
     Attributes
     ----------
-    kind : str
     points : ndarray, shape (n, 3), m
     radius : float, m
         As they are drawn, magnified if they are; 0: the size of the class.
@@ -69,7 +67,6 @@ class Label:
     Attributes
     ----------
     point : ndarray, shape (3,), m
-    text : str
     kind : str
         Classes, such as 'end' or 'middle'.
     dx, dy : float, px
@@ -270,7 +267,6 @@ def scene(
     low, high : ndarray, shape (3,), m
     title : str
         For readers who cannot see it.
-    turns : bool
     shown : Magnification, optional
         Of arrows and radii among the items; stated with an arrow of reference.
     """
