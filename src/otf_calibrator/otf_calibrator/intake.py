@@ -279,13 +279,15 @@ class Intake:
         if self.journal:
             self.journal.close()
 
-    def take_up(self, status: Callable[[bytes], Status]) -> str:
+    def take_up(
+        self, status: Callable[[bytes], Status], gap: Callable[[bytes], tuple[str, int]]
+    ) -> str:
         """Go on with the run of a calibrator that ended without finishing it; say what was found.
 
         Parameters
         ----------
-        status : callable
-            Reads a message of the driver's status.
+        status, gap : callable
+            Read a message of the driver's status; of a gap, the stream before it and its samples.
         """
         if self.journal is None:
             return ''
@@ -296,20 +298,23 @@ class Intake:
         said = [f'{p}: a run without a result; otf calibrate reads it' for p in left]
         if recorded:
             journal, self.journal = self.journal, None  # all of it is there already
-            for topic, content in recorded.arrived:
-                if isinstance(content, DecodedPoints):
-                    if content.foreign:
-                        self._collector.screening.foreign(content.foreign)
-                    self._take(content.stamp_ns, content.xyz)
-                    self._write_known()
-                elif topic == PATH:
-                    path = NominalPath(decode_path(content, PATH.frame))
-                    self._collector.set_path(path, content)
-                    journal.message(PATH, content)
-                else:
-                    self.status(status(content), content)
+            for part in recorded.parts:
+                for topic, content in part:
+                    if isinstance(content, DecodedPoints):
+                        if content.foreign:
+                            self._collector.screening.foreign(content.foreign)
+                        self._take(content.stamp_ns, content.xyz)
+                        self._write_known()
+                    elif topic == PATH:
+                        path = NominalPath(decode_path(content, PATH.frame))
+                        self._collector.set_path(path, content)
+                        journal.message(PATH, content)
+                    elif topic == GAP:
+                        self.gap(*gap(content), content)
+                    else:
+                        self.status(status(content), content)
+                self._collector.taken_up()
             self.journal = journal
-            self._collector.taken_up()
             watcher, count = self._collector.watcher, len(self._collector.buffer)
             if watcher is not None and watcher.end == count:
                 watcher.stays()  # the journal of a run that was over holds no more

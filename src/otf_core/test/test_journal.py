@@ -149,10 +149,11 @@ def test_run_of_a_killed_process_is_taken_up_and_goes_on(journal, torn):
     again = Journal(journal.directory, TEXTS)
     recorded, left = again.take_up(600.0)
     assert left == [] and again.folder == folder
-    found = [p for t, p in recorded.arrived if t is POINT]
+    (part,) = recorded.parts
+    found = [p for t, p in part if t is POINT]
     stamps = np.concatenate([p.stamp_ns for p in found])
     assert stamps.tobytes() == SAMPLES.stamp_ns[:kept].tobytes()
-    assert recorded.arrived[0][0] is PATH
+    assert part[0][0] is PATH
     put(again, kept, 400)
     again.end('calibrated')
     again.close()

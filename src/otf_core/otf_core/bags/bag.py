@@ -32,6 +32,7 @@ from otf_core.bags.sample_order import MixedSamples, Screening, in_time_order, u
 from otf_core.bags.signals import signal_messages
 from otf_core.errors import ConfigError, InputError
 from otf_core.files.text_table import LeftOut
+from otf_core.files.writing import unwritable
 from otf_core.model.declared_signals import SignalSpec
 from otf_core.model.observation import Samples
 from otf_core.model.path import NominalPath
@@ -69,7 +70,7 @@ def write_recording(
         finally:
             shutil.rmtree(new, ignore_errors=True)
     except OSError as error:
-        raise ConfigError(f'{folder}: cannot be written ({error.strerror or error})') from None
+        raise unwritable(folder, error) from None
 
 
 def _check_target(folder: Path, overwrite: bool) -> None:

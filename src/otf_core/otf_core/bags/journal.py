@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import struct
@@ -433,13 +434,14 @@ class Recorded:
     ----------
     end_ns : int
         When the last message was received.
-    arrived : tuple
-        Points, and messages of ``TOPICS`` as they were received, in their order.
+    parts : tuple of tuple
+        Points, and messages of ``TOPICS`` and of gaps as they were received, in their order; each
+        part by another process than the one before.
     """
 
     run: JournalRun
     end_ns: int
-    arrived: tuple[tuple[Topic, DecodedPoints | bytes], ...]
+    parts: tuple[tuple[tuple[Topic, DecodedPoints | bytes], ...], ...]
 
 
 def take_up(folder: Path, definitions: Definitions) -> Recorded:
@@ -456,10 +458,11 @@ def take_up(folder: Path, definitions: Definitions) -> Recorded:
     except (OSError, ValueError, IndexError) as error:
         raise InputError(f'{folder}: cannot be taken up ({error})') from None
     parts: list[Part] = []
-    blocks: list[MessageBlock] = []
+    arrived = []
+    own = {t.name for t in (*TOPICS, GAP)}
     for file in files:
         found = list(locate(file).messages({t.name: (t.type,) for t in definitions.all}, {}))
-        blocks += found
+        arrived.append(tuple(_in_order([b for b in found if b.topic in own])))
         if found:
             times = np.concatenate([b.log_time for b in found])
             counts: Counter[Topic] = Counter()
@@ -469,12 +472,10 @@ def take_up(folder: Path, definitions: Definitions) -> Recorded:
         else:
             parts.append(Part(file.name, 0, 0, {}))
     end = max((part.end for part in parts), default=0)
-    own = {t.name for t in TOPICS}
-    arrived = tuple(_in_order([b for b in blocks if b.topic in own]))
-    return Recorded(JournalRun(folder, definitions, parts), end, arrived)
+    return Recorded(JournalRun(folder, definitions, parts), end, tuple(arrived))
 
 
-def _topic(block: MessageBlock, topics: Sequence[Topic] = TOPICS) -> Topic:
+def _topic(block: MessageBlock, topics: Sequence[Topic] = (*TOPICS, GAP)) -> Topic:
     return next(t for t in topics if t.name == block.topic)
 
 
@@ -524,6 +525,8 @@ PERIOD = 0.2
 MOST = 1 << 26
 """Bytes kept while the disk refuses; what comes beyond is not journalled, and counted."""
 LOCK = '.lock'
+KEPT_FREE = 1 << 22
+"""Bytes of the disk that the journal leaves free for the results, but no more than half of it."""
 
 
 @dataclass(frozen=True)
@@ -720,10 +723,23 @@ class Journal:
                 if isinstance(item, _End) or item[0] is not run:
                     break
                 rows.append(item[1])
+            self._check_room(sum(r.data.nbytes for r in rows))
             run.append(rows)
             del waiting[: len(rows)]
             with self._wake:
                 self._pending -= sum(r.data.nbytes for r in rows)
+
+    def _check_room(self, size: int) -> None:
+        """OSError if so many bytes more would leave too little of the disk for the results."""
+        try:
+            disk = os.statvfs(self.directory)
+        except FileNotFoundError:  # removed by somebody; made again with the run
+            return
+        kept = min(KEPT_FREE, disk.f_blocks * disk.f_frsize // 2)
+        if disk.f_bavail * disk.f_frsize - size < kept:
+            raise OSError(
+                errno.ENOSPC, f'disk full but for {kept / 1e6:.1f} MB, kept for the results'
+            )
 
 
 def _locked(directory: Path) -> int:

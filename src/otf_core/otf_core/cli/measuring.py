@@ -106,7 +106,9 @@ def _answer_calibration(arguments: argparse.Namespace, facts: Facts, files: list
     words = calibration_summary(facts)
     if arguments.verbose:
         words += f'\n\n{sections_to_text(sections)}'
-    open_next = 'report.html' if arguments.report else 'summary.txt'
+    names = {file.name for file in files}
+    order = ('report.html', 'summary.txt', 'error_tables.csv', 'error_tables.json')
+    open_next = next(name for name in order if name in names)
     words = f'{words}\nopen {Path(arguments.out) / open_next}; all numbers: --verbose, summary.txt'
     answer_from(arguments, words, files, TABLES, report=report)
 

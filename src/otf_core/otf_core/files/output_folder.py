@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.errors import ConfigError
-from otf_core.files.writing import ensure_folder, unwritable, whole_file, write_text
+from otf_core.files.writing import DiskFull, ensure_folder, unwritable, whole_file, write_text
 from otf_core.version import __version__
 
 # manifest.json (``otf-manifest/1``): which files of a folder this program wrote, by their hash.
@@ -262,6 +262,8 @@ class OutputFolder:
             self._put_in_place(new)
         except OSError as error:
             raise unwritable(self.path, error) from None
+        except DiskFull as error:
+            raise DiskFull(str(error).replace(str(new), str(self.path))) from None
         finally:
             reserve.unlink(missing_ok=True)
             shutil.rmtree(new, ignore_errors=True)

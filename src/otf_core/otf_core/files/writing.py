@@ -19,6 +19,7 @@ from otf_core.errors import ConfigError
 # Files that are either whole or not there: written beside the final name, then renamed.
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
+DISK_FULL = 'the disk is full'
 
 
 class DiskFull(ConfigError):
@@ -56,7 +57,7 @@ def write_if_it_fits(
     except DiskFull:
         if missing is None:
             raise
-        missing[name] = 'the disk is full'
+        missing[name] = DISK_FULL
         return False
     return True
 

@@ -490,6 +490,7 @@ def write_calibration(
     folder: str | Path,
     verb: str = 'calibrate',
     *,
+    residuals: bool = True,
     residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = False,
@@ -504,6 +505,8 @@ def write_calibration(
         Made if missing; files of the same names are replaced.
     verb : str
         Command that the files come from.
+    residuals : bool
+        Write residuals.npz.
     residuals_csv : bool
         Write the residuals as text too.
     report : bool
@@ -543,7 +546,8 @@ def write_calibration(
         wanted[CERTIFICATE_FILE] = lambda: write_text(
             folder / CERTIFICATE_FILE, certificate_html(facts)
         )
-    wanted[RESIDUALS_FILE] = lambda: write_residuals(result.runs, folder)
+    if residuals:
+        wanted[RESIDUALS_FILE] = lambda: write_residuals(result.runs, folder)
     if residuals_csv:
         wanted[RESIDUALS_TEXT] = lambda: write_residuals_text(result.runs, folder)
     written = [name for name, write in wanted.items() if write_if_it_fits(missing, name, write)]
@@ -582,6 +586,7 @@ def write_with_effects(
     done: EffectsCalibration,
     folder: str | Path,
     *,
+    residuals: bool = True,
     residuals_csv: bool = False,
     report: bool = True,
     certificate: bool = False,
@@ -597,6 +602,7 @@ def write_with_effects(
     written = write_calibration(
         done.result,
         folder,
+        residuals=residuals,
         residuals_csv=residuals_csv,
         report=report,
         certificate=certificate,
@@ -614,7 +620,9 @@ def write_with_effects(
         if write_if_it_fits(
             missing,
             PLAIN_FOLDER,
-            lambda: write_calibration(done.plain, plain, report=report, missing=lost),
+            lambda: write_calibration(
+                done.plain, plain, residuals=residuals, report=report, missing=lost
+            ),
         ):
             files.append(plain / TABLES_FILE)
         for name, why in (lost or {}).items():
@@ -625,9 +633,16 @@ def write_with_effects(
 
 def write_reports(done: EffectsCalibration, folder: Path) -> None:
     """Write the reports that ``write_with_effects`` has left out."""
+    write_report(folder, facts_of(done.result))
     if done.applied[0]:
         write_report(folder / PLAIN_FOLDER, facts_of(done.plain))
-    write_report(folder, facts_of(done.result))
+
+
+def write_residuals_of_both(done: EffectsCalibration, folder: Path) -> None:
+    """Write residuals.npz where ``write_with_effects`` has left it out."""
+    write_residuals(done.result.runs, folder)
+    if done.applied[0]:
+        write_residuals(done.plain.runs, folder / PLAIN_FOLDER)
 
 
 def _differs(a: Sequence[AppliedEffect], b: Sequence[AppliedEffect]) -> bool:
