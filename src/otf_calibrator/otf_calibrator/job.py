@@ -25,7 +25,7 @@ from otf_calibrator.solver_task import Solved, Task
 from otf_core.bags.bag import BagContent, write_bag
 from otf_core.bags.sample_order import in_time_order
 from otf_core.calibration.calibration_result import CalibrationResult
-from otf_core.diagnosis.calibrate_with_effects import AUTO, NONE
+from otf_core.diagnosis.diagnose import AUTO, NONE
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.errors import Cancelled, ConfigError, OtfError
 from otf_core.files.output_folder import MANIFEST, OutputFolder, write_manifest, written_files

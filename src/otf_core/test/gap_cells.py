@@ -5,7 +5,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.place.groups import RunView
 from otf_core.model.frames import XYZ
 from otf_core.noise.noise_model import path_frame
 

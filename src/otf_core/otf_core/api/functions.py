@@ -15,7 +15,7 @@ from otf_core.bags import bag
 from otf_core.calibration.calibrate import calibrate_runs
 from otf_core.calibration.calibration_result import CalibrationResult
 from otf_core.config import CalibrationConfig, ForecastConfig, PlannerConfig, SimulationConfig
-from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
+from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.diagnosis.diagnose import diagnose as diagnose_runs
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects import REGISTRY, AppliedEffect

@@ -123,7 +123,7 @@ def _judged(arguments: argparse.Namespace, result: CalibrationResult) -> int:
 
 def _calibrate_with_effects(arguments: argparse.Namespace, config: CalibrationConfig) -> int:
     """Error tables with effects taken off."""
-    from otf_core.diagnosis.calibrate_with_effects import AUTO, calibrate_with_effects
+    from otf_core.diagnosis.diagnose import AUTO, calibrate_with_effects
     from otf_core.reports.calibration import facts_of, write_with_effects
     from otf_core.sim.twin import twin_recording
 

@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from otf_core.calibration.with_effects import EffectsCalibration
-from otf_core.diagnosis.free_curves import Curve
-from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.cause_parameters import CauseSize, Curve
+from otf_core.diagnosis.place.groups import RunView
 from otf_core.diagnosis.place.where import Where
-from otf_core.diagnosis.sizes import CauseSize
-from otf_core.diagnosis.unnamed_cause import Unnamed
+from otf_core.diagnosis.weighing import Unnamed
 from otf_core.effects import AppliedEffect
 from otf_core.model.provenance import Origin
 from otf_core.pieces.finding import Finding

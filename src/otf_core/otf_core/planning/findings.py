@@ -12,15 +12,15 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.aside import shared_out
-from otf_core.diagnosis.engine.catalogue import (
+from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
+from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
+from otf_core.diagnosis.engine.search import (
     Visibility,
     best_sight,
     effects_without,
     shapes_of,
     sight_of,
 )
-from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
-from otf_core.diagnosis.engine.residual_rows import Rows, rows_of
 from otf_core.effects import REGISTRY, Effect
 from otf_core.model.frames import XYZ
 from otf_core.model.kinematics import motion_influence

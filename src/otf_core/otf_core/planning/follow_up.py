@@ -14,9 +14,9 @@ import numpy as np
 
 from otf_core.arrays import Array
 from otf_core.config import PlannerConfig
-from otf_core.diagnosis.engine.catalogue import best_sight, shapes_of, sight_of
 from otf_core.diagnosis.engine.effect_products import tried_shapes
 from otf_core.diagnosis.engine.residual_rows import Rows
+from otf_core.diagnosis.engine.search import best_sight, shapes_of, sight_of
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.effects_yaml import read_effects
 from otf_core.effects.free_form import free_forms

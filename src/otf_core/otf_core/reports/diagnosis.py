@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from otf_core.aside import shared_out
-from otf_core.diagnosis.measured import measured_run
+from otf_core.diagnosis.answer import measured_run
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.effects.effects_yaml import write_effects
 from otf_core.files.writing import ensure_folder, write_text

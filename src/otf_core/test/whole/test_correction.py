@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose
 
 from otf_core.calibration.with_effects import corrected, estimates, missing_in_tables
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis import calibrate_with_effects as above
-from otf_core.diagnosis.calibrate_with_effects import calibrate_with_effects
+from otf_core.diagnosis import diagnose as above
 from otf_core.diagnosis.corrected_calibration import FoundCauses, Told, _to_take, with_causes
+from otf_core.diagnosis.diagnose import calibrate_with_effects
 from otf_core.effects import REGISTRY, AppliedEffect
 from otf_core.effects.removable_effect import taken
 from otf_core.effects.state import probe_state

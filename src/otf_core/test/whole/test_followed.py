@@ -7,9 +7,8 @@ from nature import NAMES, Cell
 
 from otf_core.calibration.calibrate import solve_recordings
 from otf_core.config import CalibrationConfig
-from otf_core.diagnosis.engine.catalogue import tried_effects
-from otf_core.diagnosis.engine.search import search
-from otf_core.diagnosis.engine.short_waves import rows_to_diagnose
+from otf_core.diagnosis.engine.diagnosed_rows import rows_to_diagnose
+from otf_core.diagnosis.engine.search import search, tried_effects
 from otf_core.effects import REGISTRY
 from otf_core.solving.model_choice import is_finer
 from otf_core.solving.unknowns import LINEAR

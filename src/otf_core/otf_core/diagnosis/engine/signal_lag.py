@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otf_core.arrays import Array
-from otf_core.diagnosis.engine.candidates import Beside
-from otf_core.diagnosis.engine.effect_products import Tried, tried_shapes
+from otf_core.diagnosis.engine.effect_products import Beside, Tried, tried_shapes
 from otf_core.effects.free import follower
 from otf_core.effects.free_form import FreeForm
 from otf_core.effects.inputs import SIGNAL

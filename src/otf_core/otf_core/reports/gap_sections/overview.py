@@ -11,9 +11,9 @@ from itertools import combinations
 
 import numpy as np
 
+from otf_core.diagnosis.cause_parameters import SCALES, Curve, at_words
 from otf_core.diagnosis.corrected_calibration import in_reversal_tables
-from otf_core.diagnosis.free_curves import SCALES, Curve, at_words
-from otf_core.diagnosis.place.separation import TIME, VOLUME, groupings_by_view
+from otf_core.diagnosis.place.placement import TIME, VOLUME, groupings_by_view
 from otf_core.diagnosis.result import Diagnosis, Gap, NamedCause
 from otf_core.effects import REGISTRY, BelongsTo
 from otf_core.effects.inputs import label_of

@@ -9,11 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from otf_core.arrays import Array
-from otf_core.diagnosis.place import groupings as by
-from otf_core.diagnosis.place.bands import Bands, band_groups
-from otf_core.diagnosis.place.groupings import Grouping
-from otf_core.diagnosis.place.groups import Group, partition
-from otf_core.diagnosis.place.views import RunView
+from otf_core.diagnosis.place import groups as by
+from otf_core.diagnosis.place.groups import Bands, Group, Grouping, RunView, band_groups, partition
 from otf_core.diagnosis.result import Diagnosis
 from otf_core.model.frames import XYZ
 from otf_core.reports.drawing.panel import (
