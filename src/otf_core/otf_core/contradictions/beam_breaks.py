@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from otf_core.arrays import Array, Index
-from otf_core.contradictions.quick_model import UNIT, Fit, Model, Rows
+from otf_core.contradictions.quick_model import Fit, Model, Rows
 from otf_core.model.observation import Samples
 from otf_core.pieces.finding import WARNING, Finding
 from otf_core.pieces.pieces import Pieces
@@ -93,7 +93,9 @@ def offset_columns(rows: Rows, share: Array, kind: str) -> Array:
     kind : str
         'vector' or 'range'.
     """
-    vectors = [rows.beam] if kind == 'range' else [np.broadcast_to(u, rows.q.shape) for u in UNIT]
+    vectors = (
+        [rows.beam] if kind == 'range' else [np.broadcast_to(u, rows.q.shape) for u in np.eye(3)]
+    )
     tiled = np.tile(share, (len(rows.axes), 1))
     parts = [tiled * rows.component(v)[:, None] for v in vectors]
     return np.stack(parts, axis=2).reshape(len(tiled), -1)

@@ -13,7 +13,7 @@ same for all pairs of nodes but for a factor, and need no multiplication of spar
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import permutations
 
@@ -21,16 +21,17 @@ import numpy as np
 from scipy import linalg, sparse
 
 from otf_core.arrays import Array, Index
-from otf_core.model.kinematics import squareness_influence
 from otf_core.model.machine import Chain, Machine
-from otf_core.model.motions import SQUARENESS
-from otf_core.noise.noise_model import beam_shares, path_frame
+from otf_core.noise.noise_model import beam_shares, noise_covariance
 from otf_core.pieces.pieces import RAYLEIGH_MEDIAN
 from otf_core.pieces.runs import Run
+from otf_core.solving.design import AxisPart, crossed, six_motions
+from otf_core.solving.design import Design as Motions
+from otf_core.solving.system import components, nominal_positions, row_directions
+from otf_core.solving.unknowns import Unknowns, layout, linear
 
-FLOOR = 1e-7
+MIN_SIGMA = 1e-7
 """m; independent uncertainty of every piece at least."""
-UNIT = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,8 @@ class Rows:
 
     Attributes
     ----------
-    machine : Machine
-        Of the first run; its chain and axes are those of all.
+    machines : tuple of Machine
+        Of every run; chain and axes are the same in all.
     run : ndarray of int64, shape (p,)
     piece : ndarray of int64, shape (p,)
         Place among the pieces of the run.
@@ -53,15 +54,13 @@ class Rows:
     direction, side : ndarray, shape (p, 3)
         See ``pieces.Pieces``.
     speed : ndarray, shape (p,), m/s
-    offset : ndarray, shape (p, 3), m
-        Target offset.
     axes : ndarray, shape (c, p, 3)
         Directions of the rows: two perpendicular to the path, at a stop three.
     deviation, sigma : ndarray, shape (c, p), m
         Measured minus nominal, and the standard deviation expected from the noise.
     """
 
-    machine: Machine
+    machines: tuple[Machine, ...]
     run: Index
     piece: Index
     time: Array
@@ -71,7 +70,6 @@ class Rows:
     direction: Array
     side: Array
     speed: Array
-    offset: Array
     axes: Array
     deviation: Array
     sigma: Array
@@ -83,7 +81,12 @@ class Rows:
     @property
     def runs(self) -> int:
         """Number of runs."""
-        return int(self.run[-1]) + 1
+        return len(self.machines)
+
+    @property
+    def machine(self) -> Machine:
+        """Machine of the first run."""
+        return self.machines[0]
 
     def take(self, pieces: Index) -> Rows:
         """Return the rows of some pieces only, given by their places."""
@@ -93,57 +96,39 @@ class Rows:
             if f.name in across
             else getattr(self, f.name)[pieces]
             for f in fields(self)
-            if f.name != 'machine'
+            if f.name != 'machines'
         }
-        return Rows(self.machine, **found)
+        return Rows(self.machines, **found)
 
     def component(self, vectors: Array) -> Array:
         """Rows of vectors (p, 3) along ``axes``, shape (c p,)."""
         return np.asarray(np.einsum('cpi,pi->cp', self.axes, vectors).ravel())
 
 
-def _mean_variance(white: float, time: float, duration: Array, count: Array) -> Array:
-    """Variance of means of noise of unit variance, shape (p,)."""
-    x = np.maximum(duration / max(time, 1e-6), 1e-3)
-    slow = 2.0 * (x - 1.0 + np.exp(-x)) / x**2
-    return np.asarray(white / count + (1.0 - white) * slow)
-
-
 def _sigma(run: Run, shares: Array) -> Array:
-    pieces, noise = run.pieces, run.noise
-    variance = np.full(shares.shape[1:], FLOOR**2)
-    for part, share in zip(noise, shares, strict=True):
-        mean = _mean_variance(
-            part.white_share, part.correlation_time, pieces.duration, pieces.count.astype(float)
-        )
-        variance += (part.level * share) ** 2 * mean
-    return np.asarray(np.sqrt(variance))
+    """Standard deviation of every piece by itself, shape (c, p), m."""
+    pieces, alone = run.pieces, shares[..., None]
+    windows = (pieces.time[:, None], pieces.duration[:, None], pieces.count[:, None])
+    white, slow = noise_covariance(run.noise, alone, alone, windows)
+    return np.asarray(np.sqrt(MIN_SIGMA**2 + white[..., 0] + slow[..., 0, 0]))
 
 
 def _of_run(run: Run, number: int) -> dict[str, Array]:
     pieces = run.pieces
     points = run.pose.apply(pieces.xyz)
-    distance = np.linalg.norm(pieces.xyz, axis=1)
-    beam = run.pose.rotate(pieces.xyz / distance[:, None])
-    if pieces.standstill:
-        q, axes = pieces.origin, np.broadcast_to(UNIT[:, None], (3, len(points), 3))
-    else:
-        along = np.einsum('ij,ij->i', points - pieces.origin, pieces.direction)
-        q = pieces.origin + along[:, None] * pieces.direction
-        axes = np.stack(path_frame(pieces.direction, beam))
+    q, axes = nominal_positions(pieces, points, None), row_directions(pieces, run.pose)
     return {
         'run': np.full(len(pieces), number),
         'piece': np.arange(len(pieces)),
         'time': pieces.time,
         'q': q,
         'points': points,
-        'beam': beam,
+        'beam': run.pose.rotate(pieces.xyz / np.linalg.norm(pieces.xyz, axis=1)[:, None]),
         'direction': pieces.direction,
         'side': pieces.side,
         'speed': pieces.speed,
-        'offset': np.tile(run.machine.target_offset, (len(pieces), 1)),
         'axes': axes,
-        'deviation': np.einsum('cpi,pi->cp', axes, points - q),
+        'deviation': components(axes, points - q),
         'sigma': _sigma(run, beam_shares(pieces.xyz, run.pose, axes)),
     }
 
@@ -156,30 +141,13 @@ def build_rows(runs: Sequence[Run]) -> Rows:
         name: np.concatenate([part[name] for part in parts], axis=int(name in across))
         for name in parts[0]
     }
-    return Rows(runs[0].machine, **joined)
-
-
-def turning(rows: Rows, arm: Array) -> Array:
-    """Rows per unit of rotations about X, Y and Z at arms (p, 3), shape (c, p, 3), m/rad."""
-    return np.cross(arm, rows.axes)  # a . (e x arm) = e . (arm x a)
+    return Rows(tuple(run.machine for run in runs), **joined)
 
 
 def pose_columns(rows: Rows) -> Array:
     """Rows per unit of a rigid motion of the measured points, shape (c p, 6), 1 and m/rad."""
-    return np.concatenate([rows.axes, turning(rows, rows.points)], axis=2).reshape(-1, 6)
-
-
-def levers(rows: Rows, chain: Chain, offset: Array, axis: int) -> Array:
-    """Lever arm of one axis at every piece, shape (p, 3), m."""
-    names = rows.machine.axis_names
-    carried = np.array([a in chain.lever_axes(names[axis]) for a in names])
-    return np.asarray(offset + np.where(carried, rows.q, 0.0))
-
-
-def squareness_columns(rows: Rows) -> Array:
-    """Rows per unit of squareness, shape (c p, 3), m/rad."""
-    parts = [rows.component(squareness_influence(n, rows.q)) for n in SQUARENESS]
-    return np.stack(parts, axis=1)
+    turned = crossed(rows.points, rows.axes)  # a . (e x point) = e . (point x a)
+    return np.concatenate([rows.axes, turned], axis=2).reshape(-1, 6)
 
 
 def reversal_columns(rows: Rows) -> Array:
@@ -228,6 +196,19 @@ def poses_by_run(rows: Rows) -> Array:
 
 MAX_NODES = 80
 """Nodes per axis at most."""
+AT_REST = 1e-6
+"""m; an axis that travels no farther has one node."""
+
+
+def table_unknowns(rows: Rows) -> Unknowns:
+    """Tables of all axes at half the pitch over the driven range."""
+    bases = {}
+    for axis, q in zip(rows.machine.axis_names, rows.q.T, strict=True):
+        low, size = float(q.min()), float(np.ptp(q))
+        count = np.ceil(size / (0.5 * rows.machine.axes[axis].table_pitch))
+        nodes = np.linspace(low, low + size, int(np.clip(count, 1, MAX_NODES)) + 1)
+        bases[axis] = linear(nodes if size > AT_REST else nodes[:1])
+    return layout(bases)
 
 
 @dataclass(frozen=True)
@@ -250,20 +231,15 @@ class AxisTables:
     influence: Array
 
     @classmethod
-    def of(cls, rows: Rows, chain: Chain, offset: Array, axis: int) -> AxisTables:
-        """Tables at half the pitch, for a chain and target offsets (p, 3), m."""
-        q = rows.q[:, axis]
-        pitch = 0.5 * rows.machine.axes[rows.machine.axis_names[axis]].table_pitch
-        low, size = float(q.min()), float(np.ptp(q))
-        count = int(np.clip(np.ceil(size / pitch), 1, MAX_NODES))
-        turned = turning(rows, levers(rows, chain, offset, axis))
-        influence = np.concatenate([rows.axes, turned], axis=2)
-        columns = np.ascontiguousarray(np.swapaxes(influence, 1, 2))
-        if size <= 1e-6:
-            return cls(1, np.zeros(len(q), dtype=np.int64), np.ones((1, len(q))), columns)
-        place = (q - low) * (count / size)
-        first = np.minimum(place.astype(np.int64), count - 1)
-        return cls(count + 1, first, np.stack([first + 1 - place, place - first]), columns)
+    def of(cls, parts: Sequence[AxisPart], axes: Array) -> AxisTables:
+        """Tables of what an axis does in each run, for the directions (c, p, 3) of all rows."""
+        arm = np.concatenate([part.lever for part in parts])
+        return cls(
+            parts[0].size,
+            np.concatenate([part.first for part in parts]),
+            np.concatenate([part.weight for part in parts]).T.copy(),
+            np.stack([six_motions(own, arm)[:, :, 0].T for own in axes]),
+        )
 
     @property
     def columns(self) -> Index:
@@ -310,12 +286,20 @@ class Design:
     axes: tuple[AxisTables, ...]
 
     @classmethod
-    def of(cls, rows: Rows, usual: Array, chain: Chain | None = None, offset: Array | None = None
-           ) -> Design:  # fmt: skip
-        """Set up tables for another chain or other target offsets (p, 3), m, than stated."""
-        chain = chain or rows.machine.chain
-        offset = rows.offset if offset is None else offset
-        return cls(usual, tuple(AxisTables.of(rows, chain, offset, a) for a in range(3)))
+    def of(cls, rows: Rows, usual: Array, machines: Sequence[Machine]) -> Design:
+        """Set up squareness and tables for machines of the runs, as in ``rows`` or others."""
+        unknowns = table_unknowns(rows)
+        motions = []
+        for run, machine in enumerate(machines):
+            own = np.flatnonzero(rows.run == run)
+            motions.append(
+                Motions(machine, unknowns, 0, rows.q[own], rows.points[own], rows.axes[:, own],
+                        (np.zeros(3),), rows.direction[own], rows.side[own])
+            )  # fmt: skip
+        squareness = np.concatenate([m.squareness_rows() for m in motions], axis=1)
+        usual = np.concatenate([usual, squareness.reshape(len(usual), -1)], axis=1)
+        parts = zip(*(m.parts_of_motions() for m in motions), strict=True)
+        return cls(usual, tuple(AxisTables.of(of_axis, rows.axes) for of_axis in parts))
 
     @cached_property
     def tables(self) -> sparse.csr_array:
@@ -510,7 +494,9 @@ class Model:
     def of(cls, runs: Sequence[Run]) -> Model:
         """Set up and solve."""
         rows = _thinned(build_rows(runs), ENOUGH)
-        return cls(tuple(runs), rows, solve(rows, Design.of(rows, usual_columns(rows))))
+        return cls(
+            tuple(runs), rows, solve(rows, Design.of(rows, usual_columns(rows), rows.machines))
+        )
 
     def left_with(self, chains: Sequence[Chain], offsets: Sequence[Array]) -> Array:
         """What other chains or target offsets leave, on the same pieces, thinned.
@@ -528,11 +514,13 @@ class Model:
         chosen = _spread(len(self.rows), MAX_PIECES)
         rows = self.rows.take(chosen)
         weight = self.fit.weight.reshape(len(rows.axes), -1)[:, chosen].ravel()
-        usual = usual_columns(rows)
-        found = []
+        usual, found = usual_columns(rows), []
         for chain, offset in zip(chains, offsets, strict=True):
-            design = Design.of(rows, usual, chain, offset[rows.run])
-            found.append(solve(rows, design, weight).square)
+            machines = [
+                replace(machine, chain=chain, target_offset=own)
+                for machine, own in zip(rows.machines, offset, strict=True)
+            ]
+            found.append(solve(rows, Design.of(rows, usual, machines), weight).square)
         return np.asarray(np.sqrt(np.array(found) / weight.sum()))
 
     @cached_property
@@ -560,11 +548,6 @@ def _thinned(rows: Rows, enough: int) -> Rows:
 
 
 def usual_columns(rows: Rows) -> Array:
-    """Columns of what is usual and no matter here, and of squareness, shape (c p, k)."""
-    usual = (
-        poses_by_run(rows),
-        reversal_columns(rows),
-        lag_columns(rows),
-        drift_columns(rows),
-    )
-    return np.concatenate([*usual, squareness_columns(rows)], axis=1)
+    """Columns of what is usual and contradicts nothing, shape (c p, k)."""
+    usual = (poses_by_run(rows), reversal_columns(rows), lag_columns(rows), drift_columns(rows))
+    return np.concatenate(usual, axis=1)

@@ -24,7 +24,6 @@ from scipy import linalg, sparse
 from otf_core.arrays import Array, Index
 from otf_core.config import CalibrationConfig
 from otf_core.contradictions.quick_model import (
-    UNIT,
     Fit,
     Model,
     Rows,
@@ -129,9 +128,10 @@ def _smooth(rows: Rows, mine: NDArray[np.bool_], pose: Array) -> list[Array]:
     """Columns of a smooth change of one run beyond the usual model, in blocks (r, k)."""
     time = rows.time[mine]
     x = 2.0 * (rows.time - time.min()) / max(float(np.ptp(time)), 1e-9) - 1.0
+    unit = np.eye(3)
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
     strain = np.stack([
-        rows.component(rows.q[:, [j]] * UNIT[i] + (i != j) * rows.q[:, [i]] * UNIT[j])
+        rows.component(rows.q[:, [j]] * unit[i] + (i != j) * rows.q[:, [i]] * unit[j])
         for i, j in pairs
     ], axis=1)  # fmt: skip
     other = np.hstack([strain, reversal_columns(rows)])

@@ -289,13 +289,21 @@ class Design:
         """Pieces, some at a time."""
         return (slice(low, low + size) for low in range(0, len(self.q), size))
 
+    def parts_of_motions(self) -> list[AxisPart]:
+        """What the motions of every axis do at the centres of the pieces."""
+        return [self._part(k, self.q) for k in range(3)]
+
+    def squareness_rows(self, pieces: Index | slice = slice(None)) -> Array:
+        """Rows per unit of the squareness errors, linear in a piece, shape (c, m, 3), m/rad."""
+        angles = [squareness_influence(name, self.q[pieces]) for name in SQUARENESS]
+        turned = np.einsum('cpi,pik->cpk', self.axes[:, pieces], np.stack(angles, axis=2))
+        return np.asarray(turned)
+
     def _few(self, pieces: Index | slice) -> tuple[Index, Array]:
         """Places (k,) and rows (c, m, k) of pose and squareness."""
-        axes, q = self.axes[:, pieces], self.q[pieces]
-        # a . (dr x p) = dr . (p x a); what squareness does is linear within a piece
-        angles = np.stack([squareness_influence(name, q) for name in SQUARENESS], axis=2)
-        turned = np.einsum('cpi,pik->cpk', axes, angles)
-        rows = [-axes, -crossed(self.points[pieces], axes), turned]
+        axes = self.axes[:, pieces]
+        # a . (dr x p) = dr . (p x a)
+        rows = [-axes, -crossed(self.points[pieces], axes), self.squareness_rows(pieces)]
         return np.concatenate([self._pose, self._angles]), np.concatenate(rows, axis=2)
 
     def released(self) -> Design:

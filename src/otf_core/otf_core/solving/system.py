@@ -101,7 +101,7 @@ def nominal_positions(
     return q
 
 
-def _axes(pieces: Pieces, pose: RigidTransform) -> Array:
+def row_directions(pieces: Pieces, pose: RigidTransform) -> Array:
     """Directions of the rows, (c, p, 3); noise of equal angles is not correlated between them."""
     beam, horizontal, vertical = (pose.rotate(d) for d in beam_frame(pieces.xyz)[1:])
     if not pieces.standstill:
@@ -112,10 +112,12 @@ def _axes(pieces: Pieces, pose: RigidTransform) -> Array:
 def deviations(pieces: Pieces, pose: RigidTransform) -> Array:
     """Deviations across the path under a pose, before any tables, shape (c, p), m."""
     points = pose.apply(pieces.xyz)
-    return _across(_axes(pieces, pose), points - nominal_positions(pieces, points, None))
+    return components(
+        row_directions(pieces, pose), points - nominal_positions(pieces, points, None)
+    )
 
 
-def _across(axes: Array, offset: Array) -> Array:
+def components(axes: Array, offset: Array) -> Array:
     """Components (c, p) of offsets (p, 3) along the rows."""
     return np.asarray(np.einsum('kij,ij->ki', axes, offset))
 
@@ -149,7 +151,7 @@ def build_system(
     """
     points = pose.apply(pieces.xyz)
     q = nominal_positions(pieces, points, tables)
-    axes = _axes(pieces, pose)
+    axes = row_directions(pieces, pose)
     # a piece is a mean over samples, not the value at its centre: from a curved motion the two
     # differ by h^2 f'' / 24; the mean of f at both Gauss points is right to the third order
     shifts: tuple[Array, ...] = (np.zeros(3),)
@@ -159,7 +161,7 @@ def build_system(
     return System(
         q=q,
         axes=axes,
-        deviation=_across(axes, points - q),
+        deviation=components(axes, points - q),
         rows=Design(
             machine,
             unknowns,
