@@ -163,7 +163,6 @@ def choose_shapes(
 
     Parameters
     ----------
-    runs : sequence of Observed
     nodes : mapping of axis to ndarray, m
         Of the tables that machine.yaml asks for.
     progress : callable(stage, fraction)
@@ -361,7 +360,6 @@ def solve_with_reversal(
 
     Parameters
     ----------
-    runs : sequence of Observed
     nodes : mapping of axis to ndarray, m
         Of the tables that machine.yaml asks for.
     config : CalibrationConfig
